@@ -67,15 +67,15 @@ class Candidates:
         self._pair_material = pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._geometry = _flatten(geoms)
-        self.fields = self._fields = tuple(self._geometry)
+        self.fields = tuple(self._geometry)
         cores: dict[int, Any] = {id(g.shape): g.shape.core(SHRINK) for g in geoms}
         self._solids = [g.shape.geometry for g in geoms]
         for solid in (*cores.values(), *self._solids):
             solid.computeLocalAABB()
         self._cores = [cores[id(g.shape)] for g in geoms]
         self._slack = np.where(np.isin(self._geometry.kind, ROUND), 0.0, 2.0 * SHRINK * self._geometry.radius)
-        self.frame = self._frame = self._geometry.frame
-        self._moving = self._frame >= 0
+        self.frame = self._geometry.frame
+        self._moving = self.frame >= 0
         self._R = self._geometry.placement_R.copy()
         self._t = self._geometry.placement_t.copy()
         arm = np.linalg.norm(self._t, axis=1) + self._geometry.radius
@@ -117,7 +117,7 @@ class Candidates:
     def boxes(self, x: Array, R: Array) -> tuple[Array, Array]:
         """Least boxes about the geoms of frames at such poses, along the axes: (lower, upper), (geoms, 3) each, m."""
         lower, upper = self._lower.copy(), self._upper.copy()
-        broadphase.bounds(self._fields, x, R, lower, upper)
+        broadphase.bounds(self.fields, x, R, lower, upper)
         return lower, upper
 
     @property
@@ -143,11 +143,11 @@ class Candidates:
         """Place the geoms, and ask Coal for the distances of the candidate pairs."""
         self._renew(x, R, reach)
         for batch in self._batches:
-            batch.run(self._fields, (self._R, self._t, self._reach), (self._lower, self._upper))
+            batch.run(self.fields, (self._R, self._t, self._reach), (self._lower, self._upper))
 
     def _renew(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and renew the candidate pairs if one has left its fat box."""
-        fields, boxes = self._fields, (self._lower, self._upper)
+        fields, boxes = self.fields, (self._lower, self._upper)
         placed, fat = (self._R, self._t, self._reach), (self._fat_lower, self._fat_upper)
         if broadphase.follow(fields, (x, R, reach), self._base, placed, boxes, fat):
             ahead = 1 + min(self._served, AHEAD)

@@ -88,7 +88,7 @@ class Detector(Candidates):
             return out
         pose, room = (poses.x, poses.R), (self._R, self._t)
         old, new = (c.geom1, c.geom2, c.normal, c.key), (found.geom1, found.geom2, found.key, found.gap)
-        keys.gaps(self._fields, pose, room, old, new, out)
+        keys.gaps(self.fields, pose, room, old, new, out)
         return out
 
     def carry(self, contacts: ContactSet, begin: Poses, end: Poses) -> tuple[ContactSet, Array]:
@@ -99,7 +99,7 @@ class Detector(Candidates):
         """
         c, normal, apart = contacts, np.empty_like(contacts.normal), np.empty_like(contacts.gap)
         who, room = (c.frame1, c.frame2, c.geom1, c.geom2, c.normal), (self._R, self._t)
-        advancement.turn_normals(self._fields, who, begin.R, tuple(end), room, normal, apart)
+        advancement.turn_normals(self.fields, who, begin.R, tuple(end), room, normal, apart)
         return carry(contacts, begin, end, normal), apart
 
     def touches(
@@ -131,13 +131,13 @@ class Detector(Candidates):
         .. [1] B. Mirtich, Impulse-based Dynamic Simulation of Rigid Body Systems, PhD thesis, Berkeley 1996, ch. 2.
         """
         turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
-        advancement.motions(self._frame, self._arm, *begin, *end, turn, reach)
+        advancement.motions(self.frame, self._arm, *begin, *end, turn, reach)
         self._renew(begin.x, begin.R, reach)
         codes = _NONE if known is None else known.geom1 * len(self._cores) + known.geom2
         pairs, motion = np.empty(len(self._first), dtype=np.int64), (begin.x, end.x, turn)
         candidates, placed = (self._first, self._second, codes), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least
-        count = advancement.may_touch(self._fields, self._arm, least, candidates, motion, placed, pairs)
+        count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, pairs)
         touching = []
         for p in pairs[:count].tolist():
             touch = self._first_touch(p, begin, end, turn)
@@ -148,7 +148,7 @@ class Detector(Candidates):
     def _first_touch(self, p: int, begin: Poses, end: Poses, turn: Array) -> tuple[float, Array, Array] | None:
         """Fraction of the way at which pair p touches, and where its geoms are then, (R, t); None if it does not."""
         i, j = geoms = int(self._first[p]), int(self._second[p])
-        placements = self._frame, self._geometry.placement_R, self._geometry.placement_t
+        placements = self.frame, self._geometry.placement_R, self._geometry.placement_t
         near = TOUCH / MARGIN * self._pair_base[p]
         R, t = np.empty((2, 3, 3)), np.empty((2, 3))
         s = 0.0
@@ -158,7 +158,7 @@ class Detector(Candidates):
             n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
             if not np.isfinite(n).all():  # deep inside each other
                 break
-            bound, speed = advancement.approach(self._frame, self._arm, (begin.x, end.x, turn), s, geoms, n, points)
+            bound, speed = advancement.approach(self.frame, self._arm, (begin.x, end.x, turn), s, geoms, n, points)
             if distance <= near and speed > 0.0:
                 break
             if bound * (1.0 - s) <= distance or bound == 0.0:
@@ -178,7 +178,7 @@ class Detector(Candidates):
             asked[0, 1:4] = result.normal
         found = np.empty((self._max_points, 3)), np.empty((self._max_points, 3)), np.empty(self._max_points)
         slot, pair = np.where(self._asked[one], 0, -1), np.empty(self._max_points, np.int64)
-        placed = self._fields, all_R, all_t, np.zeros(len(all_R)), self._slack
+        placed = self.fields, all_R, all_t, np.zeros(len(all_R)), self._slack
         pairs = self._first[one], self._second[one], slot, asked, self._pair_base[one]
         count = manifold.manifolds(placed, pairs, (self._max_points, *self._scratch), (*found, pair))
         return found[0][:count], found[1][:count], found[2][:count]
@@ -191,9 +191,9 @@ class Detector(Candidates):
         pair = np.repeat([p for p, *_ in touching], sizes)
         names, points = np.empty((5, gap.size), np.int64), np.empty((4, gap.size, 3))
         names[0], names[1] = self._first[pair], self._second[pair]
-        names[2:4] = self._frame[names[:2]]
+        names[2:4] = self.frame[names[:2]]
         R, t = self._R.copy(), self._t.copy()
-        geometry.place(self._fields, end.x, end.R, R, t)
+        geometry.place(self.fields, end.x, end.R, R, t)
         # From where the geoms of every pair touch to their ends; what is fixed is of the world.
         both = np.column_stack((self._first, self._second))[[p for p, *_ in touching]].ravel()
         begin = np.concatenate([part[3] for part in touching]), np.concatenate([part[2] for part in touching])

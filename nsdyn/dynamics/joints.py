@@ -119,8 +119,7 @@ class JointLaws:
         self.turning = (self.other >= 0) | np.roll(self.ball, 1)
         self.size = len(table)
         self.limits, self._no_impulses = np.flatnonzero(self.sign), np.zeros((self.size, 3))
-        of_passive = self.coordinate, self.sign, self.bound, self.near
-        self._passive = tuple(column[: self.passive] for column in of_passive)
+        self._passive = self.coordinate[: self.passive]
 
     def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of a step: all friction, and the limits the joints may reach; None when there are none.
@@ -133,13 +132,12 @@ class JointLaws:
             Velocity at the beginning, and at the end without contacts.
         h : float
         """
-        slot = np.empty(self.passive, np.int64)
-        count = _joints.active_rows(*self._passive, angle, v, v_free, h, slot)
-        if not count:
+        rate = np.maximum(np.abs(v), np.abs(v_free))[self._passive]
+        (slot,) = (self.gaps(slice(self.passive), angle) <= self.near[: self.passive] + 2.0 * h * rate).nonzero()
+        if not slot.size:
             return None
-        slot = slot[:count]
         friction = self.sign[slot] == 0.0
-        clutch = np.zeros((3, count))
+        clutch = np.zeros((3, slot.size))
         clutch[0] = np.where(friction, h * self.bound[slot], 0.0)
         disk = self.ball[slot]
         if disk.any():  # even shares, until more is known
@@ -162,10 +160,9 @@ class JointLaws:
         before = rows.slot, rows.gap, rows.restitution, rows.mu, rows.clutch
         return JointRows(*(np.concatenate(two, axis=-1) for two in zip(before, own, strict=True)))
 
-    def gaps(self, slot: Index, angle: Array) -> Array:
+    def gaps(self, slot: Index | slice, angle: Array) -> Array:
         """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""
-        out = np.empty(slot.size)
-        _joints.gaps(slot, self.coordinate, self.sign, self.bound, angle, out)
+        out: Array = self.sign[slot] * (angle[self.coordinate[slot]] - self.bound[slot])
         return out
 
     def rates(self, slot: Index, v: Array) -> Array:

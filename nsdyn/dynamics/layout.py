@@ -132,7 +132,7 @@ class Layout:
             self.trees.append(t.at(start, first))
             start, first = start + t.model.nv, first + len(t.joints)
         self.frames = first + self._driven
-        self.nowhere, self.no_works = np.zeros(self.frames), np.zeros(self.free)
+        self.nowhere = np.zeros(self.frames)
         self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
         self._bodies_only = self.frames == self.free and not trees
         # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.

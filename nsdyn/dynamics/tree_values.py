@@ -182,8 +182,6 @@ class TreeWorks(NamedTuple):
     ----------
     kinetic, potential : float
         At the end; of gravity, 0 at the world's origin, and of joint springs.
-    change : float
-        Of their sum in the step.
     actuation, damping, constraint : float
         Works of joint forces, of viscous damping, of loops and driven joints.
     integration : float
@@ -195,7 +193,6 @@ class TreeWorks(NamedTuple):
 
     kinetic: float
     potential: float
-    change: float
     actuation: float
     damping: float
     constraint: float

@@ -1,226 +1,46 @@
-"""One articulated tree: Pinocchio's terms, the forces of its joints, and its motion without contacts."""
+"""Motion of one articulated tree: the forces of its joints, what they do in a step, and its way without contacts."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
 import pinocchio as pin
 
-from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import trees as _trees
-from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.actuators import Control, left_to_rows
-from nsdyn.dynamics.loops import Closures, admissible, factored, indefinite, supports
+from nsdyn.dynamics.linkages import Linkage
+from nsdyn.dynamics.loops import factored, indefinite
 from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
-from nsdyn.dynamics.tree_values import Constraints, Flow, FreeMotion, Halfway, Links, TreeEnd, TreeLoads, TreeWorks
-from nsdyn.scene.articulations import BALL, PLANAR, Articulation
-from nsdyn.scene.gears import Gear, GearGaps, joint_at
+from nsdyn.dynamics.tree_values import Flow, FreeMotion, Halfway, TreeEnd, TreeLoads, TreeWorks
+from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.prescribed import Motion
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Array
 
 __all__ = ["Tree"]
 
-HELD = 1e-12
-"""Velocity, per root of a kinetic energy of ½ J, that is round-off of 0: of a ball of 1e24 kg."""
 
-DIFFERENCE = 1e-5
-"""Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of 1e-10."""
-
-
-class Tree:
-    """One articulated tree with Pinocchio's scratch data.
-
-    Parameters
-    ----------
-    articulation : Articulation
-    gravity : ndarray, shape (3,)
-    joints : list of int
-        Joints that carry geometry, one frame each.
-    driven : mapping of int to Motion
-        Coordinates whose velocity is prescribed.
-
-    Attributes
-    ----------
-    coordinates, frames : slice
-        In the scene's velocity and frames, as `at` has it.
-    held : ndarray of bool, shape (nv,)
-        Coordinates that nothing but prescribed motion moves: driven ones, and those that loops and gears then leave no
-        freedom.
-    bodies : dict of str to int
-        Frames of the model's moving bodies and joints, by name.
-    planes, balls : frozenset of int
-        First coordinates of planar joints, of sliding, and of ball joints; both slip together with the next.
-    held_links : ndarray of bool, shape (k,)
-        The links of `joints` that nothing else moves.
-    """
+class Tree(Linkage):
+    """Motion of one articulated tree under its loads; parameters are those of `Linkage`."""
 
     def __init__(
-        self,
-        articulation: Articulation,
-        gravity: Array,
-        joints: list[int],
-        driven: dict[int, Motion],
+        self, articulation: Articulation, gravity: Array, joints: list[int], driven: dict[int, Motion]
     ) -> None:
-        a = self.articulation = articulation
-        self.name = a.name
-        self.model = a.model.copy()
-        self.model.name = a.name
-        self.model.gravity = pin.Motion(gravity, np.zeros(3))
-        self.model.armature = a.armature
-        self.data = self.model.createData()
-        nv = self.model.nv
-        self.coordinates, self.joints, self.frames = slice(0, nv), joints, slice(0, len(joints))
-        self.support = supports(self.model)[joints]
-        self.radius = _radii(a, joints)
+        super().__init__(articulation, gravity, joints, driven)
+        a, nv = articulation, self.model.nv
         self._weightless = self.model.copy()
         self._weightless.gravity = pin.Motion.Zero()
         # Pinocchio's kinetic energy leaves out the armature of joints about axes that are none of the coordinates'.
         self._bare, self._armature = self.model.copy(), a.armature
         self._bare.armature, self._armoured = np.zeros(nv), bool(a.armature.any())
-        # Views of Pinocchio's own memory, in which each evaluation shows; one with nv = 1 comes without its last axis.
-        self._J: Array = self.data.J.reshape(6, nv, order="A")
-        self._R, self._x = pose_views(self.data.oMi, self.model.njoints)
-        self._carriers = np.array(joints, dtype=np.int64)
         self.stiffness, self.rest = a.stiffness, a.rest
         self._laws = np.array((a.stiffness, a.damping, a.rest))
-        self._linear, self._linear_q, self._turning = self._scalar_coordinates()
-        scalar = np.zeros(nv, dtype=bool)
-        scalar[self._linear], scalar[[j for j, _ in self._turning]] = True, True
-        self.scalar, self._no_control = scalar, Control.none(nv)
         self._springs = bool(a.stiffness.any())
         self._implicit = self._springs or bool(a.damping.any())
-        self._limited = a.limits
-        self.driven = tuple(driven.values())
-        self._driven_rows = np.zeros((len(driven), nv))
-        self._driven_rows[np.arange(len(driven)), list(driven)] = 1.0
+        self._no_control, self._no_impulses = Control.none(nv), np.zeros((nv, 3))
         self._steady = np.zeros(len(driven))
-        self._closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
-        self.constrained = bool(driven) or self._closures is not None
-        kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
-        self.bodies = {
-            f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
-        }
         self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
-        self._no_impulses = np.zeros((nv, 3))
-        self.planes, self.balls = (
-            frozenset(j.idx_v for j in self.model.joints[1:] if j.shortname() == kind) for kind in (PLANAR, BALL)
-        )
-        self._round = np.zeros(nv, dtype=bool)
-        self._round[[j for j, _ in self._turning]] = True
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self._turns = self._J[3:].any(axis=0)
-        self.held, self.held_links = self._held(a.q, a.gears)
-
-    def at(self, start: int, first: int) -> Tree:
-        """The same tree, whose first coordinate and frame are those in a scene."""
-        out = copy(self)
-        out.coordinates = slice(start, start + self.model.nv)
-        out.frames = slice(first, first + len(self.joints))
-        return out
-
-    def _scalar_coordinates(self) -> tuple[Index, Index, list[tuple[int, int]]]:
-        """Coordinates whose rate is the velocity, their places in q, and (v, q) places of joints given by cos, sin."""
-        v: list[int] = []
-        q: list[int] = []
-        turning = []
-        for joint in self.model.joints[1:]:
-            if joint.nq == joint.nv:
-                v += range(joint.idx_v, joint.idx_v + joint.nv)
-                q += range(joint.idx_q, joint.idx_q + joint.nq)
-            elif joint.nv == 1:
-                turning.append((joint.idx_v, joint.idx_q))
-        return np.array(v, dtype=np.int64), np.array(q, dtype=np.int64), turning
-
-    def limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits of the joint coordinates, (nv,) each, infinite where there are none."""
-        lower, upper = np.full(self.model.nv, -np.inf), np.full(self.model.nv, np.inf)
-        if self._limited:
-            lower[self._linear] = self.model.lowerPositionLimit[self._linear_q]
-            upper[self._linear] = self.model.upperPositionLimit[self._linear_q]
-        return lower, upper
-
-    def joint_of(self, coordinate: int) -> str:
-        """Name of the joint that a coordinate belongs to."""
-        return str(self.model.names[joint_at(self.model, coordinate)])
-
-    def angle(self, q: Array) -> Array:
-        """Joint coordinates in rad or m, shape (nv,); 0 where a joint has none of its own (free, spherical)."""
-        out = np.zeros(self.model.nv)
-        out[self._linear] = q[self._linear_q]
-        for j, k in self._turning:
-            out[j] = np.arctan2(q[k + 1], q[k])
-        return out
-
-    def _deviation(self, angle: Array, target: Array) -> Array:
-        """Angle - target, for joints given by cos and sin the short way round."""
-        out: Array = angle - target
-        for j, _ in self._turning:
-            out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
-        return out
-
-    def _held(self, q: Array, gears: Sequence[Gear]) -> tuple[Bools, Bools]:
-        """Which coordinates (nv,) and which links (k,) nothing but prescribed motion moves at q, or nothing at all."""
-        nv = self.model.nv
-        if not (self.driven or gears):
-            return np.zeros(nv, np.bool_), np.zeros(len(self.joints), np.bool_)
-        q = self.close(q)
-        F = factored(self.model, self.data, q)[1]
-        # Without driven joints loops leave a freedom that a dead centre at q may hide; gears are the same everywhere.
-        Z = self._restrict(q, F)[2] if self.driven else admissible(GearGaps(self.model, gears).rows, F)[0]
-        J = self.links(q).J
-        fields = np.einsum("ij,kj,jy->kiy", J, self.support, Z)
-        # Of what constraints leave free a velocity of 1 is that of unit kinetic energy: no mass is so large.
-        return np.array((np.abs(Z) <= HELD).all(axis=1)), np.array((np.abs(fields) <= HELD).all(axis=(1, 2)))
-
-    def start(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Initial configuration and velocity with closed loops and driven joints at their speed."""
-        v = v.copy()
-        for row, motion in zip(self._driven_rows, self.driven, strict=True):
-            v[row > 0.0] = motion.rate(0.0)
-        return self.close(q), v
-
-    def speeding(self, v: Array, rates: Array) -> Array:
-        """Changes of v that bring the driven joints to their rates, shape (nv,), rad/s or m/s; 0 of others."""
-        return np.asarray(self._driven_rows.T @ (rates - self._driven_rows @ v), dtype=float)
-
-    def links(self, q: Array) -> Links:
-        """Poses and Jacobian of the links at q."""
-        pin.computeJointJacobians(self.model, self.data, q)
-        return self._links(q)
-
-    def _links(self, q: Array) -> Links:
-        """Copies of what Pinocchio computed last, at q."""
-        k = self._carriers.size
-        x, R, angle = np.empty((k, 3)), np.empty((k, 3, 3)), self._zero.copy()
-        _links.gather(self._x, self._R, self._carriers, q, self._linear, self._linear_q, x, R, angle)
-        for j, i in self._turning:
-            angle[j] = np.arctan2(q[i + 1], q[i])
-        return Links(x, R, self._J.copy(order="F"), angle)
-
-    def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
-        """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
-        linear, angular = np.empty(links.x.shape), np.empty(links.x.shape)
-        _links.twists(links.x, self.support, links.J, v, linear, angular)
-        return linear, angular
-
-    def close(self, q: Array) -> Array:
-        """The closest configuration whose loops are closed; q itself when they are."""
-        return q if self._closures is None else self._closures.close(q, self._driven_rows)
-
-    def pushed(self, q: Array, body: str, force: Array, torque: Array) -> tuple[Array, Array]:
-        """What a force [N] at the origin of a body's frame and a torque [N m] do at q; world axes.
-
-        Jᵀ (force, torque), shape (nv,), and what of `TreeLoads.wrenches` they are, shape (njoints - 1, 6).
-        """
-        frame, wrenches = self.bodies[body], np.zeros((self.model.njoints - 1, 6))
-        J = pin.computeFrameJacobian(self.model, self.data, q, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1, order="A")
-        pin.framesForwardKinematics(self.model, self.data, q)
-        moment = torque + np.cross(self.data.oMf[frame].translation, force)
-        wrenches[self.model.frames[frame].parentJoint - 1] = *force, *moment
-        return J.T @ np.concatenate((force, torque)), wrenches
 
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
@@ -233,8 +53,8 @@ class Tree:
             return Flow(q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v)), v, v, 0.0)
         if not speed < np.inf:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
-        if self._closures is not None:
-            return slide(self._weightless, self.data, self._closures, self._driven_rows, q, v, h)
+        if self.closures is not None:
+            return slide(self._weightless, self.data, self.closures, self._driven_rows, q, v, h)
         return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
@@ -248,30 +68,6 @@ class Tree:
             return a, float(data.lambda_c @ (rows @ v))
 
         return rate
-
-    def _restrict(self, q: Array, F: Array) -> tuple[Array, Array, Array]:
-        """(B, P, Z) of `Constraints` at q, where M⁻¹ = Fᵀ F."""
-        loops = np.empty((0, self.model.nv)) if self._closures is None else self._closures.at(q)[1]
-        B = np.concatenate((loops, self._driven_rows))
-        Z, P = admissible(B, F)
-        return B, P, Z
-
-    def constraint_acceleration(self, q: Array, v: Array, t: float) -> Array:
-        """b of B v̇ = b, shape (m,): -Ġ v of the loops, then the accelerations of the driven joints at time t.
-
-        Central differences, Ġ v along the motion with v held and loops closed.
-        """
-        loops, fastest = np.empty(0), float(np.abs(v).max(initial=0.0))
-        if self._closures is not None:
-            loops = np.zeros(self._closures.size)
-            if fastest > 0.0:
-                step = DIFFERENCE / fastest
-                ahead, behind = (
-                    self._closures.at(self.close(pin.integrate(self.model, q, s * v)))[1] for s in (step, -step)
-                )
-                loops = -(ahead - behind) @ v / (2.0 * step)
-        rates = [(m.rate(t + DIFFERENCE) - m.rate(t - DIFFERENCE)) / (2.0 * DIFFERENCE) for m in self.driven]
-        return np.concatenate((loops, rates))
 
     def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
         """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
@@ -345,21 +141,17 @@ class Tree:
         """What loads do in a step; ValueError where a joint moves no mass."""
         v0, M, h = halfway.v, halfway.M, halfway.h
         n = v0.size
-        factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), v0.copy()
-        if self.constrained:
-            fine = _trees.implicit(M, loads.laws, h, factor, m, minv)
-        else:
-            fine = _trees.loaded(M, loads.laws, loads.push, loads.weight, h, m, minv, v)
-        if not fine:
+        factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(n)
+        if not _trees.implicit(M, loads.laws, h, factor, m, minv):
             raise indefinite(self.model, M)
-        if not self.constrained:
-            return FreeMotion(v, v, loads, m, minv, None)
-        B, P, Z = self._restrict(halfway.q, factor)
-        minv, b, acting = Z @ Z.T, np.zeros(len(B)), np.empty((3, n))
-        b[b.size - len(self.driven) :] = loads.rates
-        _trees.forces(loads.laws, loads.push, v0, v0, h, acting)
-        _trees.respond(minv @ (m @ v0) + P @ b, minv, acting.sum(axis=0), loads.weight, h, v)
-        return FreeMotion(v, v, loads, m, minv, Constraints(B, P, Z))
+        start, constraints = v0, None
+        if self.constrained:
+            constraints = B, P, Z = self._restrict(halfway.q, factor)
+            minv, b = Z @ Z.T, np.zeros(len(B))
+            b[b.size - len(self.driven) :] = loads.rates
+            start = minv @ (m @ v0) + P @ b
+        _trees.respond(start, minv, loads.laws, loads.push, loads.weight, v0, h, v)
+        return FreeMotion(v, v, loads, m, minv, constraints)
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
@@ -369,8 +161,8 @@ class Tree:
         loads = TreeLoads(np.zeros((2, 5, v.size)), zero, None, zero, rates, None, None, zero, False)
         if not self.constrained:
             return FreeMotion(v, v, loads, M, minv, None)
-        B, P, Z = self._restrict(q, factor)
-        return FreeMotion(v, v, loads, M, Z @ Z.T, Constraints(B, P, Z))
+        constraints = self._restrict(q, factor)
+        return FreeMotion(v, v, loads, M, constraints.Z @ constraints.Z.T, constraints)
 
     def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> TreeEnd:
         """Where a step ends whose forces leave the velocity v.
@@ -380,7 +172,7 @@ class Tree:
         beginning does: the same but for O(h³). At rest, where v and the velocity before it are 0, nothing moves.
         """
         h, theta, loads, begin_v = halfway.h, halfway.theta, free.loads, halfway.begin_v
-        if not (pushed or loads.implicit or self._closures is not None):
+        if not (pushed or loads.implicit or self.closures is not None):
             begin_speed, begin_turn = _trees.fastest(begin_v, self._turns)
             speed, turn = _trees.fastest(v, self._turns)
             if h * max(speed, begin_speed) > TOLERANCE:
@@ -446,9 +238,8 @@ class Tree:
         kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
         # In the order of the ledger, whose round-off then is that of the changes, not of the energies.
         projection = (kinetic - after[0]) + (potential - after[1])
-        change = (kinetic - before[0]) + (potential - before[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
-        return TreeWorks(kinetic, potential, change, actuation, damping, constraint, integration, projection)
+        return TreeWorks(kinetic, potential, actuation, damping, constraint, integration, projection)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""
@@ -457,20 +248,11 @@ class Tree:
         if self._armoured:
             kinetic += 0.5 * float(v @ (self._armature * v))
         if self._springs:
-            deviation = self._deviation(self.angle(q), self.rest)
+            deviation, turns = self.angle(q) - self.rest, self._round
+            deviation[turns] = np.remainder(deviation[turns] + np.pi, 2.0 * np.pi) - np.pi  # the short way round
             potential += 0.5 * float(deviation @ (self.stiffness * deviation))
         return kinetic, potential
 
     def bias(self, q: Array, v: Array) -> Array:
         """Coriolis, centrifugal and gravity terms, shape (nv,), N m or N."""
         return np.array(pin.nonLinearEffects(self.model, self.data, q, v))
-
-
-def _radii(articulation: Articulation, joints: list[int]) -> Array:
-    """Radius about the frame of each joint that holds the shapes it carries, (len(joints),), m."""
-    out = np.zeros(len(joints))
-    for _, joint, placement, shape in articulation.links:
-        if joint in joints:
-            k = joints.index(joint)
-            out[k] = max(out[k], float(np.linalg.norm(placement.translation)) + shape.bounding_radius)
-    return out

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh, splu
 
 from nsdyn._kernels.compiled import clock
-from nsdyn._kernels.literature import anderson as _anderson
+from nsdyn.literature._kernels import anderson as _anderson
 from nsdyn.problem.fc3d import FC3D, _csr
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Anderson, Equilibrated, Run
+from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array

@@ -10,10 +10,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.linkages import Linkage
 from nsdyn.dynamics.values import Forces, Middle, Position
 from nsdyn.literature.least_constraint import Acceleration, Existence, JointTerms, LeastConstraint, accelerations
 from nsdyn.scene import pairs
@@ -25,6 +27,9 @@ __all__ = ["Acceleration", "Existence", "LeastConstraint", "accelerations", "lea
 
 REACH = 1e-5
 """Ḣᵀ v is a central difference over a motion of this fraction of the smallest body."""
+
+DIFFERENCE = 1e-5
+"""Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of 1e-10."""
 
 
 def least_constraint(
@@ -151,10 +156,27 @@ def _admissible(d: Dynamics, position: Position, v: Array, t: float, M: Array, f
             root = np.linalg.inv(np.linalg.cholesky(M[rows, rows])).T
         else:
             root = free.constraints.Z
-            given[rows] = free.constraints.P @ tree.constraint_acceleration(q, v[rows], t)
+            given[rows] = free.constraints.P @ constraint_acceleration(tree, q, v[rows], t)
         Z[rows, column : column + root.shape[1]] = root
         column += root.shape[1]
     return Z[:, :column], given
+
+
+def constraint_acceleration(tree: Linkage, q: Array, v: Array, t: float) -> Array:
+    """b of B v̇ = b, shape (m,): -Ġ v of the loops of a tree, then the accelerations of its driven joints at time t.
+
+    Central differences, Ġ v along the motion with v held and loops closed.
+    """
+    loops, fastest = np.empty(0), float(np.abs(v).max(initial=0.0))
+    if tree.closures is not None:
+        loops = np.zeros(tree.closures.size)
+        if fastest > 0.0:
+            step = DIFFERENCE / fastest
+            ends = (tree.close(pin.integrate(tree.model, q, s * v)) for s in (step, -step))
+            ahead, behind = (tree.closures.at(end)[1] for end in ends)
+            loops = -(ahead - behind) @ v / (2.0 * step)
+    rates = [(m.rate(t + DIFFERENCE) - m.rate(t - DIFFERENCE)) / (2.0 * DIFFERENCE) for m in tree.driven]
+    return np.concatenate((loops, rates))
 
 
 def _of_same(found: ContactSet, there: ContactSet, u: Array, frame: Array) -> Array:

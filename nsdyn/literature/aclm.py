@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Equilibrated
 from nsdyn.literature._frozen import descend, freeze, shifted, slip_shift
+from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array

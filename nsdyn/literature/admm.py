@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Equilibrated, Run, factor
+from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.literature.impulse_newton import matrix
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status

@@ -7,9 +7,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from nsdyn._kernels.literature import one_contact as _kernels
 from nsdyn.literature._common import Equilibrated, Run
 from nsdyn.literature._frozen import defect
+from nsdyn.literature._kernels import one_contact as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array

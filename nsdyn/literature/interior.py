@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn._kernels.literature import interior as _kernels
 from nsdyn._kernels.problem import cones as _cones
+from nsdyn.literature._kernels import interior as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator
 from nsdyn.problem.solution import Solution

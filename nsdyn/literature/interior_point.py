@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn._kernels.literature import interior as _interior
-from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Equilibrated, factor, is_sparse
 from nsdyn.literature._frozen import freeze, shifted, slip_shift
+from nsdyn.literature._kernels import interior as _interior
+from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.literature.formulations import block_diagonal
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution

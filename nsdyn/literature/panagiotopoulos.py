@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn._kernels.literature import variational as _kernels
 from nsdyn.literature._common import Equilibrated
 from nsdyn.literature._frozen import descend, freeze
+from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array

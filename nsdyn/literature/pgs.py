@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsdyn._kernels.compiled import clock
-from nsdyn._kernels.literature import pgs as _kernels
+from nsdyn.literature._kernels import pgs as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array

@@ -81,8 +81,24 @@ class Blocks(NamedTuple):
 
     def delassus(self) -> sp.bsr_array:
         """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
-        indptr, indices, data = _blocks.delassus(self.arrays)
-        return sp.bsr_array((data, indices, indptr), shape=(3 * self.nc, 3 * self.nc))
+        contact, side = np.nonzero(self.block >= 0)
+        order = np.argsort(self.block[contact, side], kind="stable")
+        contact, start = contact[order], self.start[contact, side][order]
+        ends = np.searchsorted(self.block[contact, side[order]], np.arange(self.offset.size))
+        # What each block of coordinates couples, then the sum where two contacts share both.
+        codes, parts = [np.empty(0, np.int64)], [np.empty((0, 3, 3))]
+        for n, m, a, b in zip(np.diff(self.offset), self.m_start, ends[:-1], ends[1:], strict=True):
+            H = self.H[start[a:b, None] + np.arange(3 * n)].reshape(-1, n)
+            W = H @ self.minv[m : m + n * n].reshape(n, n) @ H.T
+            parts.append(0.5 * (W + W.T).reshape(b - a, 3, b - a, 3).swapaxes(1, 2).reshape(-1, 3, 3))
+            codes.append((contact[a:b, None] * self.nc + contact[a:b]).ravel())
+        code = np.concatenate(codes)
+        order = np.argsort(code, kind="stable")
+        code, first = np.unique(code[order], return_index=True)
+        row, column = np.divmod(code, self.nc or 1)
+        data = np.add.reduceat(np.concatenate(parts)[order], first) if first.size else parts[0]
+        indptr = np.searchsorted(row, np.arange(self.nc + 1))
+        return sp.bsr_array((data, column, indptr), shape=(3 * self.nc, 3 * self.nc))
 
     def jacobian(self) -> sp.csr_array:
         """Hᵀ, shape (3 nc, n), u = Hᵀ v."""

@@ -47,13 +47,9 @@ SLACK = 0.1
 WEAK = 4.0
 """Where a direction found for other contacts needs a λ of so many times the largest -u_N, a new one is found."""
 
-AIM, ENOUGH, SWEEPS = 1.0, 0.5, 50
-"""A direction for other contacts is changed until κ is at least so much everywhere, in at most so many sweeps, each
-change to the first: a few do where few contacts have changed, and where a heap is struck hundreds may not."""
-
-OWN_AIM, OWN_ENOUGH, OWN_SWEEPS = 0.1, 0.01, 2000
-"""The same for û of one answer, whose unit is its largest -u_N: how far inside K* its velocity is brought. Where sweeps
-fail, Newton's method brings it there as far as is enough."""
+AIM, ENOUGH, SWEEPS = 0.1, 0.01, 2000
+"""How far inside K* the velocity of one answer is brought, in units of its largest -u_N: changes are to the first, in
+at most so many sweeps, until all have the second. Where sweeps fail, Newton's method brings it that far."""
 
 RESOLVED = 100.0 * ROUNDING
 """The least of that unit over the largest velocity."""
@@ -156,12 +152,10 @@ def certify(
     if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):
         last = opening or Opening(NOTHING, problem.nc, 0.0)
         d, wedged = NOTHING, last.wedged if problem.nc > FEWER * last.wedged else 0
-        if not wedged:
-            d = _relaxed(problem, last.d)
-            # What lasts is worth its cost where contacts do: where there are as many as at the last search.
-            if not d.size and problem.nc == last.nc:
-                d = of_all(problem)
-                wedged = 0 if d.size else problem.nc
+        # What lasts is worth its cost where contacts do: where there are as many as at the last search.
+        if not wedged and problem.nc == last.nc:
+            d = of_all(problem)
+            wedged = 0 if d.size else problem.nc
         if not d.size:
             hat = u.copy()
             hat[0::3] += problem.mu * np.hypot(u[1::3], u[2::3])
@@ -193,16 +187,6 @@ def along(problem: FC3D, d: Array) -> tuple[Array, float]:
     return o, 0.0
 
 
-def _relaxed(problem: FC3D, d: Array) -> Array:
-    """`Opening.d` from one of other contacts, where few of them have changed; empty where that does not suffice."""
-    b = problem.blocks
-    if b is None or d.size != b.n:
-        return NOTHING
-    d = d.copy()
-    nothing = np.zeros_like(problem.q)
-    return d if _kernels.relax(b.arrays, problem.mu, nothing, AIM, ENOUGH, SWEEPS, d) else NOTHING
-
-
 def of_all(problem: FC3D) -> Array:
     """`Opening.d` with κ > 0 at every contact; empty if none is found."""
     return least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
@@ -214,10 +198,10 @@ def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
     inside = -hat / unit
     if problem.blocks is not None:
         d = np.zeros(problem.blocks.n)
-        if _kernels.relax(problem.blocks.arrays, problem.mu, inside, OWN_AIM, OWN_ENOUGH, OWN_SWEEPS, d):
+        if _kernels.relax(problem.blocks.arrays, problem.mu, inside, AIM, ENOUGH, SWEEPS, d):
             return d * (unit / speed)
-    inside[0::3] += OWN_ENOUGH
-    return least_direction(problem, inside, SLACK * OWN_ENOUGH) * (unit / speed)
+    inside[0::3] += ENOUGH
+    return least_direction(problem, inside, SLACK * ENOUGH) * (unit / speed)
 
 
 def least_direction(problem: FC3D, b: Array, slack: float) -> Array:

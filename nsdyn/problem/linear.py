@@ -7,7 +7,7 @@ K = M + Σ H_c A_c H_cᵀ, as large as the coordinates and sparse as the graph o
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from threading import get_ident
 from typing import Any
 
@@ -20,7 +20,7 @@ from nsdyn._kernels.problem import sparse as _matrix
 from nsdyn.problem.blocks import Blocks
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Factor", "Ordered", "contact_graph", "elimination_order", "forget"]
+__all__ = ["Factor", "Ordered", "contact_graph", "elimination_order", "forget", "pattern"]
 
 
 def elimination_order(count: int, rows: Index, columns: Index) -> Index:
@@ -64,13 +64,15 @@ class Ordered:
 
     def factor(self) -> Callable[[Array], Array]:
         """Function b ↦ K⁻¹ b for the entries that K has now; RuntimeError when K is singular."""
-        lu, to = _splu(self.K, "NATURAL"), self._to
+        return self.solving(_splu(self.K, "NATURAL").solve)
+
+    def solving(self, inverse: Callable[[Array], Array]) -> Callable[[Array], Array]:
+        """Function b ↦ K⁻¹ b from the inverse in that order."""
 
         def solve(b: Array) -> Array:
-            y = np.empty(to.size)
-            y[to] = b
-            x: Array = lu.solve(y)[to]
-            return x
+            y = np.empty(b.size)
+            y[self._to] = b
+            return inverse(y)[self._to]
 
         return solve
 
@@ -79,68 +81,63 @@ def _splu(K: Any, order: str) -> Any:
     return splu(K, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
-class _Layout:
-    """K with its blocks in some order.
-
-    Attributes
-    ----------
-    indptr, indices, slot, diagonal
-        As of `_matrix.pattern`, the diagonal blocks by the numbers of the blocks.
-    begin : ndarray, shape (blocks,)
-        First coordinate of every block in K.
-    to : ndarray, shape (n,)
-        Where coordinates stand in K.
-    """
-
-    def __init__(self, offset: Index, block: Index, order: Index) -> None:
-        sizes, place = np.diff(offset), np.empty_like(order)
-        place[order] = np.arange(order.size)
-        ordered = np.concatenate(([0], np.cumsum(sizes[order])))
-        self.indptr, self.indices, self.slot, diagonal = _matrix.pattern(ordered, np.where(block < 0, -1, place[block]))
-        self.begin, self.diagonal = ordered[place], diagonal[place]
-        self.to = np.repeat(self.begin - offset[:-1], sizes) + np.arange(offset[-1])
-
-    def assemble(self, blocks: Blocks, A: Array, data: Array) -> None:
-        """K = M + Σ H_c A_c H_cᵀ, into data."""
-        given = self.indptr, self.begin, self.slot, self.diagonal
-        _matrix.assemble(blocks.arrays, A, *given, data)
-
-
 class Factor:
-    """Sparse factorisations of K on one contact graph: Cholesky-like where K is symmetric, LU elsewhere."""
+    """Factorisations of K on one contact graph: LDLᵀ, which keeps its symbolic part, where K is symmetric, else LU."""
 
     def __init__(self, offset: Index, block: Index) -> None:
-        self._graph, n = (offset, block), int(offset[-1])
-        self._layout = layout = _Layout(offset, block, np.arange(offset.size - 1))
-        self._data = np.empty(layout.indices.size)
-        column = np.repeat(np.arange(n), np.diff(layout.indptr))
-        self.upper = np.flatnonzero(layout.indices <= column)
-        end = np.searchsorted(self.upper, layout.indptr)
-        self.U = sp.csc_matrix((np.empty(self.upper.size), layout.indices[self.upper], end), shape=(n, n))
-        self.ldl: Any = None
-
-    @cached_property
-    def _ordered(self) -> tuple[_Layout, Ordered]:
-        offset, block = self._graph
-        first, second = block[(block >= 0).all(axis=1)].T
-        layout = _Layout(offset, block, elimination_order(offset.size - 1, first, second))
-        return layout, Ordered(layout.indptr, layout.indices, layout.to)
+        sizes = np.diff(offset)
+        order = elimination_order(sizes.size, *block[(block >= 0).all(axis=1)].T)
+        place = np.argsort(order)
+        ordered = np.concatenate(([0], np.cumsum(sizes[order])))
+        indptr, indices, self._slot, diagonal = pattern(ordered, np.where(block < 0, -1, place[block]))
+        self._begin, self._diagonal = ordered[place], diagonal[place]
+        self._ordered = Ordered(indptr, indices, np.repeat(self._begin - offset[:-1], sizes) + np.arange(offset[-1]))
+        column = np.repeat(np.arange(offset[-1]), np.diff(indptr))
+        self._upper = np.flatnonzero(indices <= column)
+        end = np.searchsorted(self._upper, indptr)
+        self._U = sp.csc_matrix((np.empty(self._upper.size), indices[self._upper], end), shape=self._ordered.K.shape)
+        self._ldl: Any = None
 
     def factor(self, blocks: Blocks, A: Array) -> Callable[[Array], Array]:
         """Function b ↦ K⁻¹ b, until the next on this graph, for K = M + Σ H_c A_c H_cᵀ; RuntimeError when singular."""
-        if not _matrix.symmetric(A):
-            layout, matrix = self._ordered
-            # The rows of Kᵀ are the columns of K.
-            layout.assemble(blocks, np.ascontiguousarray(A.transpose(0, 2, 1)), matrix.K.data)
-            return matrix.factor()
-        self._layout.assemble(blocks, A, self._data)
+        K = self._ordered.K
+        turned = np.ascontiguousarray(A.transpose(0, 2, 1))  # the rows of Kᵀ are the columns of K
+        _matrix.assemble(blocks.arrays, turned, K.indptr, self._begin, self._slot, self._diagonal, K.data)
+        if not np.array_equal(A, turned):
+            return self._ordered.factor()
         # QDLDL wants the upper triangle; to have it cut out by SciPy costs as much as the factorisation.
-        np.take(self._data, self.upper, out=self.U.data)
-        if self.ldl is None:
-            self.ldl = qdldl.Solver(self.U, upper=True)
+        np.take(K.data, self._upper, out=self._U.data)
+        if self._ldl is None:
+            self._ldl = qdldl.Solver(self._U, upper=True)
         else:
-            self.ldl.update(self.U, upper=True)
-        return self.ldl.solve  # type: ignore[no-any-return]
+            self._ldl.update(self._U, upper=True)
+        return self._ordered.solving(self._ldl.solve)
+
+
+def pattern(offset: Index, block: Index) -> tuple[Index, Index, Index, Index]:
+    """Sparsity of K, compressed rows: (indptr, indices, slot, diagonal).
+
+    Entry (i, j) of the coupling of block[c, s] (rows) with block[c, t] (columns) is stored at
+    indptr[offset[block[c, s]] + i] + slot[c, t, s] + j; of a diagonal block k at indptr[offset[k] + i] +
+    diagonal[k] + j.
+    """
+    sizes, count = np.diff(offset), offset.size - 1
+    first, second = block[(block >= 0).all(axis=1)].T
+    own = np.arange(count) * (count + 1)
+    codes = np.unique(np.concatenate((own, first * count + second, second * count + first)))
+    row, column = np.divmod(codes, count)  # of blocks
+    width = sizes[column]
+    before = np.cumsum(width) - width
+    begin = before[np.searchsorted(row, np.arange(count))]
+    place, height = before - begin[row], np.bincount(row, width, count).astype(np.int64)
+    of_coordinates = np.repeat(height, sizes)
+    indptr = np.concatenate(([0], np.cumsum(of_coordinates)))
+    columns = np.repeat(offset[column] - before, width) + np.arange(width.sum())  # of the first row of each block
+    indices = columns[np.repeat(np.repeat(begin, sizes) - indptr[:-1], of_coordinates) + np.arange(indptr[-1])]
+    both = (block[:, :, None] >= 0) & (block[:, None, :] >= 0)
+    slot = np.full(both.shape, -1, np.int64)
+    slot[both] = place[np.searchsorted(codes, (block[:, None, :] * count + block[:, :, None])[both])]
+    return indptr.astype(np.int32), indices.astype(np.int32), slot, place[np.searchsorted(codes, own)]
 
 
 @lru_cache(maxsize=16)

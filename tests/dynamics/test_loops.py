@@ -193,7 +193,7 @@ def test_a_motion_that_does_not_settle_goes_in_pieces(turn, least, most, monkeyp
     monkeypatch.setattr(sliding, "_midpoint", piece)
     whole = t.flow(q, v, 1e-2)
     assert least <= len(done) <= most and sum(done) == pytest.approx(1e-2, rel=1e-12)
-    closures = t._closures
+    closures = t.closures
     assert np.abs(closures.at(whole.q)[0]).max() <= 1e-12
     monkeypatch.setattr(sliding, "SETTLED", 1e-15)
     monkeypatch.setattr(sliding, "PASSES", 30)

@@ -20,7 +20,7 @@ from nsdyn._kernels.compiled import kernel
 
 HERE = Path(nsdyn.__file__).parent
 COMMAND = """
-from nsdyn._kernels.literature import variational as reference
+from nsdyn.literature._kernels import variational as reference
 from nsdyn._kernels.problem import cones
 print(cones.project(2.0, 0.3, 0.4, 0.5), sum(cones.project.stats.cache_misses.values()))
 """

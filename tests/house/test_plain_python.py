@@ -86,7 +86,8 @@ def kernels() -> set[str]:
     """Names of all kernels."""
     return {
         node.name
-        for path in (ROOT / "_kernels").rglob("*.py")
+        for path in ROOT.rglob("*.py")
+        if "_kernels" in path.parts
         for node in ast.parse(path.read_text()).body
         if isinstance(node, ast.FunctionDef)
         and any(ast.unparse(d).startswith(("kernel", "in_place")) for d in node.decorator_list)

@@ -9,10 +9,10 @@ from test_problem import corner_box
 from test_solvers import CASES
 
 import nsdyn as nd
-from nsdyn._kernels.literature import one_contact
 from nsdyn.literature import bundle, formulations, interior_point, uzawa
 from nsdyn.literature._common import Equilibrated, factor
 from nsdyn.literature._frozen import shifted, slip_shift
+from nsdyn.literature._kernels import one_contact
 from nsdyn.literature.impulse_newton import ImpulseNewton, steps
 from nsdyn.problem import cones
 

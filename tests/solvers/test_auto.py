@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from test_problem import corner_box, one_block
 
 import nsdyn as nd
-from nsdyn._kernels.literature import interior as kernels
 from nsdyn._kernels.problem import linear
+from nsdyn.literature._kernels import interior as kernels
 from nsdyn.problem.operators import Local, Velocity
 from nsdyn.solvers import auto
 

@@ -7,9 +7,9 @@ import pytest
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn._kernels.literature import anderson
-from nsdyn._kernels.literature import pgs as sweeps
 from nsdyn._kernels.problem import sparse as matrix
+from nsdyn.literature._kernels import anderson
+from nsdyn.literature._kernels import pgs as sweeps
 from nsdyn.problem import linear, operators
 
 FILES = Path(__file__).resolve().parents[3] / "shared" / "fc3d"
@@ -130,7 +130,7 @@ def test_newton_matrix_dense_and_sparse(rng):
     K = np.empty((blocks.n, blocks.n))
     matrix.assemble(blocks.arrays, A, indptr, blocks.offset, slot, diagonal, K.ravel())
     np.testing.assert_allclose(K, expected, rtol=0, atol=1e-12)
-    indptr, indices, slot, diagonal = matrix.pattern(blocks.offset, blocks.block)
+    indptr, indices, slot, diagonal = linear.pattern(blocks.offset, blocks.block)
     data = np.empty(indices.size)
     matrix.assemble(blocks.arrays, A, indptr, blocks.offset[:-1], slot, diagonal, data)
     import scipy.sparse as sp

@@ -12,40 +12,6 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.reductions import copy
 
 
-@in_place
-def active_rows(coordinate, sign, bound, near, angle, v, v_free, h, rows):
-    """The joint rows of a step into rows: all friction (sign 0), and the limits that the joint may reach; how many.
-
-    Parameters
-    ----------
-    coordinate : ndarray of int, shape (slots,)
-        Of each row.
-    sign, bound, near : ndarray, shape (slots,)
-        1 at a lower limit, -1 at an upper one; the limit, and how near to it a row begins to act, rad or m.
-    angle, v, v_free : ndarray, shape (n,)
-        Coordinates, rad or m, and velocities before and after the forces.
-    h : float
-        s.
-    rows : ndarray of int, shape (slots,)
-    """
-    count = 0
-    for k in range(coordinate.size):
-        c = coordinate[k]
-        rate = max(abs(v[c]), abs(v_free[c]))
-        if sign[k] == 0.0 or sign[k] * (angle[c] - bound[k]) <= near[k] + 2.0 * h * rate:
-            rows[count] = k
-            count += 1
-    return count
-
-
-@in_place
-def gaps(slots, coordinate, sign, bound, angle, out):
-    """Distances to the limits of some joint rows, rad or m, 0 for friction, into out."""
-    for i in range(slots.size):
-        k = slots[i]
-        out[i] = sign[k] * (angle[coordinate[k]] - bound[k])
-
-
 @kernel
 def append_rows(slots, coordinate, other, tree, sign, blocks):
     """Contacts followed by the joint rows of the given slots, as blocks."""

@@ -8,29 +8,6 @@ from nsdyn._kernels.compiled import in_place, kernel
 
 
 @in_place
-def gather(x, R, joints, q, scalar, place, x_out, R_out, angle):
-    """Poses of some joints into x_out and R_out; q[place] to angle[scalar].
-
-    Parameters
-    ----------
-    x, R : ndarray, shapes (n, 3), (n, 3, 3)
-        Of all joints, m.
-    joints : ndarray of int, shape (k,)
-    q : ndarray, shape (nq,)
-    scalar, place : ndarray of int
-        Coordinates of the velocity and their places in q.
-    x_out, R_out, angle : ndarray, shapes (k, 3), (k, 3, 3), (nv,)
-    """
-    for k in range(scalar.size):
-        angle[scalar[k]] = q[place[k]]
-    for k in range(joints.size):
-        for i in range(3):
-            x_out[k, i] = x[joints[k], i]
-            for j in range(3):
-                R_out[k, i, j] = R[joints[k], i, j]
-
-
-@in_place
 def quaternions(R, out):
     """Unit quaternions xyzw of rotation matrices, w >= 0 unless the turn is near half, into out (n, 4)."""
     for b in range(R.shape[0]):

@@ -158,20 +158,6 @@ def strained(laws, limit, last, v0, v1, h, over):
 
 
 @kernel
-def loaded(M, laws, push, weight, h, m, minv, v):
-    """Change the velocity v (n,) to that after the forces of a step on a tree without constraints.
-
-    False where m of `implicit` is not positive definite.
-    """
-    acting, start = np.empty((3, v.size)), v.copy()
-    if not implicit(M, laws, h, np.empty(M.shape), m, minv):
-        return False
-    forces(laws, push, start, start, h, acting)
-    respond(start, minv, acting[0] + acting[1] + acting[2], weight, h, v)
-    return True
-
-
-@kernel
 def works(laws, push, limit, velocities, mean, impulse, h, start, joints):
     """Works of actuation, of damping and of an impulse on the mean velocity, J.
 
@@ -203,17 +189,30 @@ def works(laws, push, limit, velocities, mean, impulse, h, start, joints):
     return actuation, dissipation, pushed
 
 
-@in_place
-def respond(start, minv, force, bias, h, v):
-    """Velocity v = start + h minv (force - bias), into v (n,); returns its relative change."""
-    change, size = 0.0, 0.0
+@kernel
+def respond(start, minv, laws, push, weight, v0, h, v):
+    """Velocity v = start + h minv f after the forces of a step at the velocity v0, into v (n,).
+
+    Parameters
+    ----------
+    start : ndarray, shape (n,)
+        Velocity without them: v0 itself where nothing constrains the tree.
+    minv : ndarray, shape (n, n)
+    laws, push : ndarray, shapes (2, 5, n), (n,)
+        As of `forces`.
+    weight : ndarray, shape (n,)
+        Gravity terms, N m or N.
+    v0 : ndarray, shape (n,)
+    h : float
+        s.
+    v : ndarray, shape (n,)
+    """
+    acting = np.empty((3, v.size))
+    forces(laws, push, v0, v0, h, acting)
     for i in range(v.size):
-        x = start[i]
+        v[i] = start[i]
         for j in range(v.size):
-            x += h * minv[i, j] * (force[j] - bias[j])
-        change, size = max(change, abs(x - v[i])), max(size, abs(x))
-        v[i] = x
-    return change / size if size > 0.0 else 0.0
+            v[i] += h * minv[i, j] * (acting[0, j] + acting[1, j] + acting[2, j] - weight[j])
 
 
 @in_place

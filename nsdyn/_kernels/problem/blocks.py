@@ -1,4 +1,4 @@
-"""Products with H and M⁻¹ in block form, the Delassus operator W = Hᵀ M⁻¹ H, islands.
+"""Products with H and M⁻¹ in block form, the diagonal of W = Hᵀ M⁻¹ H, islands.
 
 ``blocks`` is a plain tuple (offset, block, start, H, m_start, m, minv) in the order of `nsdyn.problem.blocks.Blocks`: a
 named one takes twice as long to hand over. Coordinates come in blocks (a free body: 6, an articulated tree: its nv).
@@ -12,7 +12,6 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
-from nsdyn._kernels.reductions import copy
 
 SMALLEST, LARGEST = 1e-150, 1e150
 """Sizes of numbers whose squares are in the range of floating-point numbers."""
@@ -76,27 +75,6 @@ def block_product(offset, m_start, m, x, y):
 
 
 @kernel
-def contacts_of_blocks(block, count):
-    """Contacts of every block as (pointer, list), each list ascending."""
-    pointer = np.zeros(count + 1, np.int64)
-    for c in range(block.shape[0]):
-        for s in range(2):
-            if block[c, s] >= 0:
-                pointer[block[c, s] + 1] += 1
-    for k in range(count):
-        pointer[k + 1] += pointer[k]
-    fill = pointer[:-1].copy()
-    members = np.empty(pointer[-1], np.int64)
-    for c in range(block.shape[0]):
-        for s in range(2):
-            k = block[c, s]
-            if k >= 0:
-                members[fill[k]] = c
-                fill[k] += 1
-    return pointer, members
-
-
-@kernel
 def weighted_rows(blocks):
     """Rows of (M⁻¹ H)ᵀ in the layout of H."""
     offset, block, start, H, m_start, _, minv = blocks
@@ -116,73 +94,6 @@ def weighted_rows(blocks):
                             for j in range(n):
                                 y[row + j] += x * minv[base + j]
     return y
-
-
-@in_place
-def _add_coupling(blocks, y, a, b, out):
-    """Add Σ over shared blocks of H_aᵀ M⁻¹ H_b to out (3, 3)."""
-    offset, block, start, H = blocks[:4]
-    for s in range(2):
-        k = block[a, s]
-        if k < 0:
-            continue
-        n = offset[k + 1] - offset[k]
-        for t in range(2):
-            if block[b, t] == k:
-                for i in range(3):
-                    for j in range(3):
-                        ra, rb = start[a, s] + i * n, start[b, t] + j * n
-                        total = 0.0
-                        for l in range(n):
-                            total += y[ra + l] * H[rb + l]
-                        out[i, j] += total
-
-
-@kernel
-def delassus(blocks):
-    """Block-sparse W = Hᵀ M⁻¹ H as (indptr, indices, data (nnz, 3, 3)), exactly symmetric, columns ascending."""
-    offset, block = blocks[:2]
-    nc, count = block.shape[0], offset.size - 1
-    pointer, members = contacts_of_blocks(block, count)
-    y = weighted_rows(blocks)
-    indptr = np.zeros(nc + 1, np.int64)
-    seen = np.full(nc, -1, np.int64)
-    for a in range(nc):
-        found = 0
-        for s in range(2):
-            k = block[a, s]
-            if k >= 0:
-                for m in range(pointer[k], pointer[k + 1]):
-                    if seen[members[m]] != a:
-                        seen[members[m]] = a
-                        found += 1
-        indptr[a + 1] = indptr[a] + found
-    indices = np.empty(indptr[nc], np.int64)
-    data = np.zeros((indptr[nc], 3, 3))
-    seen[:] = -1
-    fill = indptr[:-1].copy()
-    # Visiting columns in ascending order and dropping each into its rows sorts every row.
-    for b in range(nc):
-        for s in range(2):
-            k = block[b, s]
-            if k >= 0:
-                for m in range(pointer[k], pointer[k + 1]):
-                    a = members[m]
-                    if seen[a] != b:
-                        seen[a] = b
-                        indices[fill[a]] = b
-                        fill[a] += 1
-    # Row b has got its blocks left of the diagonal, those of rows a < b transposed, when its turn comes.
-    copy(indptr[:-1], fill)
-    for a in range(nc):
-        for p in range(fill[a], indptr[a + 1]):
-            b = indices[p]
-            _add_coupling(blocks, y, a, b, data[p])
-            for i in range(3):
-                for j in range(3):
-                    data[fill[b], j, i] = data[p, i, j]
-            fill[b] += 1
-    return indptr, indices, data
 
 
 @kernel

@@ -1,71 +1,13 @@
-"""The matrix K = M + Σ H_c A_c H_cᵀ of Newton's methods: its pattern and its entries, sparse or dense."""
+"""The matrix K = M + Σ H_c A_c H_cᵀ of Newton's methods: its entries, sparse or dense."""
 
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.sorting import order, place_of
-
-
-@kernel
-def pattern(offset, block):
-    """Sparsity of K, compressed rows: (indptr, indices, slot, diagonal).
-
-    Entry (i, j) of the coupling of block[c, s] (rows) with block[c, t] (columns) is stored at
-    indptr[offset[block[c, s]] + i] + slot[c, t, s] + j; of a diagonal block k at indptr[offset[k] + i] +
-    diagonal[k] + j.
-    """
-    nb, nc = offset.size - 1, block.shape[0]
-    pairs = np.empty(nb + 2 * nc, np.int64)
-    count = 0
-    for k in range(nb):
-        pairs[count] = k * nb + k
-        count += 1
-    for c in range(nc):
-        a, b = block[c, 0], block[c, 1]
-        if a >= 0 and b >= 0 and a != b:
-            pairs[count] = a * nb + b
-            pairs[count + 1] = b * nb + a
-            count += 2
-    pairs = pairs[:count]
-    pairs = pairs[order(pairs)]
-    codes = np.empty(count, np.int64)  # ascending: row block first, then column block
-    found = 0
-    for code in pairs:
-        if found == 0 or code > codes[found - 1]:
-            codes[found] = code
-            found += 1
-    codes = codes[:found]
-    indptr = np.zeros(offset[-1] + 1, np.int32)
-    place = np.empty(codes.size, np.int64)
-    diagonal = np.empty(nb, np.int64)
-    height = np.zeros(nb, np.int64)
-    for e in range(codes.size):
-        l, k = codes[e] // nb, codes[e] % nb
-        place[e] = height[l]
-        height[l] += offset[k + 1] - offset[k]
-        if k == l:
-            diagonal[k] = place[e]
-    for l in range(nb):
-        for j in range(offset[l], offset[l + 1]):
-            indptr[j + 1] = indptr[j] + height[l]
-    indices = np.empty(indptr[-1], np.int32)
-    for e in range(codes.size):
-        l, k = codes[e] // nb, codes[e] % nb
-        for j in range(offset[l], offset[l + 1]):
-            for i in range(offset[k + 1] - offset[k]):
-                indices[indptr[j] + place[e] + i] = offset[k] + i
-    slot = np.full((nc, 2, 2), -1, np.int64)
-    for c in range(nc):
-        for s in range(2):
-            for t in range(2):
-                if block[c, s] >= 0 and block[c, t] >= 0:
-                    slot[c, s, t] = place[place_of(codes, block[c, t] * nb + block[c, s])]
-    return indptr, indices, slot, diagonal
 
 
 @kernel
 def dense_pattern(offset, block):
-    """(indptr, slot, diagonal) of `pattern` for a dense K."""
+    """Where entries of a dense K are, as `nsdyn.problem.linear` says of a sparse one: (indptr, slot, diagonal)."""
     n, nc = offset[-1], block.shape[0]
     slot = np.full((nc, 2, 2), -1, np.int64)
     for c in range(nc):
@@ -78,7 +20,7 @@ def dense_pattern(offset, block):
 
 @in_place
 def assemble(blocks, A, indptr, begin, slot, diagonal, data):
-    """K = M + Σ H_c A_c H_cᵀ in the layout of `pattern`, where block k begins at begin[k], into data."""
+    """K = M + Σ H_c A_c H_cᵀ in such a layout, where block k begins at begin[k], into data."""
     offset, block, start, H, m_start, m, _ = blocks
     data[:] = 0.0
     for k in range(offset.size - 1):
@@ -118,12 +60,3 @@ def assemble(blocks, A, indptr, begin, slot, diagonal, data):
                     y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
                     for j in range(nl):
                         row[j] += y0 * h0[j] + y1 * h1[j] + y2 * h2[j]
-
-
-@in_place
-def symmetric(A):
-    """Whether every A_c is symmetric, so that K is symmetric positive definite."""
-    for c in range(A.shape[0]):
-        if A[c, 0, 1] != A[c, 1, 0] or A[c, 0, 2] != A[c, 2, 0] or A[c, 1, 2] != A[c, 2, 1]:
-            return False
-    return True

@@ -216,18 +216,3 @@ def extract(blocks, label, island):
             if own[c, s] >= 0:
                 own[c, s] = new[own[c, s]]
     return contacts, (begin, own, start[contacts], H, m_start[kept], m, minv)
-
-
-@kernel
-def gather(contacts, q, mu, scales, r):
-    """(q, mu, scales, r) of some contacts."""
-    own_q, own_r = q.reshape((-1, 3))[contacts], r.reshape((-1, 3))[contacts]
-    return own_q.reshape(-1), mu[contacts], scales[contacts], own_r.reshape(-1)
-
-
-@in_place
-def scatter(contacts, x, r):
-    """Put the impulses x of some contacts into r."""
-    for e in range(contacts.size):
-        for i in range(3):
-            r[3 * contacts[e] + i] = x[3 * e + i]

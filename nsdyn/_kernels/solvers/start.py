@@ -79,9 +79,12 @@ def part(problem, label, k, r, measure, aims, limits):
     contacts, own = newton.extract(blocks, label, k)
     if own[0][-1] > limits[0]:
         return 0, measure
-    own_q, own_mu, own_scales, x = newton.gather(contacts, q, mu, scales, r)
-    count, measure = small((own, own_q, own_mu, own_scales, q_norm), x, measure, aims, limits)
-    newton.scatter(contacts, x, r)
+    impulses = r.reshape((-1, 3))
+    x, own_q = impulses[contacts], q.reshape((-1, 3))[contacts].reshape(-1)
+    given = own, own_q, mu[contacts], scales[contacts], q_norm
+    count, measure = small(given, x.reshape(-1), measure, aims, limits)
+    for e in range(contacts.size):
+        impulses[contacts[e]] = x[e]
     return count, measure
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from numba.extending import overload
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.literature.anderson import mix
 from nsdyn._kernels.problem.blocks import momentum, relative_velocity, relative_velocity_of, weighted_rows
 from nsdyn._kernels.problem.cones import coulomb, measure_at, project_all, slide
 from nsdyn._kernels.problem.given import velocity
+from nsdyn.literature._kernels.anderson import mix
 
 FUSED = {"contract"}  # products and sums in one instruction
 

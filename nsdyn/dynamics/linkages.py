@@ -1,0 +1,208 @@
+"""One articulated tree as a linkage: where its links are, what moves them, and what restricts them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import Self
+
+import numpy as np
+import pinocchio as pin
+
+from nsdyn._kernels.dynamics import links as _links
+from nsdyn.collision.distances import pose_views
+from nsdyn.dynamics.loops import Closures, admissible, factored, supports
+from nsdyn.dynamics.tree_values import Constraints, Links
+from nsdyn.scene.articulations import BALL, PLANAR, Articulation
+from nsdyn.scene.gears import Gear, GearGaps, joint_at
+from nsdyn.scene.prescribed import Motion
+from nsdyn.tools.arrays import Array, Bools, Index
+
+__all__ = ["Linkage"]
+
+HELD = 1e-12
+"""Velocity, per root of a kinetic energy of ½ J, that is round-off of 0: of a ball of 1e24 kg."""
+
+
+class Linkage:
+    """One articulated tree with Pinocchio's scratch data.
+
+    Parameters
+    ----------
+    articulation : Articulation
+    gravity : ndarray, shape (3,)
+    joints : list of int
+        Joints that carry geometry, one frame each.
+    driven : mapping of int to Motion
+        Coordinates whose velocity is prescribed.
+
+    Attributes
+    ----------
+    coordinates, frames : slice
+        In the scene's velocity and frames, as `at` has it.
+    held : ndarray of bool, shape (nv,)
+        Coordinates that nothing but prescribed motion moves: driven ones, and those that loops and gears then leave no
+        freedom.
+    bodies : dict of str to int
+        Frames of the model's moving bodies and joints, by name.
+    planes, balls : frozenset of int
+        First coordinates of planar joints, of sliding, and of ball joints; both slip together with the next.
+    held_links : ndarray of bool, shape (k,)
+        The links of `joints` that nothing else moves.
+    """
+
+    def __init__(
+        self,
+        articulation: Articulation,
+        gravity: Array,
+        joints: list[int],
+        driven: dict[int, Motion],
+    ) -> None:
+        a = self.articulation = articulation
+        self.name = a.name
+        self.model = a.model.copy()
+        self.model.name = a.name
+        self.model.gravity = pin.Motion(gravity, np.zeros(3))
+        self.model.armature = a.armature
+        self.data = self.model.createData()
+        nv = self.model.nv
+        self.coordinates, self.joints, self.frames = slice(0, nv), joints, slice(0, len(joints))
+        self.support = supports(self.model)[joints]
+        self.radius = _radii(a, joints)
+        self._carriers = np.array(joints, dtype=np.int64)
+        # Views of Pinocchio's own memory, in which each evaluation shows; one with nv = 1 comes without its last axis.
+        self._J: Array = self.data.J.reshape(6, nv, order="A")
+        self._R, self._x = pose_views(self.data.oMi, self.model.njoints)
+        self._linear, self._linear_q, self._turning = self._scalar_coordinates()
+        self._round = np.zeros(nv, dtype=bool)
+        self._round[[j for j, _ in self._turning]] = True
+        self.scalar = self._round.copy()
+        self.scalar[self._linear] = True
+        self.driven = tuple(driven.values())
+        self._driven_at = np.array(list(driven), dtype=np.int64)
+        self._driven_rows = np.eye(nv)[self._driven_at]
+        self.closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
+        self.constrained = bool(driven) or self.closures is not None
+        kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
+        self.bodies = {
+            f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
+        }
+        self.planes, self.balls = (
+            frozenset(j.idx_v for j in self.model.joints[1:] if j.shortname() == kind) for kind in (PLANAR, BALL)
+        )
+        self.held, self.held_links = self._held(a.q, a.gears)
+
+    def at(self, start: int, first: int) -> Self:
+        """The same tree, whose first coordinate and frame are those in a scene."""
+        out = copy(self)
+        out.coordinates = slice(start, start + self.model.nv)
+        out.frames = slice(first, first + len(self.joints))
+        return out
+
+    def _scalar_coordinates(self) -> tuple[Index, Index, list[tuple[int, int]]]:
+        """Coordinates whose rate is the velocity, their places in q, and (v, q) places of joints given by cos, sin."""
+        v: list[int] = []
+        q: list[int] = []
+        turning = []
+        for joint in self.model.joints[1:]:
+            if joint.nq == joint.nv:
+                v += range(joint.idx_v, joint.idx_v + joint.nv)
+                q += range(joint.idx_q, joint.idx_q + joint.nq)
+            elif joint.nv == 1:
+                turning.append((joint.idx_v, joint.idx_q))
+        return np.array(v, dtype=np.int64), np.array(q, dtype=np.int64), turning
+
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits of the joint coordinates, (nv,) each, infinite where there are none."""
+        lower, upper = np.full(self.model.nv, -np.inf), np.full(self.model.nv, np.inf)
+        if self.articulation.limits:
+            lower[self._linear] = self.model.lowerPositionLimit[self._linear_q]
+            upper[self._linear] = self.model.upperPositionLimit[self._linear_q]
+        return lower, upper
+
+    def joint_of(self, coordinate: int) -> str:
+        """Name of the joint that a coordinate belongs to."""
+        return str(self.model.names[joint_at(self.model, coordinate)])
+
+    def angle(self, q: Array) -> Array:
+        """Joint coordinates in rad or m, shape (nv,); 0 where a joint has none of its own (free, spherical)."""
+        out = np.zeros(self.model.nv)
+        out[self._linear] = q[self._linear_q]
+        for j, k in self._turning:
+            out[j] = np.arctan2(q[k + 1], q[k])
+        return out
+
+    def _held(self, q: Array, gears: Sequence[Gear]) -> tuple[Bools, Bools]:
+        """Which coordinates (nv,) and which links (k,) nothing but prescribed motion moves at q, or nothing at all."""
+        nv = self.model.nv
+        if not (self.driven or gears):
+            return np.zeros(nv, np.bool_), np.zeros(len(self.joints), np.bool_)
+        q = self.close(q)
+        F = factored(self.model, self.data, q)[1]
+        # Without driven joints loops leave a freedom that a dead centre at q may hide; gears are the same everywhere.
+        Z = self._restrict(q, F).Z if self.driven else admissible(GearGaps(self.model, gears).rows, F)[0]
+        J = self.links(q).J
+        fields = np.einsum("ij,kj,jy->kiy", J, self.support, Z)
+        # Of what constraints leave free a velocity of 1 is that of unit kinetic energy: no mass is so large.
+        return np.array((np.abs(Z) <= HELD).all(axis=1)), np.array((np.abs(fields) <= HELD).all(axis=(1, 2)))
+
+    def start(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Initial configuration and velocity with closed loops and driven joints at their speed."""
+        v = v.copy()
+        v[self._driven_at] = [motion.rate(0.0) for motion in self.driven]
+        return self.close(q), v
+
+    def speeding(self, v: Array, rates: Array) -> Array:
+        """Changes of v that bring the driven joints to their rates, shape (nv,), rad/s or m/s; 0 of others."""
+        out = np.zeros(v.size)
+        out[self._driven_at] = rates - v[self._driven_at]
+        return out
+
+    def links(self, q: Array) -> Links:
+        """Poses and Jacobian of the links at q."""
+        pin.computeJointJacobians(self.model, self.data, q)
+        return self._links(q)
+
+    def _links(self, q: Array) -> Links:
+        """Copies of what Pinocchio computed last, at q."""
+        x, R = self._x.take(self._carriers, axis=0), self._R.take(self._carriers, axis=0)
+        return Links(x, R, self._J.copy(order="F"), self.angle(q))
+
+    def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
+        """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
+        linear, angular = np.empty(links.x.shape), np.empty(links.x.shape)
+        _links.twists(links.x, self.support, links.J, v, linear, angular)
+        return linear, angular
+
+    def close(self, q: Array) -> Array:
+        """The closest configuration whose loops are closed; q itself when they are."""
+        return q if self.closures is None else self.closures.close(q, self._driven_rows)
+
+    def pushed(self, q: Array, body: str, force: Array, torque: Array) -> tuple[Array, Array]:
+        """What a force [N] at the origin of a body's frame and a torque [N m] do at q; world axes.
+
+        Jᵀ (force, torque), shape (nv,), and what of `TreeLoads.wrenches` they are, shape (njoints - 1, 6).
+        """
+        frame, wrenches = self.bodies[body], np.zeros((self.model.njoints - 1, 6))
+        J = pin.computeFrameJacobian(self.model, self.data, q, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1, order="A")
+        pin.framesForwardKinematics(self.model, self.data, q)
+        moment = torque + np.cross(self.data.oMf[frame].translation, force)
+        wrenches[self.model.frames[frame].parentJoint - 1] = *force, *moment
+        return J.T @ np.concatenate((force, torque)), wrenches
+
+    def _restrict(self, q: Array, F: Array) -> Constraints:
+        """The constraints at q, where M⁻¹ = Fᵀ F."""
+        loops = np.empty((0, self.model.nv)) if self.closures is None else self.closures.at(q)[1]
+        B = np.concatenate((loops, self._driven_rows))
+        Z, P = admissible(B, F)
+        return Constraints(B, P, Z)
+
+
+def _radii(articulation: Articulation, joints: list[int]) -> Array:
+    """Radius about the frame of each joint that holds the shapes it carries, (len(joints),), m."""
+    out = np.zeros(len(joints))
+    for _, joint, placement, shape in articulation.links:
+        if joint in joints:
+            k = joints.index(joint)
+            out[k] = max(out[k], float(np.linalg.norm(placement.translation)) + shape.bounding_radius)
+    return out
