@@ -330,6 +330,7 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["film", "text.h5", "text.h5", "-o", "text.h5"], "cannot write text.h5: it is read"),
         (["film", "text.h5", "missing.h5"], "no such file: missing.h5"),
         (["film", "text.h5", "--size", "720"], "--size must be WIDTHxHEIGHT in pixels, such as 1280x720, got 720"),
+        (["film", "text.h5", "--size", "1280.5x720"], "--size must be WIDTHxHEIGHT in pixels"),
         (["film", "text.h5", "--size", "721x400"], "size must be two even numbers of pixels of 100 to 8000, got"),
         (["film", "text.h5", "--speed", "0"], "speed must be positive, got 0.0"),
         (["film", "text.h5", "--fps", "nan"], "fps must be positive, got nan"),

@@ -53,7 +53,7 @@ CALLS = {
     "view": ["run.h5 run.h5 -o v.html --forces point --fps 10", "run.h5 --png v.png --at 0.02"],
     "film": ["run.h5 run.h5 -o f.mp4 --size 200x100 --speed 0.1 --fps 10 --curves none --forces"],
     "compare": ["run.h5 run.h5 --json"],
-    "plot": ["run.h5 -o k.pdf --kind speed --name arm/* --size 85 60 --style ggplot"],
+    "plot": ["run.h5 -o k.pdf --kind speed --name arm/* --size 85x60 --style ggplot"],
 }
 ELSEWHERE = {
     "--dask": "below: dask need not be installed",
