@@ -133,6 +133,13 @@ def test_options_of_the_scheme_and_the_solver_arrive(folder, monkeypatch):
     assert head["on_fail"] == "raise"
 
 
+@pytest.mark.parametrize("call", ["profile . --limit -1", "bench slip --limit -1"])
+def test_a_limit_of_time_arrives(folder, monkeypatch, capsys, call):
+    monkeypatch.chdir(folder)
+    assert cli.main(call.split()) == 2
+    assert "limit must be a positive number of seconds, got -1.0" in capsys.readouterr().err
+
+
 def test_a_study_obeys_its_options(capsys):
     """It has the errors of the same study in Python, whose options change them."""
     call = "study slide --dt 2e-2,1e-2 --time 0.04 --json --solver pgs --theta 0.6 --set mu=0.3".split()
