@@ -1,6 +1,6 @@
 """How soon a page of a recording opens in Chromium, with OpenGL in software, and how it follows the scrubber.
 
-    python demos/bench/page.py [SCENE] [--time 10] [--size 1280 800] [--frames 150] [--png PAGE.png --at 0.5]
+    python demos/bench/page.py [SCENE] [--time 10] [--size 1280x800] [--frames 150] [--png PAGE.png --at 0.5]
 
 The pointer is drawn over the scrubber from one end to the other, a bit further at each of so many pictures of the
 browser. Counted are the pictures a second: all of them, and those after the first ten, in which the page finds out how
@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import nsdyn as nd
+from nsdyn.cli.output import sides
 from nsdyn.view.browser import Browser, browsing
 from nsdyn.view.pictures import FRAME, FilmLook
 
@@ -51,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("scene", nargs="?", default="stacks")
     parser.add_argument("--time", type=float, default=10.0, help="simulated, s")
-    parser.add_argument("--size", type=int, nargs=2, default=(1280, 800), help="of the window, pixels")
+    parser.add_argument("--size", default="1280x800", help="of the window, pixels")
     parser.add_argument("--frames", type=int, default=150)
     parser.add_argument("--png", type=Path, help="picture of the page")
     parser.add_argument("--at", type=float, default=0.0, help="time of the picture, s")
@@ -63,7 +64,7 @@ def main() -> None:
         start = time.perf_counter()
         trajectory.to_html(page)
         print(f"{arguments.scene}: {page.stat().st_size / 1e6:.1f} MB, made in {time.perf_counter() - start:.1f} s")
-        browser.open(page.as_uri() + "#t=0", tuple(arguments.size))
+        browser.open(page.as_uri() + "#t=0", sides(arguments.size, int, "pixels"))
         print(f"opens in {browser.run('performance.now()') / 1e3:.2f} s")
         before = processor_time(browser)
         times = browser.run(DRAG.replace("FRAMES", str(arguments.frames)))

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import add_input, add_output, check_files, picture, say
+from nsdyn.cli.output import add_input, add_output, check_files, picture, say, sides
 from nsdyn.tools.files import PICTURE
 
 __all__ = ["add_plot", "draw"]
@@ -56,7 +56,7 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
         "--name", metavar="PATTERN", default="*", help="bodies, pairs or joints by name, or as 'robot/*' (default: all)"
     )
     parser.add_argument(
-        "--size", nargs=2, type=float, metavar=("W", "H"), help="of the picture in mm (default: 140 by 90 of each kind)"
+        "--size", metavar="WxH", help="of the picture in mm, such as 85x60 (default: 140x90 of each kind)"
     )
     parser.add_argument(
         "--style", metavar="STYLE", help="of matplotlib: a name, such as grayscale, or a .mplstyle file"
@@ -71,7 +71,8 @@ def draw(arguments: argparse.Namespace) -> int:
     from nsdyn.view import plots
 
     path = arguments.output = arguments.output or Path(f"{arguments.recording.stem}.png")
-    if arguments.size and not all(LEAST <= side <= 2000.0 for side in arguments.size):
+    size = sides(arguments.size, float, "mm, such as 85x60") if arguments.size else None
+    if size and not all(LEAST <= side <= 2000.0 for side in size):
         raise ValueError(f"--size must be two lengths of {LEAST:g} to 2000 mm, got {arguments.size}")
     check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
@@ -84,7 +85,7 @@ def draw(arguments: argparse.Namespace) -> int:
             for cell, kind in zip(part.subfigures(1, len(row), squeeze=False)[0], row, strict=True):
                 plots.draw(trajectory, kind, arguments.name, cell)
 
-    size = arguments.size or (140.0 * columns, 90.0 * len(rows))
+    size = size or (140.0 * columns, 90.0 * len(rows))
     letters = 10.0 if min(size[0] / columns, size[1] / len(rows)) > SMALL else 8.0
     try:
         with style.context(["default", {"font.size": letters}, arguments.style or {}]):

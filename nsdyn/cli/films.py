@@ -6,7 +6,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from nsdyn.cli.output import add_input, add_output, check_files, say
+from nsdyn.cli.output import add_input, add_output, check_files, say, sides
 from nsdyn.tools.files import FILM
 
 __all__ = ["add_film", "make_film"]
@@ -41,14 +41,11 @@ def make_film(arguments: argparse.Namespace) -> int:
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.view import pictures, viewer
 
-    width, _, height = arguments.size.partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise ValueError(f"--size must be WIDTHxHEIGHT in pixels, such as 1280x720, got {arguments.size}")
     named, arguments.output = arguments.output, arguments.output or Path(f"{arguments.recording.stem}.mp4")
     check_files(arguments)
     look = pictures.FilmLook(
         fps=arguments.fps,
-        size=(int(width), int(height)),
+        size=sides(arguments.size, int, "pixels, such as 1280x720"),
         speed=arguments.speed,
         curves=None if arguments.curves == "none" else arguments.curves,
     )

@@ -10,7 +10,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -33,6 +33,7 @@ __all__ = [
     "say_found",
     "say_json",
     "seconds",
+    "sides",
     "table",
     "write_columns",
     "write_rows",
@@ -43,6 +44,8 @@ def one_line(message: object) -> str:
     """A message without its line breaks."""
     return " ".join(str(message).split())
 
+
+Number = TypeVar("Number", int, float)
 
 PICTURE_SIZE = 5.5, 3.5
 """Of one picture, in inches."""
@@ -99,6 +102,15 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, Path) else value
+
+
+def sides(size: str, number: type[Number], what: str) -> tuple[Number, Number]:
+    """Width and height of ``--size``, ``WIDTHxHEIGHT``; ValueError that says `what` they are."""
+    try:
+        width, height = map(number, size.split("x"))
+    except ValueError:
+        raise ValueError(f"--size must be WIDTHxHEIGHT in {what}, got {size}") from None
+    return width, height
 
 
 def add_input(parser: argparse.ArgumentParser, name: str, **options: Any) -> None:

@@ -341,13 +341,15 @@ class Trajectory:
         from nsdyn.view.embedding import iframe
 
         total, worst, shares = self.energy.total, self.worst(), self.shares()
+        least = breakdown.NEGLIGIBLE * self.largest_energy
+        works = (w if abs(w) > least else 0.0 for w in (shares["physics"][0], shares["numerics"][0]))
         status = Counter(self.solver.status_names)
         table = notebook.figures(
             repr(self).strip("<>"),
             [
                 ("simulated time [s]", float(self.t[-1])),
                 ("energy at the start, at the end [J]", (float(total[0]), float(total[-1]))),
-                ("works of physics, of numerics [J]", (shares["physics"][0], shares["numerics"][0])),
+                ("works of physics, of numerics [J]", tuple(works)),
                 ("solves", ", ".join(f"{n} {name}" for name, n in status.most_common())),
                 ("largest residual [m/s]", worst["residual"]),
                 ("largest Gauss bound [√J]", worst["gauss_bound"]),

@@ -180,9 +180,13 @@ class Panel:
         """Words, and of the numbers on the axis, which would be those of noise, only 0."""
         if self.zero:
             ax.set_yticks([0.0], ["0"])
-        noise = f"{LOST:g}" if self.log else with_unit(self._noise, self._unit)
-        least = f",\nless than {noise}" if self._noise else ""
-        words = self.note or (f"nothing but round-off{least}" if self.curves or self.areas else "nothing touches")
+        low, high = self.range()
+        most = ""
+        if self.log:
+            most = f",\nless than {LOST:g} {self._unit}".rstrip()
+        elif high > low:
+            most = f",\nat most {with_unit(high - low, self._unit)}"
+        words = self.note or (f"nothing but round-off{most}" if self.curves or self.areas else "nothing touches")
         ax.text(0.5, 0.7, words, transform=ax.transAxes, ha="center", va="center")
 
     def _limits(self) -> tuple[float, float]:

@@ -42,7 +42,7 @@ OF_JOINTS = "joint", "phase"
 OF_CONTACTS = "force", "slip", "gap", "power", "friction", "penetration"
 """Kinds that draw nothing of a recording without those."""
 
-UNITS = {"rad": ("angle", "torque [N m]"), "m": ("position", "actuation [N]")}
+UNITS = {"rad": ("angle", "torque [N m]"), "m": ("position", "force [N]")}
 """Of coordinates of joints: what they are and what drives them."""
 
 Shown = dict[str, tuple[str, dict[str, Any]]]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nsdyn.recording.series import rotate
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
 from nsdyn.view.commands import Json, as_buffer, as_hex, as_three, by_columns, set_object, set_property, shaded, uuid_of
 
 if TYPE_CHECKING:
@@ -41,6 +41,9 @@ LINES = {"color": 0.9, "night": 2.2}
 OUTLINE = 200
 """Directions in which the outline of a scene is taken."""
 
+BESIDE = 2.0
+"""Radii of what moves, so much of which is shown of a larger fixed body: of a pole that a toy goes down."""
+
 BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 20.0}
 """Moves a surface back in depth, so that lines on it stay whole."""
 
@@ -52,6 +55,7 @@ class View:
         points: list[Array] = []
         reach: list[Array] = []
         sizes: list[float] = []
+        fixed: list[Bools] = []
         for trajectory in trajectories:
             every = 1 + trajectory.steps // 1000  # enough to see where a body goes
             motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
@@ -66,12 +70,12 @@ class View:
                     points.append(place[None])
                 reach.append(np.full(len(points[-1]), _radius(geom)))
                 sizes += [_radius(geom)] * moves
+                fixed.append(np.full(len(points[-1]), not moves))
         self.planes = halfspaces(geom for trajectory in trajectories for geom in trajectory.scene["geoms"])
         # Where there is nothing, the unit ball.
         x, r = np.concatenate(points or [np.zeros((1, 3))]), np.concatenate(reach or [np.ones(1)])[:, None]
-        lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
-        self.centre = 0.5 * (lower + upper)
-        self.radius = 0.5 * float(np.linalg.norm(upper - lower))
+        x, r = _cut(x, r, np.concatenate(fixed or [np.zeros(1, dtype=bool)])[:, None])
+        self.centre, self.radius = _ball(x, r)
         self.body_radius = float(np.median(sizes)) if sizes else self.radius
         self.outline = _outline(x, r)
         # From the front right, unless that is behind a half-space, which would be seen from its back.
@@ -91,6 +95,24 @@ class View:
         high, wide = (np.abs(x @ up) + r) / slope, (np.abs(x @ right) + r) / (slope * 4 / 3)
         out: Array = self.centre + 1.05 * float((x @ back + np.maximum(high, wide)).max()) * back
         return out
+
+
+def _ball(x: Array, r: Array) -> tuple[Array, float]:
+    """Centre and radius of the ball around the box that holds balls."""
+    lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
+    return 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
+
+
+def _cut(x: Array, r: Array, fixed: Bools) -> tuple[Array, Array]:
+    """Balls, of which those of large fixed bodies are no larger than is shown, within them and near to what moves."""
+    moving = ~fixed[:, 0]
+    if not moving.any():
+        return x, r
+    centre, radius = _ball(x[moving], r[moving])
+    near = np.where(fixed, np.minimum(r, BESIDE * radius), r)
+    way = centre - x
+    far = np.linalg.norm(way, axis=1, keepdims=True)
+    return x + way * np.minimum(1.0, (r - near) / np.maximum(far, 1e-300)), near
 
 
 def halfspaces(geoms: Iterable[Json]) -> list[tuple[Array, float]]:

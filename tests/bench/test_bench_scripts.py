@@ -31,7 +31,7 @@ SCRIPTS = {
         r"same bits: True\n.* 0 of 40 lost, same bits: True",
     ),
     "page.py": (
-        ["slide", "--time", "0.1", "--size", "400", "300", "--frames", "15"],
+        ["slide", "--time", "0.1", "--size", "400x300", "--frames", "15"],
         r"slide: [\d.]+ MB, made in [\d.]+ s\nopens in [\d.]+ s\nscrubs at \d+ pictures a second",
     ),
     "landing.py": (["--links", "3", "--time", "0.3"], r"nsdyn +[\d.]+ +[\d.]+ +[\d.]+  0 steps above the tolerance"),

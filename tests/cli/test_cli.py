@@ -330,6 +330,7 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["film", "text.h5", "text.h5", "-o", "text.h5"], "cannot write text.h5: it is read"),
         (["film", "text.h5", "missing.h5"], "no such file: missing.h5"),
         (["film", "text.h5", "--size", "720"], "--size must be WIDTHxHEIGHT in pixels, such as 1280x720, got 720"),
+        (["film", "text.h5", "--size", "1280.5x720"], "--size must be WIDTHxHEIGHT in pixels"),
         (["film", "text.h5", "--size", "721x400"], "size must be two even numbers of pixels of 100 to 8000, got"),
         (["film", "text.h5", "--speed", "0"], "speed must be positive, got 0.0"),
         (["film", "text.h5", "--fps", "nan"], "fps must be positive, got nan"),
@@ -571,8 +572,21 @@ def test_film_has_the_size_speed_and_pictures_asked_for(run, recording, tmp_path
         "r_frame_rate": "10/1",
         "nb_read_frames": str(pictures),
     }
-    assert run("film", "run.h5", "--curves", "none", "--size", "200x100", "-o", "bare.mp4") == (0, "", "")
-    assert (tmp_path / "bare.mp4").stat().st_size > 1000
+
+
+@pytest.mark.skipif(not (browser.chromium() and shutil.which("ffmpeg")), reason="no Chromium or no ffmpeg")
+def test_film_has_the_curves_and_forces_asked_for(run, recording):
+    def seen(*words):
+        """The last picture, in greys."""
+        assert run("film", "run.h5", "--size", "300x200", "--speed", "0.2", "-o", "f.mp4", *words) == (0, "", "")
+        greys = ["ffmpeg", "-v", "error", "-i", "f.mp4", "-f", "rawvideo", "-pix_fmt", "gray", "-"]
+        shown = subprocess.run(greys, capture_output=True, check=True).stdout
+        return np.frombuffer(shown, dtype=np.uint8).reshape(-1, 200, 300)[-1].astype(int)
+
+    energy, motion, bare = seen(), seen("--curves", "motion"), seen("--curves", "none")
+    forces = seen("--curves", "none", "--forces")
+    apart = [(np.abs(a - b) > 60).sum() for a, b in ((energy, bare), (energy, motion), (forces, bare))]
+    assert apart[0] > 6000 and apart[1] > 1000 and 200 < apart[2] < 2000  # of 60 000: curves, other curves, an arrow
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")

@@ -53,7 +53,7 @@ CALLS = {
     "view": ["run.h5 run.h5 -o v.html --forces point --fps 10", "run.h5 --png v.png --at 0.02"],
     "film": ["run.h5 run.h5 -o f.mp4 --size 200x100 --speed 0.1 --fps 10 --curves none --forces"],
     "compare": ["run.h5 run.h5 --json"],
-    "plot": ["run.h5 -o k.pdf --kind speed --name arm/* --size 85 60 --style ggplot"],
+    "plot": ["run.h5 -o k.pdf --kind speed --name arm/* --size 85x60 --style ggplot"],
 }
 ELSEWHERE = {
     "--dask": "below: dask need not be installed",
@@ -131,6 +131,13 @@ def test_options_of_the_scheme_and_the_solver_arrive(folder, monkeypatch):
         assert (str(found["theta"]), str(found["polish"])) == ("0.6", "True")
         assert found["solver"].startswith("Auto(tol=1e-09, loose=0.001,")
     assert head["on_fail"] == "raise"
+
+
+@pytest.mark.parametrize("call", ["profile . --limit -1", "bench slip --limit -1"])
+def test_a_limit_of_time_arrives(folder, monkeypatch, capsys, call):
+    monkeypatch.chdir(folder)
+    assert cli.main(call.split()) == 2
+    assert "limit must be a positive number of seconds, got -1.0" in capsys.readouterr().err
 
 
 def test_a_study_obeys_its_options(capsys):

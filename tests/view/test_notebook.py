@@ -124,6 +124,7 @@ def test_a_status_is_told_by_its_name():
 def test_tables_of_objects(run):
     trajectory = shown(run)
     assert "simulated time [s]" in trajectory and "0.1" in trajectory and "10 CONVERGED" in trajectory
+    assert trajectory[trajectory.index("works of physics, of numerics [J]") + 1].endswith(", 0)")  # 1e-14, recorded
     contacts = run.contacts(-1)
     cells = np.reshape(shown(contacts), (5, 9))
     assert cells[1:, 1].tolist() == ["box"] * 4 and cells[1:, 8].tolist() == ["slip"] * 4

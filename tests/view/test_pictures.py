@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import recordings
 
+import nsdyn as nd
 from nsdyn.view import browser, pictures, viewer
 
 needs_chromium = pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
@@ -37,6 +38,16 @@ def test_picture_shows_the_bodies_where_they_are(falling, tmp_path, window):
     corners = [p[:50, 480:].sum(axis=2) < 200 for p in taken]
     assert corners[0].sum() > 50 and (corners[0] != corners[1]).sum() > 20
     assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "page.png"]
+
+
+@needs_chromium
+def test_a_tower_is_below_the_heading_of_its_picture(tmp_path, window):
+    tower = nd.simulate(nd.scenes.load("heavy_on_light")(below=9), 0.02, dt=0.01)
+    viewer.write_html(tower, tmp_path / "page.html", at=0.02)
+    window.open((tmp_path / "page.html").as_uri() + "#picture", (640, 400))
+    heading = "document.querySelector('.heading').getBoundingClientRect().bottom"
+    top, heading = window.run(f"[nsdyn.panes[0].stage.project([0, 0, 2.0])[1], {heading}]")
+    assert 20 < heading < top < 100  # and is no smaller than need be
 
 
 def test_missing_browser_is_told(falling, tmp_path, monkeypatch):

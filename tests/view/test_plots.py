@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib import style
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -15,6 +16,7 @@ from nsdyn.cli import figures, main
 from nsdyn.recording import file
 from nsdyn.study.drawings import draw_refinement, draw_sweep, varied
 from nsdyn.study.sweep import Member
+from nsdyn.tools.units import with_unit
 from nsdyn.view import panels, plots
 
 PAGE = Path(plots.__file__).parent / "page" / "ledger.js"
@@ -112,7 +114,8 @@ def test_round_off_is_not_drawn_at_full_scale(resting, kind):
     elif kind == "certificate":
         assert low >= 1e-12 and high >= 10.0 * low
     if kind == "speed":
-        assert [text.get_text() for text in ax.texts] == ["nothing but round-off,\nless than 981 nm/s"]
+        most = with_unit(resting.table("bodies")["speed"].max(), "m/s")
+        assert [text.get_text() for text in ax.texts] == [f"nothing but round-off,\nat most {most}"]
     if kind == "energy":
         assert [text.get_text() for text in ax.texts] == ["at rest: nothing of 192.3 J moves"]
 
@@ -342,14 +345,14 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     slide.save("run.h5")
     assert main(["plot", "run.h5"]) == 0 and capsys.readouterr().out == "run.png\n"
-    assert main(["plot", "run.h5", "--kind", "force", "--name", "box", "--size", "85", "60", "-o", "p.png"]) == 0
+    assert main(["plot", "run.h5", "--kind", "force", "--name", "box", "--size", "85x60", "-o", "p.png"]) == 0
     with Image.open("p.png") as image:
         assert image.size == (669, 472)  # 200 points an inch
     written = []
     with monkeypatch.context() as patched:
         patched.setattr(figures, "picture", lambda path, fill, size: written.append(matplotlib.rcParams["font.size"]))
-        for size in (["140", "90"], ["180", "120"]):  # the latter for three kinds, none of which has more than 90 by 60
-            main(["plot", "run.h5", *(["--kind", "energy"] if size[0] == "140" else []), "--size", *size])
+        for size in ("140x90", "180x120"):  # the latter for three kinds, none of which has more than 90 by 60
+            main(["plot", "run.h5", *(["--kind", "energy"] if size == "140x90" else []), "--size", size])
     assert written == [10.0, 8.0]
     capsys.readouterr()
     assert main(["plot", "run.h5", "--kind", "energy", "--kind", "slip", "--style", "grayscale", "-o", "p.svg"]) == 0
@@ -363,8 +366,10 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
             "no joints to draw joint of; what can be drawn: position, speed, force, slip",
         ),
         (["--style", "nope"], "--style must be a style of matplotlib or a file of one, got nope"),
-        (["--size", "39", "60"], "--size must be two lengths of 40 to 2000 mm, got [39.0, 60.0]"),
-        (["--size", "40", "40"], "names leave no room for curves in 40 by 40 mm: a larger picture, or fewer of them"),
+        (["--size", "39x60"], "--size must be two lengths of 40 to 2000 mm, got 39x60"),
+        (["--size", "nanx60"], "--size must be two lengths of 40 to 2000 mm, got nanx60"),
+        (["--size", "85"], "--size must be WIDTHxHEIGHT in mm, such as 85x60, got 85"),
+        (["--size", "40x40"], "names leave no room for curves in 40 by 40 mm: a larger picture, or fewer of them"),
     ):
         assert main(["plot", "run.h5", "-o", "no.png", *given]) == 2
         assert words in capsys.readouterr().err and not Path("no.png").exists()
@@ -380,7 +385,7 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
 def test_a_style_has_its_own_colours(arm, slide):
     """One of greys has no others, of curves, areas and points; two curves never look the same."""
     for run, kind in ((arm, "joint"), (arm, "energy"), (arm, "certificate"), (slide, "friction"), (slide, "speed")):
-        with matplotlib.style.context(["default", "grayscale"]):
+        with style.context(["default", "grayscale"]):
             figure = drawn(lambda figure, run=run, kind=kind: plots.draw(run, kind, figure=figure))
         lines = [line for ax in figure.axes for line in ax.lines]
         areas = [tuple(c) for ax in figure.axes for area in ax.collections for c in area.get_facecolor()]

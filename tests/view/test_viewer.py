@@ -261,6 +261,18 @@ def test_camera_is_as_near_as_the_shapes_are():
     assert (view.centre[:2] == pytest.approx([0.0, 0.0], abs=0.01)) and 0.06 < view.centre[2] < 0.16
 
 
+def test_camera_is_near_what_moves_along_a_large_fixed_body():
+    """A ball of 10 mm beside a pole of 2 m is no speck; a fixed body of its own size is all in the picture."""
+    for length, lower, upper in ((2.0, 0.03, 0.2), (0.04, 0.03, 0.06)):
+        scene = nd.Scene(gravity=(0, 0, 0))
+        scene.add_box("pole", (0.005, 0.02, length), fixed=True)
+        scene.add_sphere("ball", 0.01, 1.0, position=(0.02, 0, 0.3 * length), linear_velocity=(0, 0, -1))
+        view = stage.View([nd.simulate(scene, 0.02, dt=1e-3)])
+        assert lower < view.radius < upper
+        # The pole, as far as it is shown, is where the ball is.
+        assert abs(view.centre[2] - (0.3 * length - 0.01)) < 0.1
+
+
 def test_meshcat_itself_is_not_loaded():
     code = "import sys; from nsdyn.view import viewer; viewer._meshcat_script(); print('meshcat' in sys.modules)"
     root = str(Path(nd.__file__).parents[1])

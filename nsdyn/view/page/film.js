@@ -21,6 +21,16 @@ class Film {
         if (grounds.length > 1 && object.isMesh) object.material.colorWrite = false; else object.visible = false;
       });
     }
+    // Where half-spaces meet: these lines are in the background and, as they may be before bodies, drawn over what is
+    // drawn of a picture, but nowhere else, for twice they are darker.
+    const {CustomBlending, DstAlphaFactor, OneMinusDstAlphaFactor, ZeroFactor, OneFactor} = MeshCat.THREE;
+    viewer.scene.traverse(object => {
+      if (!object.isLineSegments || stage.edges.includes(object)) return;
+      object.renderOrder = 1;
+      Object.assign(object.material, {
+        transparent: true, blending: CustomBlending, blendSrc: DstAlphaFactor, blendDst: OneMinusDstAlphaFactor,
+        blendSrcAlpha: ZeroFactor, blendDstAlpha: OneFactor});
+    });
     this.bodies = [];
     for (const node of others) node.traverse(object => { if (object.geometry) this.bodies.push(object); });
     for (const {geometry} of this.bodies) if (!geometry.boundingSphere) geometry.computeBoundingSphere();

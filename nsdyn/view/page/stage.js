@@ -25,7 +25,7 @@ chunks.shadowmap_pars_fragment = chunks.shadowmap_pars_fragment.replace(FILTERED
 
 class Stage {
   constructor(place, recording) {
-    this.recording = recording;
+    Object.assign(this, {place, recording});
     this.drawn = [];  // called after each picture
     this.viewer = new MeshCat.Viewer(place);
     this.viewer.set_3d_pane_size = () => this.resize();
@@ -226,10 +226,11 @@ class Stage {
     const along = (p, d) => p.reduce((sum, x, k) => sum + (x - centre[k]) * d[k], 0);
     const outline = this.recording.arrays.outline;
     const aspect = Math.min(...this.together.map(stage => stage.camera.aspect));
+    const free = 1 - 2 * this.covered;
     let distance = 0;
     for (let k = 0; k < outline.length; k += 4) {
       const [point, r] = [Array.from(outline.subarray(k, k + 3)), outline[k + 3]];
-      const high = (Math.abs(along(point, up)) + r) / slope;
+      const high = (Math.abs(along(point, up)) + r) / (slope * free);
       const wide = (Math.abs(along(point, right)) + r) / (slope * aspect);
       distance = Math.max(distance, along(point, towards) + 1.08 * Math.max(high, wide));
     }
@@ -241,6 +242,12 @@ class Stage {
     }
     this.viewer.set_dirty();
     this.share();
+  }
+
+  // Part of the view's height that its heading is over, as on pictures.
+  get covered() {
+    const {top, height} = this.place.getBoundingClientRect();
+    return Math.max(0, this.place.closest(".pane").querySelector(".heading").getBoundingClientRect().bottom - top) / height;
   }
 
   // Height of what is seen at a distance of 1, halved.
