@@ -156,17 +156,14 @@ class Quiet:
         return out
 
     def _is_ready(self, old: Flat) -> bool:
-        """Whether the kernel is compiled: that takes half a minute, in which general steps do the same.
-
-        It does not begin before these have what they need: two processes on one core would wait for each other.
-        """
+        """Whether the kernel is compiled: that takes half a minute, in which general steps do the same."""
         self._asked += 1
         if self._asked % ASKS != 1:
             return False
         state, found, detector = tuple(old[3:6]), tuple(old.found), self._detector
         direction = old.opening.d if old.opening else NOTHING
         given = self._arrays, detector.searches, state, found, state, found, found, old.next_key, direction, self._work
-        self._ready = is_ready(_quiet.quiet, self._asked > 1, *given, 0, False, detector.asks)
+        self._ready = is_ready(_quiet.quiet, *given, 0, False, detector.asks)
         return self._ready
 
     def _looked(self, floats: Array, code: int, n: int) -> tuple[Array, Array, Array]:
