@@ -16,23 +16,20 @@ from nsdyn.stepping.stepper import Stepper
 
 __all__ = ["compile_all", "noted", "run", "work"]
 
-FEW = ("slide", "dissipative"), ("stack", "dissipative")
-"""Named scenes, with a law of impact, that call what most simulations of free bodies do."""
+FEW: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = ("stack", {}, {}), ("slide", {"speed": 0.01}, {})
+"""Named scenes, parameters and options; they call what most simulations of free bodies do, the last as it stops."""
 
-ALL = (
-    *FEW,
-    *((name, "dissipative") for name in ("arm_pushes_box", "bounce", "bricard", "bullet", "euler_disk", "gripper")),
-    *((name, "dissipative") for name in ("quadruped", "rattleback", "rocking", "rolling", "slider_crank")),
-    *(("woodpecker", impact) for impact in LAWS),
-)
+MORE = "arm_pushes_box bounce bricard bullet euler_disk gripper quadruped rattleback rocking rolling slider_crank"
+
+ALL = *FEW, *((s, {}, {}) for s in MORE.split()), *(("woodpecker", {}, {"impact": law}) for law in LAWS)
 """Those that call what all do."""
 
 
 def run(few: bool) -> None:
     """Three steps of each scene."""
-    for name, impact in FEW if few else ALL:
-        setup = scenes.setup(name)
-        stepper = Stepper(setup.scene, **setup.options(on_fail="ignore", impact=impact))
+    for name, parameters, options in FEW if few else ALL:
+        setup = scenes.setup(name, **parameters)
+        stepper = Stepper(setup.scene, **setup.options(on_fail="ignore", **options))
         for _ in range(3):
             stepper.step()
 
