@@ -123,9 +123,10 @@ class Kernel(CPUDispatcher):
 
     cache_path = None  # of what `stats` tells of a cache
 
-    def enable_caching(self) -> None:
-        """In our files; the text is read now, since it may be edited before the first call."""
-        self._cache, self._callees, self._content = self, {}, content(self.py_func.__module__)
+    def __init__(self, function: Callable[..., Any], *others: Any, **options: Any) -> None:
+        super().__init__(function, *others, **options)
+        # The text is read now, since it may be edited before the first call
+        self._cache, self._callees, self._content = self, {}, content(function.__module__)
 
     def file(self, types: Any, form: str = "machine code") -> Path:
         """File of this kernel for these types; where there is no folder, one that cannot be read or written."""
@@ -248,9 +249,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         return function
     # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
     always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True}
-    out = Kernel(function, targetoptions=always | options)
-    out.enable_caching()
-    return out
+    return Kernel(function, targetoptions=always | options)
 
 
 def in_place(function: Callable[..., Any] | None = None, **options: Any) -> Any:
