@@ -6,10 +6,10 @@ import numpy as np
 from numba.core import types
 from numba.extending import overload
 
-_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
-
 MONOTONIC = time.CLOCK_MONOTONIC
 """What the system calls it: that of `time.perf_counter`."""
+
+_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
 
 
 def seconds(room):

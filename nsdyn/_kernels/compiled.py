@@ -1,246 +1,255 @@
-"""The decorator of all kernels.
+"""The decorator of all kernels, and the files in which they are kept.
 
-numba makes machine code of every function that it compiles, with an entry from Python and one from C, and optimises it
-with all that it calls, again for each caller. Here only what Python calls is made machine code of, with all below it,
-once: of a kernel that kernels call there is LLVM's code, simplified function by function. Both are kept, see
-`nsdyn._kernels.cache`.
+numba makes machine code of every function that it compiles, with entries from Python and from C, and optimises it with
+all that it calls, again for each caller: half as long again as here, where only what Python calls becomes machine code,
+with all below it. Of a kernel that kernels call there is LLVM's code. Both are files in a folder of the user, named by
+all that is in them: the text of the kernel's module and of those of ours which that imports, types of arguments,
+processor and versions. So nothing is ever out of date, and all environments share them.
 """
 
 from __future__ import annotations
 
+import fcntl
 import gc
+import hashlib
 import logging
-import threading
+import os
+import pickle
+import re
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
-from functools import cached_property, lru_cache, partial
+from contextlib import suppress
+from contextvars import ContextVar
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 import llvmlite.binding as llvm
+import numba
+import numpy as np
 from numba.core import config, typing
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompileResult, Flags, compile_extra, compile_result
+from numba.core.compiler import CompileResult, Flags, compile_extra
 from numba.core.registry import CPUDispatcher
+from numba.core.serialize import dumps
 from numba.core.types import unliteral
 
-from nsdyn._kernels.cache import Cache, alone
+FOLDER, PROCESSES = "NSDYN_CACHE_DIR", "NSDYN_COMPILE_PROCESSES"
+"""Environment variables: the folder of the files, and how many processes compile, by default one per core."""
 
-PATIENCE = 2.0
-"""s of loading and compiling in a process about which nothing is said."""
+KEEP, PATIENCE = 60 * 86400.0, 2.0
+"""s after its last use that a file is kept, and of loading and compiling in a process about which nothing is said."""
+
+VERSIONS = sys.implementation.cache_tag, numba.__version__, np.__version__
+
+_IMPORT = re.compile(r"^(?:from|import) +(nsdyn[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
 
-class _Loading(threading.local):
-    seconds = 0.0
-
-
-_loading = _Loading()
+_loading = ContextVar("seconds", default=0.0)  # of a thread
 
 
 def loading() -> float:
     """How long this thread has waited for kernels to be loaded or compiled, s."""
-    return _loading.seconds
+    return _loading.get()
 
 
 def clock() -> float:
     """Time in s since some moment, without `loading`."""
-    return time.perf_counter() - _loading.seconds
+    return time.perf_counter() - loading()
 
 
-@lru_cache(maxsize=1)
+@cache
 def announce() -> None:
     """Tell, once in a process, that kernels are compiled."""
     logging.getLogger("nsdyn").warning("compiling kernels that are new to this machine: half a minute or more")
 
 
-class Linkable(JITCodeLibrary):
-    """LLVM code of a function and of those it calls, which is not run by itself."""
+@cache
+def folder() -> Path | None:
+    """Folder of the files, made if there is none; None if it cannot be written."""
+    place = Path(os.environ.get(FOLDER) or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "nsdyn"))
+    try:
+        place = place.expanduser().absolute()
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=place).close()
+    except (OSError, RuntimeError):
+        return None
+    for entry in os.scandir(place):
+        with suppress(OSError):
+            if time.time() - entry.stat().st_mtime > KEEP:
+                os.unlink(entry)
+    return place
 
-    def _optimize_final_module(self) -> None:
-        """Nothing: its callers are optimised with it."""
 
-    def _finalize_final_module(self) -> None:
-        """No machine code."""
-        self._finalize_dynamic_globals()
-        self._finalized = True
+@cache
+def content(module: str) -> str:
+    """Hash of the text of a module and of the contents of those of ours that it imports."""
+    text, names = Path(sys.modules[module].__file__ or "").read_text(), set()
+    for package, parts in _IMPORT.findall(text):
+        names |= {".".join((package, *part.split()[:1])) for part in ("", *parts.strip("()").split(","))}
+    return hashlib.sha256("".join((text, *map(content, sorted(names & sys.modules.keys())))).encode()).hexdigest()
 
 
-class Called:
-    """What kernels call of a kernel.
+@cache
+def helpers(few: bool) -> list[subprocess.Popen[bytes]]:
+    """Processes on the other cores that do a part of the `work` of `nsdyn.compilation`, and outlive this one.
 
-    Parameters
-    ----------
-    kernel : Kernel
+    None where another process of the user has some: of many that begin at once only one does.
     """
-
-    def __init__(self, kernel: Kernel) -> None:
-        self._function, self._context, self._typing = kernel.py_func, kernel.targetctx, kernel.typingctx
-        self._flags = Flags()
-        kernel.targetdescr.options.parse_as_flags(self._flags, kernel.targetoptions)
-        self._flags.no_compile = self._flags.no_cpython_wrapper = self._flags.no_cfunc_wrapper = True
-        self._cache = Cache(kernel.py_func, "LLVM code")
-        self._results: dict[Any, CompileResult] = {}
-
-    def __getitem__(self, types: Any) -> CompileResult:
-        """Compiled or loaded for these types of arguments."""
-        if types not in self._results:
-            with alone(self._cache.file(types, self._context)):
-                kept = self._cache.load(types, self._context)
-                result = self._compile(types) if kept is None else self._rebuild(*kept)
-            # By its entry, an address, numba finds how a function is called: any object that is no other's will do
-            result = result._replace(entry_point=object())
-            self._context.insert_user_function(result.entry_point, result.fndesc, [result.library])
-            self._results[types] = result
-        return self._results[types]
-
-    def _compile(self, types: Any) -> CompileResult:
-        result = compile_extra(self._typing, self._context, self._function, types, None, self._flags.copy(), {})
-        library, description = result.library, result.fndesc
-        library.__class__ = Linkable
-        description.typemap = description.calltypes = None  # as numba does: of no use, and not to be pickled
-        _, _, code = library.serialize_using_bitcode()
-        kept = library.name, code, description, result.environment, result.signature, result.reload_init
-        self._cache.save(types, self._context, kept)
-        return result
-
-    def _rebuild(self, name: str, code: bytes, description: Any, environment: Any, signature: Any, init: Any) -> Any:
-        for load in init:
-            load()
-        library = Linkable(self._context.codegen(), name)
-        library._final_module = llvm.parse_bitcode(code)
-        library._finalize_final_module()
-        return compile_result(
-            typing_context=self._typing,
-            target_context=self._context,
-            library=library,
-            fndesc=description,
-            environment=environment,
-            signature=signature,
-            reload_init=init,
-            objectmode=False,
-        )
-
-
-class Notes:
-    """Calls of kernels from Python, in their order, while all kernels run as Python."""
-
-    def __init__(self) -> None:
-        self.calls: dict[tuple[Kernel, Any], None] = {}
-        self._inside = False
-
-    def call(self, kernel: Kernel, *args: Any, **kws: Any) -> Any:
-        """Run a kernel as Python; those it calls are none of Python's."""
-        if self._inside:
-            return kernel.py_func(*args, **kws)
-        types = tuple(map(kernel.typeof_pyval, args)), {k: kernel.typeof_pyval(v) for k, v in kws.items()}
-        self.calls[kernel, tuple(kernel.fold_argument_types(*types)[1])] = None
-        self._inside = True
-        try:
-            return kernel.py_func(*args, **kws)
-        finally:
-            self._inside = False
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = int(os.environ.get(PROCESSES) or cores) - 1
+    one = os.environ | dict.fromkeys((PROCESSES, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    code = f"import sys; sys.path[:] = {sys.path}; from nsdyn.compilation import work; work({few}, %d, {count})"
+    command, out = [sys.executable, "-c"], []
+    with suppress(OSError):  # where no process can be started, or another has some, this one compiles
+        if count > 0 and (place := folder()):
+            fcntl.flock(os.open(place / "helpers", os.O_WRONLY | os.O_CREAT, 0o600), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            for k in range(count):
+                out.append(subprocess.Popen([*command, code % k], env=one, start_new_session=True, **options))
+    return out
 
 
 class Kernel(CPUDispatcher):
-    """Compiled function: compiled by one process while others wait, and for variables where it is given constants."""
+    """Compiled function, compiled for variables where it is given constants."""
 
-    notes: ClassVar[Notes | None] = None
-    """Where not None, nothing is compiled."""
+    notes: ClassVar[dict[tuple[Kernel, Any], None] | None] = None
+    """Where not None, kernels run as Python, and what Python calls or is going to is noted with types of arguments."""
 
-    prepare: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
-    """Called before a process compiles what Python calls."""
+    inside: ClassVar[bool] = False
+    """Whether one does, whose calls are none of Python's."""
 
-    later: ClassVar[Callable[[Path, bool], bool]] = staticmethod(lambda file, begin: False)
-    """Whether other processes compile what is kept in a file, or will; they begin now or need not yet."""
+    cache_path = None  # of what `stats` tells of a cache
 
-    cache_path = None
-    """Of what `stats` tells of a cache."""
+    def __init__(self, function: Callable[..., Any], *others: Any, **options: Any) -> None:
+        super().__init__(function, *others, **options)
+        # The text is read now, since it may be edited before the first call
+        self._cache, self._callees, self._content = self, {}, content(function.__module__)
 
-    def enable_caching(self) -> None:
-        """As numba does, in our cache."""
-        self._cache, self.kept = self, Cache(self.py_func, "machine code")
+    def file(self, types: Any, form: str = "machine code") -> Path:
+        """File of this kernel for these types; where there is no folder, one that cannot be read or written."""
+        self.targetctx.refresh()
+        made_of = form, self._content, str(types), self.targetctx.codegen().magic_tuple(), VERSIONS, config.BOUNDSCHECK
+        name = f"{self.py_func.__module__.rpartition('.')[2]}.{self.py_func.__qualname__}"
+        key = hashlib.sha256(repr((name, *made_of)).encode()).hexdigest()
+        return Path(folder() or os.devnull, f"{name}-{key[:32]}.nbc")
 
     def load_overload(self, types: Any, context: Any) -> CompileResult | None:
         """What numba asks of a cache."""
-        kept = self.kept.load(types, context)
-        if kept is not None:
+        if kept := load(self.file(types)):
             return CompileResult._rebuild(context, *kept)
-        Kernel.prepare()
-        if _loading.seconds > PATIENCE:
+        if "nsdyn.stepping.stepper" in sys.modules:
+            helpers(few=True)
+        if loading() > PATIENCE:
             announce()
         return None
 
     def save_overload(self, types: Any, result: CompileResult) -> None:
         """What numba tells a cache."""
-        self.kept.save(types, result.target_context, result._reduce())
+        save(self.file(types), result._reduce())
 
-    @cached_property
-    def called(self) -> Called:
-        """What other kernels call."""
-        return Called(self)
+    def callee(self, types: Any) -> tuple[Any, object, Any]:
+        """(signature, entry, environment) of what kernels call: LLVM's code."""
+        if types not in self._callees:
+            if not (kept := load(self.file(types, "LLVM code"))):
+                kept = self._lower(types)
+                save(self.file(types, "LLVM code"), kept)
+            name, code, description, environment, signature, initialisations = kept
+            for initialise in initialisations:
+                initialise()
+            library = self.targetctx.codegen().create_library(name)
+            library._final_module, library._finalized = llvm.parse_bitcode(code), True
+            # By its entry, an address, numba finds how a function is called: any object that is no other's will do
+            self._callees[types] = out = signature, object(), environment
+            self.targetctx.insert_user_function(out[1], description, [library])
+        return self._callees[types]
+
+    def _lower(self, types: Any) -> tuple[Any, ...]:
+        """LLVM's code for these types, simplified function by function: its callers are optimised with it."""
+        flags = Flags()
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        result = compile_extra(self.typingctx, self.targetctx, self.py_func, types, None, flags, {})
+        library, description = result.library, result.fndesc
+        library._optimize_final_module = library._finalize_final_module = lambda: None
+        library.finalize()
+        description.typemap = description.calltypes = None  # as numba does: of no use, and not to be pickled
+        code = library._final_module.as_bitcode()
+        return library.name, code, description, result.environment, result.signature, result.reload_init
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Meaning of a call in another kernel; numba would compile f(0) and f(i) both."""
-        types = tuple(map(unliteral, args)), {name: unliteral(t) for name, t in kws.items()}
-        signature, folded = self._compiler.fold_argument_types(*types)
+        signature, folded = self._compiler.fold_argument_types(tuple(map(unliteral, args)), kws)
         name = self.py_func.__name__
-        found = typing.make_concrete_template(name, key=name, signatures=[self.called[tuple(folded)].signature])
+        found = typing.make_concrete_template(name, key=name, signatures=[self.callee(tuple(folded))[0]])
         return found, signature, folded, {}
 
     def get_overload(self, types: Any) -> Any:
         """What numba knows the function by that another kernel calls."""
-        return self.called[tuple(types)].entry_point
+        return self.callee(tuple(types))[1]
 
-    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+    def _compile_for_args(self, *args: Any) -> Any:
         """What to call instead, at a call from Python with new types."""
         if Kernel.notes is not None:
-            return partial(Kernel.notes.call, self)
-        begin = time.perf_counter()
-        try:
-            return super()._compile_for_args(*args, **kws)
-        finally:
-            _loading.seconds += time.perf_counter() - begin
-
-    def compile(self, types: Any, wait: bool = True) -> Any:
-        """Load or compile for these types; without waiting None where another process does."""
-        if types in self.overloads:
-            return super().compile(types)
-        collects = gc.isenabled()
+            return self._noted
+        begin, collects = time.perf_counter(), gc.isenabled()
         gc.disable()  # the search for cycles takes a fifth of a compilation, since it makes millions of objects
         try:
-            with alone(self.kept.file(types, self.targetctx), wait) as free:
-                return super().compile(types) if free else None
+            return super()._compile_for_args(*args)
         finally:
+            _loading.set(loading() + time.perf_counter() - begin)
             if collects:
                 gc.enable()
 
-    def is_ready(self, begin: bool, *args: Any) -> bool:
-        """Whether a call with such arguments need not wait for more than loading; if not, `later` it need not."""
-        if Kernel.notes is not None:
-            return begin
+    def _noted(self, *args: Any) -> Any:
+        """Run as Python."""
+        inside, Kernel.inside = Kernel.inside, True
+        try:
+            if not inside:
+                self.is_ready(args)
+            return self.py_func(*args)
+        finally:
+            Kernel.inside = inside
+
+    def is_ready(self, args: Any) -> bool:
+        """As of the function; noted, and to be called later, where kernels run as Python."""
         types = tuple(map(self.typeof_pyval, args))
-        if types in self.overloads:
-            return True
-        file = self.kept.file(types, self.targetctx)
-        return file is None or file.exists() or not Kernel.later(file, begin)
+        if Kernel.notes is not None:
+            Kernel.notes[self, types] = None
+            return False
+        return self.file(types).exists() or all(helper.poll() is not None for helper in helpers(few=True))
+
+
+def load(file: Path) -> Any:
+    """What was kept, None if nothing was."""
+    with suppress(OSError):
+        os.utime(file)
+        return pickle.loads(file.read_bytes())
+
+
+def save(file: Path, kept: Any) -> None:
+    """Keep it, whole or not at all; a full disk costs a compilation at the next start."""
+    with suppress(OSError), tempfile.TemporaryDirectory(dir=file.parent) as part:
+        Path(part, file.name).write_bytes(dumps(kept))
+        os.replace(Path(part, file.name), file)
+
+
+def is_ready(function: Callable[..., Any], *args: Any) -> bool:
+    """Whether a kernel can be called with such arguments now: no other process compiles it, or will."""
+    return not isinstance(function, Kernel) or function.is_ready(args)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Decorator of a kernel; options as of `numba.njit`."""
     if function is None:
-        return lambda function: kernel(function, **options)
+        return partial(kernel, **options)
     if config.DISABLE_JIT:
         return function
     # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
     always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True}
-    out = Kernel(function, targetoptions=always | options)
-    out.enable_caching()
-    return out
-
-
-def is_ready(function: Callable[..., Any], begin: bool, *args: Any) -> bool:
-    """Whether a kernel can be called with such arguments at once; if not, another process may begin to compile it."""
-    return not isinstance(function, Kernel) or function.is_ready(begin, *args)
+    return Kernel(function, targetoptions=always | options)
 
 
 def in_place(function: Callable[..., Any] | None = None, **options: Any) -> Any:

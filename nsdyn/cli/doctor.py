@@ -88,7 +88,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
     if arguments.compile and not wrong:
         from nsdyn import compilation
 
-        compilation.compile_examples("all")
+        compilation.compile_all()
     packages: dict[str, Any] = {}
     for distribution, module in PACKAGES.items():
         spec = importlib.util.find_spec(module)  # found, not imported: meshcat would load its server
@@ -123,10 +123,10 @@ def diagnose(arguments: argparse.Namespace) -> int:
 def _cache() -> tuple[Path | None, str]:
     """Folder of the compiled kernels, or None and why there is none."""
     try:
-        from nsdyn._kernels import cache
+        from nsdyn._kernels import compiled
     except Exception as error:  # of numba or of what it needs
         return None, f"not known: {type(error).__name__}: {one_line(error)}"
-    return cache.folder(), f"none can be written: every start compiles unless {cache.FOLDER} names a folder"
+    return compiled.folder(), f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
 
 
 def _outcome(name: str) -> str:

@@ -253,12 +253,12 @@ class Mover:
         num[_col.STEP], num[_col.DEPTH], num[_col.SLOW] = h, depth, depth * self._smallest
         num[_col.UNTIL] = num[_col.THETA] * h + (1.0 - num[_col.THETA]) * self._dt
 
-    def is_ready(self, old: Acted, begun: Found, begin: bool) -> bool:
-        """Whether the kernel is compiled; if not, and it may `begin`, another process does that."""
+    def is_ready(self, old: Acted, begun: Found) -> bool:
+        """Whether the kernel is compiled; if not, another process does that."""
         found, detector = tuple(begun), self._detector
         given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
         work = self._rooms(False, False)[2]
-        Mover.ready = is_ready(_quiet.quiet, begin, *given, work, 0, False, detector.asks, False)
+        Mover.ready = is_ready(_quiet.quiet, *given, work, 0, False, detector.asks, False)
         return Mover.ready
 
     def _rooms(self, moves: bool, step: bool) -> tuple[Acted, Rooms, tuple[Array, Index, Bools]]:

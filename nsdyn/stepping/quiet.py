@@ -97,11 +97,8 @@ class Quiet:
         return touched(s, *own, s.dt, reach / (s.theta * s.dt)) < s.dt
 
     def _is_ready(self, old: Flat) -> bool:
-        """Whether the kernel is compiled: that takes half a minute, in which general steps do the same.
-
-        It does not begin before these have what they need: two processes on one core would wait for each other.
-        """
+        """Whether the kernel is compiled: that takes half a minute, in which general steps do the same."""
         self._asked += 1
         if self._asked % ASKS != 1:
             return False
-        return self._mover.is_ready((old.floats, old.acted, old.status), old.found, self._asked > 1)
+        return self._mover.is_ready((old.floats, old.acted, old.status), old.found)

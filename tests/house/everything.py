@@ -93,7 +93,7 @@ def problems() -> None:
 
 def everything() -> None:
     """What anything calls."""
-    compilation.EXAMPLES["all"]()
+    compilation.run(few=False)
     Stepper(scenes.load("bounce")(), 2.0, on_fail="ignore").step()  # more bounces than are located
     Stepper(scenes.load("quadruped")(), 1e-5).step()  # hardly moves
     belt = Scene()

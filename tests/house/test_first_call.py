@@ -52,18 +52,21 @@ def given(x):
 OTHER_EXAMPLES = (
     (HERE / "compilation.py").read_text()
     + """
-from nsdyn._kernels import callee
-EXAMPLES |= {"step": lambda: None, "quiet": lambda: callee.given(1.0)}
+from nsdyn._kernels import callee, compiled
+
+def run(few):
+    compiled.is_ready(callee.given, 1.0)
+    callee.given(1)
 """
 )
 MEANWHILE = """
 import time
 from nsdyn._kernels import callee
 from nsdyn._kernels.compiled import is_ready
-print(is_ready(callee.given, True, 1.0))
+print(is_ready(callee.given, 1.0))
 for _ in range({}):
     time.sleep(0.1)
-    if is_ready(callee.given, True, 1.0):
+    if is_ready(callee.given, 1.0):
         print(callee.given(1.0), sum(callee.given.stats.cache_misses.values()))
         break
 """
@@ -111,27 +114,6 @@ def test_the_time_of_solving_is_without_loading():
     times, clock = np.array([line.split() for line in python("-c", SOLVE).stdout.splitlines()], float).T
     assert clock[0] > 0.3 and clock[-1] < clock[0] + 0.3, "the first one loads"
     assert 0.0 < times.min() and times.max() < 0.3
-
-
-@pytest.mark.slow
-def test_a_terminal_gets_a_bar_and_several_processes_compile_each_kernel_once(tmp_path):
-    main, end = pty.openpty()
-    termios.tcsetwinsize(end, (24, 80))
-    with subprocess.Popen(
-        [sys.executable, "-c", "from nsdyn.compilation import compile_examples; compile_examples('contact')"],
-        stdout=subprocess.DEVNULL,
-        stderr=end,
-        env=os.environ | {"NSDYN_CACHE_DIR": str(tmp_path), "NSDYN_COMPILE_PROCESSES": "2"},
-    ):
-        os.close(end)
-        shown = b""
-        with suppress(OSError):  # the other end is closed
-            while part := os.read(main, 4096):
-                shown += part
-    os.close(main)
-    assert b"| 1/1 [" in shown and b"kernel" in shown
-    names = [path.name.rpartition("-")[0] for path in tmp_path.glob("*.nbc")]
-    assert len(names) == len(set(names)) >= 2
 
 
 def test_functions_of_users_from_nowhere_compile():
@@ -184,9 +166,47 @@ def test_sorting(rng):
 
 
 def test_examples_run_as_python():
-    """In a process of their own: what is compiled already is not noted."""
-    code = "from nsdyn.compilation import noted; print(*{k.kept.name.partition('.')[0] for k, _ in noted('step')})"
-    assert {"search", "workless", "motion"} <= set(python("-c", code).stdout.split())
+    """In a process of their own: what is compiled already is not noted. What can wait is, as that of quiet steps."""
+    code = "from nsdyn.compilation import noted; print(*{k.py_func.__module__ for k, _ in noted(few=True)})"
+    modules = {f"nsdyn._kernels.{name}" for name in ("collision.search", "stepping.workless", "stepping.quiet")}
+    assert modules <= set(python("-c", code).stdout.split())
+
+
+@pytest.mark.slow
+def test_a_terminal_gets_a_bar_and_several_processes_compile_what_is_noted(package, tmp_path):
+    """Two kernels of the types int and float: the other process begins with the last."""
+    (package / "nsdyn" / "_kernels" / "callee.py").write_text(CALLEE)
+    (package / "nsdyn" / "compilation.py").write_text(OTHER_EXAMPLES)
+    main, end = pty.openpty()
+    termios.tcsetwinsize(end, (24, 80))
+    environment = {"PYTHONPATH": str(package), "PYTHONSAFEPATH": "1", "NSDYN_CACHE_DIR": str(tmp_path / "cache")}
+    with subprocess.Popen(
+        [sys.executable, "-c", "from nsdyn.compilation import compile_all; compile_all()"],
+        stdout=subprocess.DEVNULL,
+        stderr=end,
+        env=os.environ | environment | {"NSDYN_COMPILE_PROCESSES": "2"},
+    ):
+        os.close(end)
+        shown = b""
+        with suppress(OSError):  # the other end is closed
+            while part := os.read(main, 4096):
+                shown += part
+    os.close(main)
+    assert b"| 2/2 [" in shown and b"kernel" in shown
+    assert len(list((tmp_path / "cache").glob("callee.*"))) == 2
+
+
+@pytest.mark.slow
+def test_processes_share_the_work(package, tmp_path):
+    """Two that have one each of two kernels to compile, the second one the first of them."""
+    (package / "nsdyn" / "_kernels" / "callee.py").write_text(CALLEE)
+    (package / "nsdyn" / "compilation.py").write_text(OTHER_EXAMPLES)
+    environment = {"PYTHONPATH": str(package), "NSDYN_CACHE_DIR": str(tmp_path / "cache")}
+    code = "from nsdyn.compilation import work; work(True, {}, 2); from nsdyn._kernels import callee; "
+    code += "print(*(t[0] for t in callee.given.signatures))"
+    assert python("-c", code.format(1), **environment).stdout == "float64\n"
+    assert python("-c", code.format(0), **environment).stdout == "int64\n"
+    assert python("-c", code.format(0), **environment).stdout == "\n"
 
 
 @pytest.mark.slow
@@ -212,7 +232,7 @@ def test_a_run_waits_for_no_kernel_that_it_can_do_without(package, tmp_path):
     assert python("-c", MEANWHILE.format(0), **environment).stdout == "False\n"
     assert not list(cache.glob("callee.*")), "the run has not waited"
     deadline = time.monotonic() + 300.0
-    while not list(cache.glob("callee.*")) and time.monotonic() < deadline:
+    while len(list(cache.glob("callee.*"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.1)
     assert python("-c", MEANWHILE.format(1), **environment).stdout.startswith("True\n")
     for path in cache.glob("callee.*"):
