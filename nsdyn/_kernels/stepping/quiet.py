@@ -330,6 +330,8 @@ def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out
             return OTHERWISE
         _blocks.velocity_change(blocks, r, change)
     else:
+        if not first:
+            kept_r, kept_u = r.copy(), u.copy()
         for k in range(5):
             copy(alone[k], local[k])
         if head[col.TURNED]:
@@ -337,7 +339,6 @@ def respond(num, bodies, blocks, met, scales, flags, again, a, w, own, head, out
             for i in range(u.size):
                 local[2, i] += u[i]
         if not first:
-            kept_r, kept_u = r.copy(), u.copy()
             law.offsets(local, laws, stays, slides, b)
         copy(local[4], r)
     passes = PASSES if stays.any() else 0
