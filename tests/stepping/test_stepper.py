@@ -9,7 +9,7 @@ import pytest
 
 import nsdyn as nd
 from nsdyn.collision.contacts import ContactMemory, Poses
-from nsdyn.stepping import failures, passage, quiet, sight
+from nsdyn.stepping import failures, mover, passage, quiet, sight
 
 
 @pytest.mark.parametrize(
@@ -508,21 +508,29 @@ def test_choices_say_what_was_meant():
             nd.Stepper(scene, **{keyword: word})
 
 
-def check_lane(owner, lane, scene, steps, options, monkeypatch):
-    """Whether moves go a straight lane more than 20 times, and end as they do without it, bit for bit."""
-    quiet, went = getattr(owner, lane), []
+def check_lane(lanes, scene, steps, options, monkeypatch):
+    """Whether moves go straight lanes, (owner, name), more than 20 times, and end as without them, bit for bit."""
+    went = []
 
-    def counted(*arguments):
-        went.append(quiet(*arguments))
-        return went[-1]
+    def counted(lane):
+        def call(*arguments):
+            went.append(lane(*arguments))
+            return went[-1]
 
-    monkeypatch.setattr(owner, lane, counted)
+        return call
+
+    for owner, name in lanes:
+        monkeypatch.setattr(owner, name, counted(getattr(owner, name)))
     straight = nd.simulate(scene, steps * options["dt"], **options)
     assert sum(moves is not None for moves in went) > 20
-    monkeypatch.setattr(owner, lane, lambda *_: None)
+    for owner, name in lanes:
+        monkeypatch.setattr(owner, name, lambda *_: None)
     general = nd.simulate(scene, steps * options["dt"], **options)
     for column in straight.columns.keys() - {"wall_time", "solver/time"}:
         assert straight.columns[column].tobytes() == general.columns[column].tobytes(), column
+
+
+KERNEL = (quiet.Quiet, "step"), (mover.Mover, "respond")
 
 
 @pytest.mark.parametrize(
@@ -539,7 +547,14 @@ def check_lane(owner, lane, scene, steps, options, monkeypatch):
 )
 def test_quiet_steps_are_the_general_ones(name, parameters, options, monkeypatch):
     """What one kernel does in a call ends with the bits of the way that asks what else might happen."""
-    check_lane(quiet.Quiet, "step", nd.scenes.load(name)(**parameters), 120, options, monkeypatch)
+    check_lane(KERNEL, nd.scenes.load(name)(**parameters), 120, options, monkeypatch)
+
+
+@pytest.mark.parametrize(("name", "steps"), [("domino", 60), ("rattleback", 60), ("pile", 30), ("euler_disk", 60)])
+def test_moves_of_the_kernel_are_the_general_ones(name, steps, monkeypatch):
+    """The same of what rolls, turns on what it lies on, leans on others, is struck, and of islands by themselves."""
+    setup = nd.scenes.setup(name)
+    check_lane(KERNEL, setup.scene, steps, setup.options(), monkeypatch)
 
 
 def test_a_step_does_not_change():
@@ -559,7 +574,9 @@ def test_a_step_does_not_change():
 def test_quiet_moves_of_trees_are_the_general_ones(name, monkeypatch):
     """The same of robots under control, in contact and not, with closed loops and without."""
     setup = nd.scenes.setup(name)
-    check_lane(passage, "quiet_trees", setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch)
+    check_lane(
+        [(passage, "quiet_trees")], setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch
+    )
 
 
 def test_what_is_squeezed_out_of_a_wedge_is_not_lifted_far():
