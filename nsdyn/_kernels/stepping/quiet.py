@@ -437,20 +437,6 @@ def turns_round(r, u, b, mu, local, was):
     return reversal.ending(r, u, b, mu, local, was, np.empty(0, np.bool_), np.empty(was.size, np.int8)) > 0
 
 
-@kernel
-def sinks(now, met, r, deep):
-    """Whether any contact that is not pressed is deeper than that."""
-    (found, _, scalars), nc = now, met[0].shape[1]
-    pressed, unpressed = np.empty(found.shape[1], np.bool_), np.empty(nc)
-    for c in range(nc):
-        unpressed[c] = -r[3 * c]
-    touching.known(found[4], met[0][4], unpressed, -touching.LEAST, pressed)
-    for c in range(pressed.size):
-        if not pressed[c] and scalars[0, c] < -deep:
-            return True
-    return False
-
-
 @in_place
 def eventless(num, inscribed, met, now, flags, a, was, spins, own):
     """Whether nothing has turned round, got deep, arrived or turned far on the way, as `passage` asks.
@@ -463,8 +449,15 @@ def eventless(num, inscribed, met, now, flags, a, was, spins, own):
     deepest, deep = least(now[2][0]), min(num[col.CLOSED], num[col.SLOW])
     if deepest < -num[col.CLOSED] or turns_round(r, u, b, scalars[1], local, was):
         return False
-    if deepest < -deep and sinks(now, met, r, deep):
-        return False
+    if deepest < -deep:
+        # Of what is so deep all is to be pressed.
+        gap, more = col.column(a, col.GAP_END, nc), 0
+        for c in range(now[2].shape[1]):
+            more += now[2][0, c] < -deep
+        for c in range(nc):
+            more -= r[3 * c] > 0.0 and gap[c] < -deep
+        if more > 0:
+            return False
     end_gap, far, fastest = col.column(own, col.FORESEEN, nc), flags[col.OFF, :nc], 0.0
     for c in range(nc):
         radius = min(inscribed[names[0, c]], inscribed[names[1, c]])

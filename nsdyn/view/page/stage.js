@@ -226,7 +226,8 @@ class Stage {
     const along = (p, d) => p.reduce((sum, x, k) => sum + (x - centre[k]) * d[k], 0);
     const outline = this.recording.arrays.outline;
     const aspect = Math.min(...this.together.map(stage => stage.camera.aspect));
-    const free = 1 - 2 * this.covered;
+    const left = 1 - 2 * this.covered;
+    const free = left > 0.5 ? left : 1;  // in small windows a heading may lie over the scene
     let distance = 0;
     for (let k = 0; k < outline.length; k += 4) {
       const [point, r] = [Array.from(outline.subarray(k, k + 3)), outline[k + 3]];
