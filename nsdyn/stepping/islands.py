@@ -14,7 +14,7 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import islands as _islands
-from nsdyn._kernels.stepping.quiet import GAIN
+from nsdyn._kernels.stepping.quiet_checks import GAIN
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D

@@ -11,6 +11,7 @@ from nsdyn._kernels.compiled import is_ready
 from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn._kernels.stepping import quiet as _quiet
+from nsdyn._kernels.stepping import quiet_meeting as _meeting
 from nsdyn.collision.contacts import ContactMemory, Looked
 from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
@@ -142,7 +143,7 @@ class Mover:
             self._set(length)
         self._most = max(self._most, begun.nc)
         new, rooms, work = self._rooms(moves, step)
-        stage, ready, head = _quiet.DONE, False, work[1]
+        stage, ready, head = _meeting.DONE, False, work[1]
         while True:
             code = _quiet.quiet(
                 self._arrays,
@@ -160,17 +161,17 @@ class Mover:
                 detector.asks,
                 step,
             )
-            if code == _quiet.DONE:
+            if code == _meeting.DONE:
                 return self._made(new, rooms, work, begun)
-            if code == _quiet.OTHERWISE:
+            if code == _meeting.OTHERWISE:
                 return None
-            if code == _quiet.MORE:
+            if code == _meeting.MORE:
                 self._most = max(self._most, int(head[_col.NEEDED]))
                 new, rooms, work = self._rooms(True, step)
-                stage, ready, head = _quiet.DONE, False, work[1]
+                stage, ready, head = _meeting.DONE, False, work[1]
                 continue
-            if code != _quiet.SOLVE:
-                n, ahead = self._size, code == _quiet.LOOK_AHEAD
+            if code != _meeting.SOLVE:
+                n, ahead = self._size, code == _meeting.LOOK_AHEAD
                 columns = new[0][_col.RESULTS :] if ahead else work[0]
                 detector.ask(*_looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, n))
             elif not self._solve(self._made(new, rooms, work, begun)):

@@ -9,7 +9,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.law import TURNS
-from nsdyn._kernels.stepping.quiet import GAIN
+from nsdyn._kernels.stepping.quiet_checks import GAIN
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status

@@ -12,6 +12,7 @@ import nsdyn as nd
 from nsdyn._kernels.stepping import columns
 from nsdyn._kernels.stepping import persistence as kernels
 from nsdyn._kernels.stepping import quiet as quiet_kernels
+from nsdyn._kernels.stepping.quiet_meeting import DONE
 from nsdyn.solvers import Auto
 
 G = 9.81
@@ -321,7 +322,7 @@ def test_what_bounces_on_free_bodies_comes_to_rest(make, dt, steps, monkeypatch)
     def counted_quietly(*args):
         """What the kernel of a step solves itself, whether or not the step is then one of these."""
         results, stage = args[4][0], args[10]
-        if stage == quiet_kernels.DONE:
+        if stage == DONE:
             results[columns.TIME] = 0.0
         before, out = results[columns.TIME], quiet(*args)
         calls[-1] += results[columns.TIME] > before

@@ -44,21 +44,26 @@ def relative_velocity(blocks, v, u):
 
 
 @in_place
+def add_momentum(blocks, c, r0, r1, r2, p):
+    """Add H r of contact c to p (n,)."""
+    if r0 == 0.0 and r1 == 0.0 and r2 == 0.0:
+        return
+    offset, block, start, H = blocks[:4]
+    for s in range(2):
+        k = block[c, s]
+        if k >= 0:
+            o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
+            d, e = a + n, a + n + n
+            for j in range(n):
+                p[o + j] += H[a + j] * r0 + H[d + j] * r1 + H[e + j] * r2
+
+
+@in_place
 def momentum(blocks, r, p):
     """p = H r, into p (n,)."""
-    offset, block, start, H = blocks[:4]
     p[:] = 0.0
-    for c in range(block.shape[0]):
-        r0, r1, r2 = r[3 * c], r[3 * c + 1], r[3 * c + 2]
-        if r0 == 0.0 and r1 == 0.0 and r2 == 0.0:
-            continue
-        for s in range(2):
-            k = block[c, s]
-            if k >= 0:
-                o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
-                d, e = a + n, a + n + n
-                for j in range(n):
-                    p[o + j] += H[a + j] * r0 + H[d + j] * r1 + H[e + j] * r2
+    for c in range(blocks[1].shape[0]):
+        add_momentum(blocks, c, r[3 * c], r[3 * c + 1], r[3 * c + 2], p)
 
 
 @in_place

@@ -11,7 +11,13 @@ import numpy as np
 from numba.extending import overload
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.blocks import momentum, relative_velocity, relative_velocity_of, weighted_rows
+from nsdyn._kernels.problem.blocks import (
+    add_momentum,
+    momentum,
+    relative_velocity,
+    relative_velocity_of,
+    weighted_rows,
+)
 from nsdyn._kernels.problem.cones import coulomb, measure_at, project_all, slide
 from nsdyn._kernels.problem.given import velocity
 from nsdyn.literature._kernels.anderson import mix
@@ -130,7 +136,6 @@ def sweep_matrix(W, q, mu, r):
 def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
     blocks, y, diagonal, inverse = W
-    offset, block, start = blocks[:3]
     for c in range(mu.size):
         i = 3 * c
         u0, u1, u2 = relative_velocity_of(blocks, v, c)
@@ -141,16 +146,7 @@ def sweep_factors(W, q, mu, v, r):
         b2 -= D[c, 2, 0] * r0 + D[c, 2, 1] * r1 + D[c, 2, 2] * r2
         x0, x1, x2 = solve_contact(D, c, inverse, c, b0, b1, b2, mu[c])
         r[i], r[i + 1], r[i + 2] = x0, x1, x2
-        x0, x1, x2 = x0 - r0, x1 - r1, x2 - r2
-        if x0 != 0.0 or x1 != 0.0 or x2 != 0.0:
-            for s in range(2):
-                k = block[c, s]
-                if k >= 0:
-                    # Unsigned: the compiler need not ask whether an index counts from the end.
-                    o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
-                    d, e = a + n, a + n + n
-                    for l in range(n):
-                        v[o + l] += y[a + l] * x0 + y[d + l] * x1 + y[e + l] * x2
+        add_momentum((*blocks[:3], y), c, x0 - r0, x1 - r1, x2 - r2, v)
 
 
 @kernel

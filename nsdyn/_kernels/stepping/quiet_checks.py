@@ -1,0 +1,198 @@
+"""Whether a move of free bodies is a whole step that meets no event, and what that did, in the arrays of `columns`."""
+
+import math
+
+import numpy as np
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.dynamics import motion
+from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.problem.gauss import certificate_of
+from nsdyn._kernels.reductions import least
+from nsdyn._kernels.stepping import account as _account
+from nsdyn._kernels.stepping import columns as col
+from nsdyn._kernels.stepping import law, reversal, touching
+
+GAIN = 1e-5
+"""Of the kinetic energy with which it begins, most that contacts that persist and projections may add in a step."""
+
+SURELY = 0.5
+"""Part of `GAIN` that contacts joined by bodies may add, so that those of any larger island add less than that: its
+energy, at the velocity of all or at what gravity gives them, is at least half the sum of theirs."""
+
+
+@in_place
+def bounces(num, met, x, twists, rates):
+    """Whether anything that is closed, and may rebound, strikes or parts faster than what rests, as `System.rests`."""
+    names, points, scalars = met
+    where = names[2], names[3], points[0], points[1], x
+    for c in range(names.shape[1]):
+        e = scalars[2, c]
+        if e > 0.0 and scalars[0, c] <= num[col.CLOSED]:
+            u = touching.approach_of(c, where, twists)
+            rests = num[col.HALF] * touching.weight_of(c, where, rates) * max(1.0 - e, num[col.LEAST])
+            if u > num[col.TOL] + rests or u < -(num[col.TOL] + rests / e):
+                return True
+    return False
+
+
+@in_place
+def strikes_at_once(num, met, last, old, n):
+    """Whether what is closed strikes where the step begins; last = (keys, pairs of shapes, states) of what acted."""
+    names, points, scalars = met
+    where = names[2], names[3], points[0], points[1], col.vectors(old, col.X, n)
+    closed, twists = (
+        (names[4], names[0], names[1], scalars[0], scalars[2]),
+        (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)),
+    )
+    least_speed = touching.striking_speed(closed, where, twists, last, int(num[col.GEOMS]), num[col.CLOSED])
+    return least_speed < -num[col.SLOW] / num[col.STEP]
+
+
+@kernel
+def rebounds(num, met, old, w, n):
+    """Whether anything strikes where the step begins, or parts, faster than what rests, of what may rebound."""
+    v, v_free, change, rates = (
+        col.velocity(old, col.V, n),
+        col.velocity(w, col.V_FREE, n),
+        np.empty(6 * n),
+        np.empty((2, n, 3)),
+    )
+    for i in range(change.size):
+        change[i] = (v_free[i] - v[i]) / num[col.STEP]
+    motion.twists(col.rotations(old, col.R, n), change, n, rates[0], rates[1])
+    twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
+    return bounces(num, met, col.vectors(old, col.X, n), twists, (rates[0], rates[1]))
+
+
+@kernel
+def turns_round(r, u, b, mu, local, was):
+    """Whether any slip ends, or turns round, as of `reversal.ending`."""
+    return reversal.ending(r, u, b, mu, local, was, np.empty(0, np.bool_), np.empty(was.size, np.int8)) > 0
+
+
+@in_place
+def eventless(num, inscribed, met, now, flags, was, spins, room):
+    """Whether nothing has turned round, got deep, arrived or turned far on the way, as `passage` asks.
+
+    spins: angular velocities of the bodies, (n, 3), at both ends. What was is overwritten by what presses.
+    """
+    nc, (names, _, scalars), (_, _, own, a) = was.size, met, room
+    local, stays = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
+    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    deepest, deep = least(now[2][0]), min(num[col.CLOSED], num[col.SLOW])
+    if deepest < -num[col.CLOSED] or turns_round(r, u, b, scalars[1], local, was):
+        return False
+    if deepest < -deep:
+        # Of what is so deep all is to be pressed.
+        gap, more = col.column(a, col.GAP_END, nc), 0
+        for c in range(now[2].shape[1]):
+            more += now[2][0, c] < -deep
+        for c in range(nc):
+            more -= r[3 * c] > 0.0 and gap[c] < -deep
+        if more > 0:
+            return False
+    end_gap, far, fastest = col.column(own, col.FORESEEN, nc), flags[col.OFF, :nc], 0.0
+    for c in range(nc):
+        radius = min(inscribed[names[0, c]], inscribed[names[1, c]])
+        if not stays[c] and end_gap[c] > num[col.THETA] * num[col.DEPTH] * radius:
+            return False
+        was[c] = r[3 * c] > 0.0
+    most = law.TURNS / (num[col.THETA] * num[col.STEP])
+    for spin in spins:
+        for k in range(spin.shape[0]):
+            fastest = max(fastest, spin[k, 0] ** 2 + spin[k, 1] ** 2 + spin[k, 2] ** 2)
+    if fastest > most * most:
+        touching.turns_far((names[2], names[3], scalars[0], was, num[col.CLOSED]), spins, most, far)
+        for c in range(nc):
+            if far[c]:
+                return False
+    return True
+
+
+@in_place
+def may_gain(mass, works, fallen):
+    """Whether contacts add any energy that matters to that of any body, at the velocity `fallen` gravity gives it."""
+    most, slowest = 0.0, np.inf
+    for work in works:
+        for c in range(work.size):
+            most += max(0.0, work[c])
+    for k in range(mass.size):
+        i = 6 * k
+        slowest = min(slowest, 0.5 * mass[k] * (fallen[i] ** 2 + fallen[i + 1] ** 2 + fallen[i + 2] ** 2))
+    return most > SURELY * GAIN * slowest
+
+
+@kernel
+def gains(num, bodies, blocks, met, flags, status, works, velocities):
+    """Whether contacts that persist, and those that could only take energy, add too much to that of any island.
+
+    works = (normal, friction), velocities: those that the step begins with, and that gravity gives in it.
+    """
+    (mass, J), nc, (normal, friction) = bodies, status.size, works
+    added, label = np.zeros((2, nc)), np.empty(nc, np.int64)
+    found = _blocks.islands(blocks[1], blocks[0].size - 1, label)
+    for c in range(nc):
+        nothing = normal[c] if flags[col.STAYS, c] else 0.0
+        if flags[col.STICKS, c] and status[c] == 1:
+            nothing += friction[c]
+        added[0, label[c]] += nothing
+        added[1, label[c]] += normal[c] + friction[c] - nothing
+    if num[col.ELASTIC] == 0.0:
+        for k in range(found):
+            added[0, k] += max(0.0, added[1, k])
+    energies, counted = np.zeros((2, found)), np.zeros(mass.size, np.bool_)
+    for c in range(nc):
+        for s in range(2):
+            k = met[0][2 + s, c]
+            if k >= 0 and not counted[k]:
+                counted[k] = True
+                for j in range(2):
+                    v, i, twice = velocities[j], 6 * k, 0.0
+                    for l in range(3):
+                        twice += mass[k] * v[i + l] * v[i + l]
+                        for m in range(3):
+                            twice += v[i + 3 + l] * J[k, l, m] * v[i + 3 + m]
+                    energies[j, label[c]] += 0.5 * twice
+    for k in range(found):
+        if added[0, k] > SURELY * GAIN * max(energies[0, k], energies[1, k]):
+            return True
+    return False
+
+
+@in_place
+def book(num, bodies, rows, met, flags, direction, head, status, room):
+    """What the step did: works, states, forces, energies and the certificate."""
+    (mass, J, gravity, no_load, none), (blocks, frame, scales), (f, w, own, acted) = bodies, rows, room
+    n, nc, out, h = mass.size, status.size, f, num[col.STEP]
+    b, mu, r = f[col.RESULTS :], met[2][1], acted[col.IMPULSE * nc : col.U * nc]
+    v, v_plus = col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_PLUS, n)
+    couples = col.column(own, col.COUPLE_WORK, nc) if head[col.TURNED] else none
+    out[col.EXTERNAL], beyond, out[col.NORMAL], out[col.FRICTION], rest = _account.account(
+        (mass, gravity, no_load, no_load),
+        (h, num[col.THETA]),
+        (v, v, v_plus),
+        (blocks, none, mu, own[: col.ALONE * nc].reshape((5, 3 * nc)), frame),
+        r,
+        (flags[col.STAYS], flags[col.STICKS], couples, none),
+        num[col.TOL],
+        (
+            status,
+            col.column(acted, col.NORMAL_WORK, nc),
+            col.column(acted, col.FRICTION_WORK, nc),
+            acted[col.U_END * nc : (col.U_END + 3) * nc],
+            col.vectors(acted, col.FORCE, nc),
+        ),
+    )
+    out[col.NUMERICS] = beyond + rest
+    x, v_end = col.vectors(b, col.X, n), col.velocity(b, col.V, n)
+    out[col.KINETIC], out[col.POTENTIAL] = motion.free_energies(mass, J, gravity, x, v_end)
+    projected = own[col.PROJECTED * nc : (col.PROJECTED + 3) * nc]
+    outside, gap, shift, speed, step, total, square = certificate_of(
+        blocks, acted[col.U * nc : col.FREE * nc], r, mu, scales, direction, projected
+    )
+    certified = not outside and math.isfinite(gap + shift) and step <= num[col.WEAK] * speed
+    out[col.CERTIFIED], out[col.GAP], out[col.SHIFT], out[col.BOUND], out[col.COULOMB] = 0.0, gap, shift, np.inf, np.nan
+    if certified:
+        half = 0.5 * step * math.sqrt(square)
+        out[col.CERTIFIED], out[col.BOUND] = 1.0, half + math.sqrt(half * half + total)

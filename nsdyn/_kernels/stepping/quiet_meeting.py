@@ -1,0 +1,171 @@
+"""What a move of free bodies finds, and meets of that, in the arrays of `columns`."""
+
+import numpy as np
+
+from nsdyn._kernels.collision.search import LEFT, gather, seek
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.dynamics import motion
+from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.stepping import columns as col
+from nsdyn._kernels.stepping import free, law, persistence, sight, touching
+
+DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD, MORE = range(6)
+"""How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
+the problem is to be solved; the geoms where it ends; there is no room for so many contacts. After LOOK, SOLVE and
+LOOK_AHEAD it goes on with what Python has done."""
+
+
+@in_place
+def look(detection, ready, looked, begun, into, head, which, most):
+    """Find contacts, which go on from begun = (some, next key), and `DONE`; else `LOOK`, or `MORE` if they are many."""
+    (geoms, pairs, limit, tolerance), (before, next_key) = detection, begun
+    count = seek(geoms, pairs, limit, ready, looked)
+    if count == LEFT:
+        return LOOK
+    head[which] = head[col.NEEDED] = count
+    if count > most or col.FOUND * count > into[0].size:
+        return MORE
+    room = col.contacts(into, count)
+    head[col.KEY_MIDDLE + which - col.MIDDLE] = gather(geoms, pairs, tolerance, (before[0], before[1]), next_key, room)
+    into[1][col.FOUND_NAMES * count + col.MADE] = 0
+    return DONE
+
+
+@kernel
+def catch(num, bodies, contacts, last, old, w, barred, out):
+    """Which contacts that are found the move meets, into out (nc,), as of `nsdyn.stepping.sight.caught`; how many.
+
+    bodies = (arm, radii of balls inside the shapes), contacts = (those where the move begins, those found), old: the
+    bodies where it begins.
+    """
+    (arm, inscribed), h, size = bodies, num[col.STEP], int(num[col.GEOMS])
+    n = arm.size
+    (names, points, scalars), (before, begun, known) = contacts[1], contacts[0]
+    nc, v, v_begin, x = (
+        names.shape[1],
+        col.velocity(w, col.V_FREE, n),
+        col.velocity(old, col.V, n),
+        col.vectors(w, col.X, n),
+    )
+    rate, twists, gap = np.empty(v.size), np.empty((5, 2, n, 3)), known[0].copy()
+    for i in range(rate.size):
+        rate[i] = (v[i] - v_begin[i]) / h
+    closed, tol, bounces_of = num[col.CLOSED], num[col.TOL], (num[col.HALF], num[col.LEAST])
+    if num[col.ELASTIC] > 0.0 and known[2].any():
+        R, where = col.rotations(old, col.R, n), (before[2], before[3], begun[0], begun[1], col.vectors(old, col.X, n))
+        motion.twists(R, v_begin, n, twists[3, 0], twists[3, 1])
+        motion.twists(R, rate, n, twists[4, 0], twists[4, 1])
+        moving = (twists[3, 0], twists[3, 1]), (twists[4, 0], twists[4, 1])
+        sight.parting(where, np.zeros(gap.size), known[0], known[2], moving, (closed, tol, bounces_of), gap)
+    if touching.all_known(names[4], before[4], gap, closed):
+        out[:] = True
+        return nc
+    pair, deep, R = np.empty(nc, np.int64), np.empty(nc), col.rotations(w, col.R_THERE, n)
+    for c in range(nc):
+        pair[c] = names[0, c] * size + names[1, c]
+        deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
+    motion.twists(R, v_begin, n, twists[0, 0], twists[0, 1])
+    motion.twists(R, v, n, twists[1, 0], twists[1, 1])
+    motion.twists(R, rate, n, twists[2, 0], twists[2, 1])
+    sight.caught(
+        (names[4], pair, deep, scalars[0], scalars[2]),
+        (names[2], names[3], points[0], points[1], x),
+        np.zeros(nc),
+        ((twists[0, 0], twists[0, 1]), (twists[1, 0], twists[1, 1]), (twists[2, 0], twists[2, 1])),
+        (before[4], gap, closed),
+        last,
+        (num[col.THETA] * h, h, tol, bounces_of),
+        barred,
+        out,
+    )
+    return out.sum()
+
+
+@in_place
+def take(found, which, into):
+    """The contacts `which` (nc,) of those found."""
+    k = 0
+    for c in range(which.size):
+        if which[c]:
+            for i in range(5):
+                into[0][i, k] = found[0][i, c]
+            for i in range(4):
+                for j in range(3):
+                    into[1][i, k, j] = found[1][i, c, j]
+            for i in range(3):
+                into[2][i, k] = found[2][i, c]
+            k += 1
+
+
+@in_place
+def closing_of(num):
+    """As of `Closing`."""
+    return num[col.CLOSED], num[col.SHALLOW], num[col.THETA] * num[col.STEP], num[col.UNTIL]
+
+
+@in_place
+def pose(num, masses, begin, last, met, rows, room, out):
+    """The problem of the step: the size of H, the norm of b, and its validity.
+
+    begin = (contacts where the step begins, its bodies), last = (keys, forces, states) of what acted last, rows as of
+    `free.meet`, room = (w, own), out = (place, slides, b).
+    """
+    (w, own), (place, slides, b), n = room, out, masses[0].size
+    nc = place.size
+    (names, points, _), old = begin
+    x, R = col.vectors(w, col.LOOKED_THERE, n), col.rotations(w, col.LOOKED_THERE + 3, n)
+    return free.meet(
+        masses,
+        (met[0][4], met[0][2], met[0][3], met[1][0], met[1][1], met[2][0], x, R),
+        (
+            names[4],
+            points[0],
+            points[1],
+            col.vectors(old, col.X, n),
+            col.vectors(old, col.LINEAR, n),
+            col.vectors(old, col.ANGULAR, n),
+            col.column(w, col.REACH, n),
+        ),
+        (col.velocity(old, col.V, n), col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_FREE, n)),
+        (last[0], last[1], num[col.STEP], last[2]),
+        (met[2][1], met[2][2], closing_of(num)),
+        rows,
+        (own[: col.ALONE * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc), place, slides, b),
+    )
+
+
+@kernel
+def strikes(num, met, local, rate, w):
+    """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`, should its gap close."""
+    (names, points, scalars), n = met, rate.size // 6
+    rates, where = np.empty((2, n, 3)), (names[2], names[3], points[0], points[1], col.vectors(w, col.X, n))
+    motion.twists(col.rotations(w, col.R_THERE, n), rate, n, rates[0], rates[1])
+    for c in range(names.shape[1]):
+        if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0:
+            weight, bounces_of = touching.weight_of(c, where, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])
+            resting = num[col.TOL] + sight.rests_of(weight, scalars[2, c], bounces_of) / scalars[2, c]
+            if local[0, 3 * c] < -resting:
+                return True
+    return False
+
+
+@in_place
+def lasting(num, met, names, own, flags, was, b):
+    """What persists, into the flags, as of `persistence.persists`, and the problem with that, if it has other gaps.
+
+    names = (begin, acted, warm): (keys, gaps), (keys, pairs) and (keys, pairs, states). What contacts were goes into
+    was (nc,). Returns whether the problem is valid.
+    """
+    (begin, acted, warm), nc, none = names, was.size, own[:0]
+    local, end_gap, late = (
+        own[: col.ALONE * nc].reshape((5, 3 * nc)),
+        col.column(own, col.FORESEEN, nc),
+        col.column(own, col.LATE, nc),
+    )
+    slides, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
+    late[:] = 0.0
+    before, limits = (begin[0], begin[1], num[col.CLOSED], num[col.STEP]), (none, slides[:0])
+    if persistence.persists(acted, warm, before, limits, local, end_gap, False, (stays, sticks, was)):
+        law.offsets(local, (end_gap, met[2][2], none, late, closing_of(num)), stays, slides, b)
+        return _blocks.size_of(b, met[2][1])[1]
+    return True

@@ -1,0 +1,192 @@
+"""What contacts of free bodies do in a move, where it then ends, and gaps there, in the arrays of `columns`."""
+
+import numpy as np
+
+from nsdyn._kernels.collision import keys
+from nsdyn._kernels.collision.search import fields_of, room_of
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.reductions import copy
+from nsdyn._kernels.solvers.start import by_factors, widest
+from nsdyn._kernels.stepping import columns as col
+from nsdyn._kernels.stepping import free, law, persistence, touching
+from nsdyn._kernels.stepping.quiet_meeting import DONE, OTHERWISE, SOLVE, closing_of
+from nsdyn._kernels.stepping.workless import PASSES, SOLVES, workless
+from nsdyn._kernels.stepping.workless import SOLVE as UNSOLVED
+
+
+@kernel
+def too_wide(num, blocks):
+    """Whether an island has more coordinates than are solved here."""
+    return num[col.OWN] == 0.0 or widest(blocks, np.empty(blocks[1].shape[0], np.int64))[0] > int(num[col.DENSE])
+
+
+@in_place
+def rests(num, n, rows, met, flags, label, room):
+    """Whether a solve is all it takes, since nothing turns, nor slips otherwise than foreseen; then it is made."""
+    (blocks, _, scales), (out, w, own, a) = rows, room
+    nc, mu, h = scales.size, met[2][1], num[col.STEP]
+    v, v_free, change = col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_FREE, n), col.velocity(w, col.CHANGE, n)
+    mean, local, slides = (
+        col.velocity(w, col.V_MEAN, n),
+        own[: col.ALONE * nc].reshape((5, 3 * nc)),
+        flags[col.SLIDES, :nc],
+    )
+    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    copy(v_free, col.velocity(w, col.V_TURNED, n))
+    change[:] = 0.0
+    if nc == 0:
+        return True
+    if num[col.OWN] == 0.0 or persistence.turns(v, n, h):
+        return False
+    copy(local[4], r)
+    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
+    islands = own[col.ISLANDS * nc : (col.ISLANDS + 3) * nc].reshape((3, nc))
+    given = blocks, b, mu, scales, r, u, label, islands, num[col.ENOUGH], num[col.GOOD], limits
+    _, left, count, top, residual = by_factors(*given)
+    error, before = top / out[col.NORM], flags[col.OTHER, :nc]
+    copy(slides, before)
+    if left or not (error <= num[col.TOL] and residual <= num[col.TOL]):
+        return False
+    if law.reconsider(r, u, b, mu, local, slides, False):
+        copy(before, slides)
+        return False
+    _blocks.velocity_change(blocks, r, change)
+    for i in range(mean.size):
+        mean[i] = 0.5 * (v[i] + v_free[i] + change[i])
+    out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
+    return not persistence.turns(mean, n, h)
+
+
+@kernel
+def respond(num, bodies, rows, met, flags, again, head, room):
+    """Impulses, and couples with which contacts that persist do no work; `DONE`, `SOLVE` or `OTHERWISE`.
+
+    From the gaps that they are found to end with, if those were corrected; `again` where Python has solved the problem.
+    bodies = (inverse_J, arm).
+    """
+    (inverse_J, arm), (blocks, _, scales), (out, w, own, a) = bodies, rows, room
+    nc, none = scales.size, own[:0]
+    n, mu, laws_of = arm.size, met[2][1], met[2][2]
+    v, v_free, turned = (
+        col.velocity(w, col.V_THERE, n),
+        col.velocity(w, col.V_FREE, n),
+        col.velocity(w, col.V_TURNED, n),
+    )
+    local, alone = (
+        own[: col.ALONE * nc].reshape((5, 3 * nc)),
+        own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc)),
+    )
+    end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
+    slides, stays, off = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.OFF, :nc]
+    couple, dv, change = col.vectors(a, col.COUPLE, nc), col.velocity(w, col.TURN, n), col.velocity(w, col.CHANGE, n)
+    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    mean = col.velocity(w, col.V_MEAN, n)
+    laws, first = (end_gap, laws_of, none, late, closing_of(num)), head[col.GAPS_LEFT] == law.GAPS
+    kept_r, kept_u, left_over = r, u, col.column(own, col.LEFT_OVER, nc)
+    left_over[:] = np.inf
+    if again:
+        if law.reconsider(r, u, b, mu, local, slides, False):
+            return OTHERWISE
+        _blocks.velocity_change(blocks, r, change)
+    else:
+        if not first:
+            kept_r, kept_u = r.copy(), u.copy()
+        for k in range(5):
+            copy(alone[k], local[k])
+        if head[col.TURNED]:
+            _blocks.relative_velocity(blocks, dv, u)
+            for i in range(u.size):
+                local[2, i] += u[i]
+        if not first:
+            law.offsets(local, laws, stays, slides, b)
+        copy(local[4], r)
+    passes = PASSES if stays.any() else 0
+    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
+    code, left, _, solved, error, residual, count = workless(
+        blocks,
+        (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
+        (v, v_free),
+        (col.rotations(w, col.R_THERE, n), inverse_J, arm, num[col.STEP]),
+        (mu, scales, alone, kept_r, kept_u),
+        (stays, flags[col.STICKS, :nc], slides),
+        laws,
+        off[:0] if first else off,
+        (num[col.OWN] > 0.0, num[col.ENOUGH], num[col.GOOD], limits, num[col.TOL], SOLVES),
+        (not again, False, passes),
+        (couple, dv, change, mean, left_over, flags[col.OTHER, :nc], local, b, r, u),
+    )
+    if code == UNSOLVED:
+        return SOLVE if first and solved == 0 and not again else OTHERWISE
+    if solved > 0:
+        out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
+    if left < passes:
+        head[col.TURNED] = 1
+    if head[col.TURNED]:
+        R, works = col.rotations(w, col.R_THERE, n), col.column(own, col.COUPLE_WORK, nc)
+        persistence.works(met[0][2], met[0][3], n, R, mean, couple, works)
+        for i in range(turned.size):
+            turned[i] = v_free[i] + dv[i]
+    norm, _ = _blocks.size_of(b, mu)
+    out[col.NORM] = norm if norm > 0.0 else 1.0
+    return DONE
+
+
+@in_place
+def arrive(num, bodies, arm, f, w):
+    """The second half of a step; whether contacts are those where the impulses acted."""
+    n = arm.size
+    return free.end(
+        col.velocity(w, col.V_TURNED, n),
+        col.velocity(w, col.CHANGE, n),
+        bodies,
+        (col.vectors(w, col.X, n), col.quaternions(w, col.QUATERNION, n)),
+        num[col.THETA] * num[col.STEP],
+        (col.placed(w, col.LOOKED_THERE, n), col.column(w, col.NEAR, n), arm, num[col.STILL]),
+        (
+            col.velocity(w, col.V_PLUS, n),
+            col.vectors(f, col.X, n),
+            col.quaternions(f, col.QUATERNION, n),
+            col.velocity(f, col.V, n),
+            col.rotations(f, col.R, n),
+            col.vectors(f, col.LINEAR, n),
+            col.vectors(f, col.ANGULAR, n),
+        ),
+    )
+
+
+@in_place
+def end_gaps(geoms, met, now, f, n, gap):
+    """Gaps of the contacts met where the step ends, as of `Detector.gaps`, into gap (nc,)."""
+    (names, points, _), (found, _, scalars) = met, now
+    if not keys.kept(names[4], found[4], scalars[0], gap):
+        keys.gaps(
+            fields_of(geoms),
+            (col.vectors(f, col.X, n), col.rotations(f, col.R, n)),
+            room_of(geoms),
+            (names[0], names[1], points[1], names[4]),
+            (found[0], found[1], found[4], scalars[0]),
+            gap,
+        )
+
+
+@kernel
+def corrects(num, n, met, now, flags, room):
+    """Whether contacts that persist end with gaps that are to be closed, as of `Encounter.corrected`."""
+    (out, _, own, a), (names, points, _), nc = room, now, met[0].shape[1]
+    f, gap, r = out[col.RESULTS :], col.column(a, col.GAP_END, nc), a[col.IMPULSE * nc : col.U * nc]
+    stays, off, alone = (
+        flags[col.STAYS, :nc],
+        flags[col.OFF, :nc],
+        own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc)),
+    )
+    if not law.off(gap, r, stays, num[col.CLOSED], off):
+        return False
+    parts, twists = np.empty(names.shape[1]), (col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
+    touching.approach((names[2], names[3], points[0], points[1], col.vectors(f, col.X, n)), twists, parts)
+    ended, sizes = (names[4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], num[col.CLOSED])
+    end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
+    if not law.end_otherwise(off, gap, met[0][4], ended, alone, sizes, end_gap, late):
+        return False
+    copy(r, alone[4])
+    return True
