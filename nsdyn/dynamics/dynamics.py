@@ -21,7 +21,7 @@ from nsdyn.dynamics.layout import rotation
 from nsdyn.dynamics.tree_values import FreeMotion
 from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice, unknown
 
 __all__ = ["Controls", "Dynamics", "Wrenches"]
@@ -215,10 +215,6 @@ class Dynamics(Kinematics):
         slots = joints.slot[pressed]
         clutches = nc + pressed, joints.clutch[:, pressed], self.joints.other[slots] >= 0, self.joints.ball[slots]
         return Rows(self.joints.append(joints, full), bases, *clutches), frame
-
-    def free_rows(self, block: Index, start: Index, H: Array) -> Rows:
-        """Factors of contacts of free bodies alone, as of `Blocks`."""
-        return Rows(Blocks(self.offset, block, start, H, self.m_start, self._m, self._minv), NOTHING, *NO_CLUTCHES)
 
     # -- energies ---------------------------------------------------------------------------------------------------
 

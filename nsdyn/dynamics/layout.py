@@ -158,6 +158,7 @@ class Layout:
         )
         self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
         self.alone = self._bodies_only and not self.surfaces.count
+        self.loose = not (self._constrained or self.surfaces.count)
 
     @staticmethod
     def _velocity(body: Any) -> Array:

@@ -77,7 +77,8 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
             impulses.joints[4, t.coordinates] = displacement(t.model, q, there)
     energies: Energies = ()
     if d.trees:
-        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, impulses, own, left)
+        acted = impulses.joints, impulses.links
+        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, acted, own, left)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     end = Instant(
@@ -103,7 +104,7 @@ def tree_works(
     ends: tuple[TreeEnd, ...],
     impulse: Array,
     lifted: Position,
-    acted: Impulses,
+    acted: tuple[Array, Array],
     own: Works,
     left: Bools | None = None,
 ) -> tuple[Works, Energies]:
@@ -111,12 +112,12 @@ def tree_works(
 
     Trees that are not among the nodes `left` are passed over.
 
-    The forces leave v, with the impulses H r of contacts and joint rows; those of actuation, of external wrenches and
-    the most that actuators may give go into rows 0, 3 and 5 of `acted.joints`, the change of velocity of driven joints
-    into row 6, the wrenches into `acted.links`.
+    The forces leave v, with the impulses H r of contacts and joint rows; acted = (joints, links), as of `Impulses`:
+    those of actuation, of external wrenches and the most that actuators may give go into rows 0, 3 and 5 of the joints,
+    the change of velocity of driven joints into row 6, the wrenches into the links.
     """
     external, normal, friction, damping, constraint, integration, projection = own
-    energies, joints, link = [], acted.joints, 0
+    energies, (joints, links), link = [], acted, 0
     of_trees = zip(
         s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
     )
@@ -128,7 +129,7 @@ def tree_works(
             continue
         w = t.works(before, free, v[k], end, q, impulse[k], energy, joints)
         if free.loads.wrenches is not None:
-            acted.links[first:link] = half.h * free.loads.wrenches
+            links[first:link] = half.h * free.loads.wrenches
         joints[6, k] = t.speeding(before.begin_v, free.loads.rates)
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint

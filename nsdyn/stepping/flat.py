@@ -1,4 +1,4 @@
-"""States of free bodies as a few arrays, as `nsdyn._kernels.stepping.quiet` takes them, and what they tell."""
+"""States as a few arrays, as `nsdyn._kernels.stepping.quiet` takes them, and what they tell."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
-from nsdyn.dynamics.values import Placement
+from nsdyn.dynamics.values import Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
@@ -37,8 +37,8 @@ class Found(NamedTuple):
 
     Attributes
     ----------
-    floats : ndarray, shape (61 nc,)
-        Points, normals, points in both frames; gaps, mu, restitution; frames; H; scales.
+    floats : ndarray
+        Points, normals, points in both frames; gaps, mu, restitution; frames; scales; H.
     integers : ndarray of int, shape (9 nc + 2,)
         Both geoms, both frames, keys; blocks, their starts; the size of H and whether rows are made.
     """
@@ -48,7 +48,13 @@ class Found(NamedTuple):
 
     def of(self, nc: int) -> Found:
         """The same, with as many contacts as there are in a room for more."""
-        return Found(self.floats[: _col.FOUND * nc], self.integers[: _col.FOUND_NAMES * nc + 2])
+        return Found(self.floats, self.integers[: _col.FOUND_NAMES * nc + 2])
+
+    def anew(self) -> Found:
+        """The same, for other rows."""
+        integers = self.integers.copy()
+        integers[_col.MADE - 2] = 0
+        return Found(self.floats.copy(), integers)
 
     @property
     def nc(self) -> int:
@@ -78,19 +84,35 @@ class Found(NamedTuple):
     @property
     def frame(self) -> Array:
         """Directions of the contacts, shape (nc, 3, 3)."""
-        return self.floats[_col.FRAMES * self.nc : _col.ROWS * self.nc].reshape(-1, 3, 3)
+        return self.floats[_col.FRAMES * self.nc : _col.SCALES * self.nc].reshape(-1, 3, 3)
 
     @property
     def scales(self) -> Array:
         """λ_max(W_cc), shape (nc,), 1/kg."""
-        return self.floats[_col.SCALES * self.nc :]
+        return self.floats[_col.SCALES * self.nc : _col.ROWS * self.nc]
 
-    def blocks(self, d: Dynamics) -> Blocks:
-        """Factors of W."""
+    def blocks(self, d: Dynamics, masses: tuple[Array, Array]) -> Blocks:
+        """Factors of W, with M and its inverse."""
         nc, i = self.nc, self.integers
         block, start = (i[k * nc : (k + 2) * nc].reshape(-1, 2) for k in (_col.BLOCKS, _col.STARTS))
         H = self.floats[_col.ROWS * nc :][: i[_col.SIZE - 2]]
-        return d.free_rows(block, start, H).full
+        return Blocks(d.offset, block, start, H, d.m_start, *masses)
+
+
+class Acting(NamedTuple):
+    """What acts in a step besides contacts, and is no column of its arrays.
+
+    Attributes
+    ----------
+    masses : two ndarrays
+        M̃ and its inverse, as of `Forces`.
+    joints, links : ndarray
+        As of `Impulses`.
+    """
+
+    masses: tuple[Array, Array]
+    joints: Array
+    links: Array
 
 
 class Flat(NamedTuple):
@@ -110,7 +132,8 @@ class Flat(NamedTuple):
     next_key : int
     opening : Opening, optional
     like : Instant
-        What never changes is that of this one.
+        What is no column is that of this one: all of the trees but their velocities.
+    acting : Acting
     """
 
     origin: float
@@ -124,6 +147,12 @@ class Flat(NamedTuple):
     next_key: int
     opening: Opening | None
     like: Instant
+    acting: Acting
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Frames and coordinates."""
+        return self.like.placement.x.shape[0], self.like.v.size
 
     @property
     def t(self) -> float:
@@ -136,67 +165,80 @@ class Flat(NamedTuple):
         return float(self.floats[_col.KINETIC]), float(self.floats[_col.POTENTIAL])
 
     @classmethod
-    def of(cls, state: State) -> Flat | None:
-        """The same as arrays; None where contacts are remembered that are not there."""
+    def of(cls, state: State, acting: Acting, wide: int) -> Flat | None:
+        """The same as arrays; None where contacts are remembered that are not there. Rows of W have `wide` numbers."""
         s = state.instant
-        if (given := packed(s, state.rate)) is None:
+        if (given := packed(s, state.rate, wide)) is None:
             return None
         (floats, acted, status), found = given
         floats[: _col.BOUND] = 0.0
         floats[_col.KINETIC], floats[_col.POTENTIAL] = state.energies
         key = s.memory.next_key
-        return cls(state.origin, state.dt, state.count, floats, acted, status, found, found, key, state.opening, s)
+        return cls(
+            state.origin, state.dt, state.count, floats, acted, status, found, found, key, state.opening, s, acting
+        )
 
-    def body(self, first: int, width: int) -> Array:
-        """So many columns of the bodies from one on, as one array."""
-        n = self.like.placement.x.shape[0]
+    def frame(self, first: int, width: int) -> Array:
+        """So many columns of the frames from one on, (frames, width)."""
+        n, _ = self.size
         begin = _col.RESULTS + first * n
-        return self.floats[begin : begin + width * n]
+        return self.floats[begin : begin + width * n].reshape(n, width)
+
+    def coordinate(self, column: tuple[int, int]) -> Array:
+        """A column of the coordinates, (n,)."""
+        n, nv = self.size
+        begin = _col.RESULTS + column[0] * n + column[1] * nv
+        return self.floats[begin : begin + nv]
 
     def contact(self, first: int, width: int = 1) -> Array:
         """So many columns of the contacts from one on, as one array."""
-        nc, n = self.status.size, self.like.placement.x.shape[0]
-        begin = _col.RESULTS + _col.BODY * n + first * nc
+        nc, (n, nv) = self.status.size, self.size
+        begin = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv + first * nc
         return self.floats[begin : begin + width * nc]
 
     def instant(self) -> Instant:
         """Its end."""
-        x, quaternion = self.body(_col.X, 3).reshape(-1, 3), self.body(_col.QUATERNION, 4).reshape(-1, 4)
-        R = self.body(_col.R, 9).reshape(-1, 3, 3)
-        looked = (
-            self.body(_col.LOOKED, 3).reshape(-1, 3),
-            self.body(_col.LOOKED + 3, 9).reshape(-1, 3, 3),
-            self.body(_col.LOOKED + 12, 1),
-        )
-        nc, like = self.status.size, self.like
-        force = self.contact(_col.FORCE, 3).reshape(-1, 3)
+        nc, like, (x, R) = self.status.size, self.like, self.poses
+        looked = self.frame(_col.LOOKED, 3), self.frame(_col.LOOKED + 3, 9).reshape(-1, 3, 3)
         return Instant(
-            like.position.moved(x, quaternion),
-            self.body(_col.V, 6),
-            Placement(x, R, ()),
+            self.position,
+            self.coordinate(_col.V),
+            Placement(x, R, like.placement.links),
             self.found.contacts(),
             like.limits,
             ContactMemory(self.found.names, self.found.points, self.next_key),
-            Looked(*looked),
-            Warm(self.acted[:nc], self.acted[nc:], force, self.status, like.warm.joints),
+            Looked(*looked, self.frame(_col.LOOKED + 12, 1).ravel()),
+            Warm(
+                self.acted[:nc],
+                self.acted[nc:],
+                self.contact(_col.FORCE, 3).reshape(-1, 3),
+                self.status,
+                like.warm.joints,
+            ),
             self.twists,
-            (),
+            like.energies,
         )
 
     @property
+    def position(self) -> Position:
+        """Where everything is."""
+        free = self.like.position.x.shape[0]
+        return self.like.position.moved(self.frame(_col.X, 3)[:free], self.frame(_col.QUATERNION, 4)[:free])
+
+    @property
     def twists(self) -> tuple[Array, Array]:
-        """Velocities of the bodies, m/s and rad/s, (n, 3) each, world axes."""
-        return self.body(_col.LINEAR, 3).reshape(-1, 3), self.body(_col.ANGULAR, 3).reshape(-1, 3)
+        """Velocities of the frames, m/s and rad/s, (frames, 3) each, world axes."""
+        return self.frame(_col.LINEAR, 3), self.frame(_col.ANGULAR, 3)
 
     @property
     def poses(self) -> Poses:
-        """Where the bodies are."""
-        return Poses(self.body(_col.X, 3).reshape(-1, 3), self.body(_col.R, 9).reshape(-1, 3, 3))
+        """Where the frames are."""
+        return Poses(self.frame(_col.X, 3), self.frame(_col.R, 9).reshape(-1, 3, 3))
 
     def problem(self, d: Dynamics) -> FC3D:
         """The problem of the step."""
         b, norm = self.contact(_col.FREE, 3), float(self.floats[_col.NORM])
-        return FC3D.prepared(self.met.blocks(d), b, self.met.scalars[1], self.met.scales, norm)
+        return FC3D.prepared(self.met.blocks(d, self.acting.masses), b, self.met.scalars[1], self.met.scales, norm)
 
     def solution(self, tol: float) -> Solution:
         """Its solution, to a solver's tolerance or accepted all the same."""
@@ -207,22 +249,26 @@ class Flat(NamedTuple):
 
     def state(self) -> State:
         """The state as the general step takes it."""
-        rate = self.body(_col.RATE, 6)
+        rate = self.coordinate(_col.RATE)
         return State(self.origin, self.dt, self.count, self.instant(), rate, self.energies, self.opening)
 
 
-def packed(s: Instant, rate: Array) -> tuple[Acted, Found] | None:
-    """A state of free bodies and what was found there, as the kernel takes them; its results are not set."""
+def packed(s: Instant, rate: Array, wide: int) -> tuple[Acted, Found] | None:
+    """A state and what was found there, as the kernel takes them; its results are not set, nor rows of W.
+
+    These have `wide` numbers. None where contacts are remembered that are not there.
+    """
     m, c, w = s.memory, s.contacts, s.warm
     nc, p, acted = c.gap.size, s.position, np.concatenate((w.key, w.pair))
     if m.names.shape[1] != nc or not np.array_equal(m.names, [*c[:4], c.key]):
         return None
     if not (np.array_equal(m.points[0], c.point) and np.array_equal(m.points[1], c.normal)):
         return None
-    floats = [m.points.ravel(), c.gap, c.mu, c.restitution, np.empty((_col.FOUND - _col.FRAMES) * nc)]
+    floats = [m.points.ravel(), c.gap, c.mu, c.restitution, np.empty((_col.ROWS - _col.FRAMES + wide) * nc)]
     found = Found(np.concatenate(floats), np.concatenate((m.names.ravel(), np.zeros(4 * nc + 2, np.int64))))
-    bodies = p.x, p.quaternion, s.v, s.placement.R, *s.twists, *s.looked, rate, w.force
-    room = np.empty(_col.RESULTS), *[column.ravel() for column in bodies]
+    turns = np.concatenate((p.quaternion, np.zeros((s.placement.x.shape[0] - p.x.shape[0], 4))))
+    columns = s.placement.x, turns, s.placement.R, *s.twists, *s.looked, s.v, rate, w.force
+    room = np.empty(_col.RESULTS), *[column.ravel() for column in columns]
     more = np.empty((_col.CONTACT - _col.IMPULSE) * w.key.size)
     return (np.concatenate((*room, more)), acted, w.status), found
 
@@ -254,16 +300,16 @@ class Untold(NamedTuple):
     def told(self) -> dict[str, Any]:
         """What the step did, by the names of `Step`."""
         flat, d, nc = self.flat, self.dynamics, self.nc
-        x, quaternion = flat.body(_col.X, 3).reshape(-1, 3), flat.body(_col.QUATERNION, 4).reshape(-1, 4)
-        q, v = d.pinocchio_state(flat.like.position.moved(x, quaternion), flat.body(_col.V, 6))
+        x, quaternion = d.poses(flat.position, Placement(*flat.poses, ()))
+        q, v = d.pinocchio_state(flat.position, flat.coordinate(_col.V))
         ledger, certificate = _sums(self.before, flat.floats[: _col.RESULTS].tolist(), 0.0)
         return {
             "q": q,
             "v": v,
-            "frames_x": None,
-            "frames_quat": None,
-            "joints": None,
-            "links": d.no_push,
+            "frames_x": x,
+            "frames_quat": quaternion,
+            "joints": flat.acting.joints[:, 6 * d.free :] if d.trees else None,
+            "links": flat.acting.links,
             "pieces": None,
             "created": 0.0,
             "ledger": ledger,
@@ -282,26 +328,35 @@ class Untold(NamedTuple):
 
     @staticmethod
     def steps(some: Sequence[Untold]) -> Step:
-        """What m steps of a scene did but for their contacts, every array with a leading axis of m."""
-        like, d, m = some[0].flat.like, some[0].dynamics, len(some)
-        n, nothing = like.placement.x.shape[0], np.zeros(m)
-        f: Any = np.concatenate([one.flat.floats[: _col.RESULTS + _col.R * n] for one in some]).reshape(m, -1)
-        results, bodies = f[:, : _col.RESULTS].T, f[:, _col.RESULTS :]
-        x, quaternion = bodies[:, : 3 * n].reshape(-1, 3), bodies[:, 3 * n : 7 * n].reshape(-1, 4)
-        q, v = d.pinocchio_state(like.position.moved(x, quaternion), bodies[:, 7 * n :].ravel())
+        """What m steps of a scene did but for their contacts, arrays with a leading axis of m, of joints (7, m)."""
+        first, d, m, nothing = some[0].flat, some[0].dynamics, len(some), np.zeros(len(some))
+        x = quaternion = joints = links = pieces = None
+        if d.trees:
+            told = [one.told() for one in some]
+            q, v, x, quaternion, links = (
+                np.stack([t[name] for t in told]) for name in ("q", "v", "frames_x", "frames_quat", "links")
+            )
+            joints, pieces = np.stack([t["joints"] for t in told], axis=1), (None,) * m
+        else:
+            columns = [
+                np.concatenate([one.flat.frame(*of) for one in some]) for of in ((_col.X, 3), (_col.QUATERNION, 4))
+            ]
+            v = np.concatenate([one.flat.coordinate(_col.V) for one in some])
+            q, v = (a.reshape(m, -1) for a in d.pinocchio_state(first.position.moved(*columns), v))
+        results: Any = np.array([one.flat.floats[: _col.RESULTS] for one in some]).T
         ledger, certificate = _sums(np.array([one.before for one in some]).T, results, nothing)
         error, residual, count, time = results[_col.ERROR : _col.CERTIFIED]
         good = np.maximum(error, residual) <= some[0].scheme[1]
         status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)
         return Step(
             t=np.array([one.flat.t for one in some]),
-            q=q.reshape(m, -1),
-            v=v.reshape(m, -1),
-            frames_x=None,
-            frames_quat=None,
-            joints=None,
-            links=None,
-            pieces=None,
+            q=q,
+            v=v,
+            frames_x=x,
+            frames_quat=quaternion,
+            joints=joints,
+            links=links,
+            pieces=pieces,
             created=nothing,
             ledger=ledger,
             gauss=certificate,
@@ -315,7 +370,7 @@ class Untold(NamedTuple):
         if all(each is met[0] for each in met):  # what rests touches where it touched
             met = met[:1]
         names = np.stack([each.names for each in met], axis=1)
-        found = np.concatenate([each.floats[: _col.ROWS * nc] for each in met]).reshape(len(met), -1)
+        found = np.concatenate([each.floats[: _col.SCALES * nc] for each in met]).reshape(len(met), -1)
         acted = np.concatenate([one.flat.contact(0, _col.CONTACT) for one in some]).reshape(m, -1)
         status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
         return Step(**_contacts(names, found, acted, status, some[0]._time(1, nc)))
@@ -323,8 +378,8 @@ class Untold(NamedTuple):
 
 def _sums(before: Any, results: Any, nothing: Any) -> tuple[Ledger, Certificate]:
     """Ledger and certificate of a step, or of many as arrays, from the energies before it and from its results."""
-    external, normal, friction, numerics = results[_col.EXTERNAL : _col.NORM]
-    works = Works(external, normal, friction, nothing, nothing, numerics, nothing)
+    external, normal, friction, damping, numerics = results[_col.EXTERNAL : _col.NORM]
+    works = Works(external, normal, friction, damping, nothing, numerics, nothing)
     return Ledger.of(before, results[: _col.EXTERNAL], works), Certificate(*results[_col.GAP : _col.WENT])
 
 

@@ -14,8 +14,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Solver
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.state import Step
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["JAM", "Paradoxes"]
 
@@ -49,25 +48,12 @@ class Paradoxes:
         steep = 2.0 * radius / np.maximum(arm[:free], 1e-300)
         self.possible = mu > 0.0 and bool(dynamics.trees or (mu > steep).any())
 
-    def met(self, step: Step, rate: Array) -> bool:
-        """Whether there is one in a step of free bodies in one move, whose free acceleration is `rate` (n,)."""
-        s, nc = step, step.gap.size
-        none = np.empty((7, 0)), np.empty((0, 6))
-        acted = Impulses(
-            s.contacts,
-            s.frame,
-            s.u,
-            s.r,
-            s.contact_status,
-            s.couple,
-            s.work_normal,
-            s.work_friction,
-            *none,
-            0.0,
-            s.contact_time,
-            s.dt,
-        )
-        return nc > 0 and self.told([acted], [(s.problem, s.solution)], Works(), s.dt, rate)[2] is not None
+    def met(self, problem: FC3D, solution: Solution, dt: float, rate: Array) -> bool:
+        """Whether there is one in a step of one move and the contacts of a problem alone, as of `told`."""
+        if not solution.accepted:
+            return False
+        jam = self._jam(problem, solution, problem.nc, dt, rate)
+        return (jam is not None and bool(jam.any())) or self._several(problem, solution)
 
     def told(
         self, done: list[Impulses], solved: list[tuple[FC3D, Solution]], works: Works, dt: float, rate: Array
@@ -81,19 +67,26 @@ class Paradoxes:
             nc = done[k].contacts.gap.size
             if not (nc and problem.nc >= nc and done[k].duration and solution.accepted):
                 continue
-            load, change = _kernels.stopped(problem.q, solution.u, solution.r, nc)
-            if change > paradox.ODD * load:
-                fall = dt * float(np.abs(rate).max(initial=0.0))
-                jam = paradox.jams(problem, solution, nc, fall, self._solver)
-                if jam.any():
-                    acted, status = done[k], Status.JAM
-                    moved = np.where(jam, acted.friction, 0.0)
-                    states = np.where(jam, JAM, acted.status).astype(np.int8)
-                    normal, friction = acted.normal + moved, acted.friction - moved
-                    done[k] = acted._replace(status=states, normal=normal, friction=friction)
-                    total = math.fsum(moved)
-                    works = works._replace(normal=works.normal + total, friction=works.friction - total)
-            if status is None and problem.nc <= FEW:
-                other = paradox.others(problem, solution.r, self._solver, solution.u)
-                status = None if other is None else Status.SEVERAL
+            jam = self._jam(problem, solution, nc, dt, rate)
+            if jam is not None and jam.any():
+                acted, status = done[k], Status.JAM
+                moved = np.where(jam, acted.friction, 0.0)
+                states = np.where(jam, JAM, acted.status).astype(np.int8)
+                normal, friction = acted.normal + moved, acted.friction - moved
+                done[k] = acted._replace(status=states, normal=normal, friction=friction)
+                total = math.fsum(moved)
+                works = works._replace(normal=works.normal + total, friction=works.friction - total)
+            if status is None and self._several(problem, solution):
+                status = Status.SEVERAL
         return done, works, status
+
+    def _jam(self, problem: FC3D, solution: Solution, nc: int, dt: float, rate: Array) -> Bools | None:
+        """Which of the contacts, the first of a problem, jam; None where none is stopped by so much."""
+        load, change = _kernels.stopped(problem.q, solution.u, solution.r, nc)
+        if change <= paradox.ODD * load:
+            return None
+        return paradox.jams(problem, solution, nc, dt * float(np.abs(rate).max(initial=0.0)), self._solver)
+
+    def _several(self, problem: FC3D, solution: Solution) -> bool:
+        """Whether another velocity obeys the law."""
+        return problem.nc <= FEW and paradox.others(problem, solution.r, self._solver, solution.u) is not None

@@ -26,7 +26,7 @@ from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System
 from nsdyn.stepping.move import attempt
 from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import through, turns_far, undisturbed
+from nsdyn.stepping.passage import through, turns_far
 from nsdyn.stepping.response import Trial
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
@@ -81,10 +81,7 @@ class Islands:
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
         s = self.whole.during(t, h)
         callbacks = loads(t + (1.0 - s.theta) * h)
-        found, half = undisturbed(s, begin, t, h, callbacks)
-        if found is not None:
-            return found
-        half = half or first_half(s, begin, t, h, callbacks)
+        half = first_half(s, begin, t, h, callbacks)
         label, count = self._foreseen(begin, half)
         if count < 2:
             return through(self.whole, state, loads)

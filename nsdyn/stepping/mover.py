@@ -1,4 +1,4 @@
-"""Moves of free bodies under gravity alone, in one call of a kernel: `nsdyn._kernels.stepping.quiet`."""
+"""Moves in one call of a kernel, `nsdyn._kernels.stepping.quiet`, of free bodies, and of trees but for their motion."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from nsdyn._kernels.stepping import columns as _col
 from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn._kernels.stepping import quiet_meeting as _meeting
 from nsdyn.collision.contacts import ContactMemory, Looked
+from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.flat import Acted, Found, packed
+from nsdyn.stepping.flat import Acted, Acting, Found, packed
 from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
 from nsdyn.stepping.projection import Placed
+from nsdyn.stepping.quiet_trees import Motion
 from nsdyn.stepping.response import Reach, Response
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -68,7 +70,7 @@ class Made(NamedTuple):
 
 
 class Mover:
-    """Moves of a system of free bodies alone.
+    """Moves of a system under gravity alone, or of one with trees under whatever its `Motion` has.
 
     Parameters
     ----------
@@ -82,6 +84,7 @@ class Mover:
         d, solver, closing, own = s.dynamics, s.solver, s.closing(s.dt, False), isinstance(s.solver, Auto)
         moments, axes, inverse_mass, inverse_J, radius = d.bodies
         block_of_frame, offset, m_start, m, minv = d.masses
+        self.wide = 6 * int(np.diff(offset).max())
         numbers = (
             d.weight,
             s.dt,
@@ -101,14 +104,27 @@ class Mover:
             *LIMITS,
             WEAK,
             s.inscribed.size,
+            self.wide,
         )
-        floats = [moments, axes, inverse_mass, inverse_J, radius, d.mass, d.J, m, minv, d.gravity, d.no_load, s.arm]
-        floats += [d.nowhere, s.inscribed, np.array(numbers, dtype=float)]
-        *packed, views, _ = pack(floats, [block_of_frame, offset, m_start])
+        full = int(np.square(np.diff(offset)).sum())
+        trees = [(t.frames.start, len(t.joints), t.coordinates.start, t.model.nv) for t in d.trees]
+        supports = [t.support.astype(np.int64).ravel() for t in d.trees]
+        floats = [moments, axes, inverse_mass, inverse_J, radius, d.mass, d.J, np.empty(full), np.empty(full)]
+        floats += [d.gravity, d.no_load, d.no_load, s.arm, d.nowhere, s.inscribed, np.empty((d.n - 6 * d.free, 6))]
+        floats.append(np.array(numbers, dtype=float))
+        table = np.array(trees, dtype=np.int64).ravel(), np.concatenate([NO_PAIRS, *supports])
+        *packed, views, _ = pack(floats, [block_of_frame, offset, m_start, *table])
         self._arrays, self.numbers = tuple(packed), views[-1]
-        self._dynamics, self._solver, self._detector, self._size = d, solver, s.detector, d.free
+        self._views = views
+        for view, given in zip(views[_col.M : _col.MINV + 1], (m, minv), strict=True):
+            view[: given.size] = given
+        self._dynamics, self._solver, self._detector, self._size = d, solver, s.detector, (d.frames, d.n)
+        self.still = Acting((m, minv), d.no_impulses[1], d.no_push)
         self._smallest, self._dt, self._length, self._most = s.smallest, s.dt, (s.dt, s.depth), 0
-        self._work = _work(d.free, 0)
+        n, nv = self._size
+        self._acted = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv
+        self._own = _col.FRAME_WORK * n + _col.COORDINATE_WORK * nv
+        self._work = self._for_work(0)
         self._given: tuple[Instant | None, tuple[Acted, Found] | None] = None, None
 
     def __call__(
@@ -121,6 +137,7 @@ class Mover:
         barred: Index = NO_PAIRS,
         step: bool = False,
         moves: bool = True,
+        motion: Motion | None = None,
     ) -> Made | None:
         """The move of length = (h [s], depth) from a state; None where the kernel does not make it.
 
@@ -137,12 +154,16 @@ class Mover:
             As of the kernel.
         moves : bool
             Whether anything is likely to move, so that there should be room for what is found then.
+        motion : Motion, optional
+            Of trees.
         """
         detector = self._detector
         if length != self._length:
             self._set(length)
         self._most = max(self._most, begun.nc)
         new, rooms, work = self._rooms(moves, step)
+        if motion is not None:
+            self._load(motion.half, new[0], work[0])
         stage, ready, head = _meeting.DONE, False, work[1]
         while True:
             code = _quiet.quiet(
@@ -168,15 +189,48 @@ class Mover:
             if code == _meeting.MORE:
                 self._most = max(self._most, int(head[_col.NEEDED]))
                 new, rooms, work = self._rooms(True, step)
+                if motion is not None:
+                    self._load(motion.half, new[0], work[0])
                 stage, ready, head = _meeting.DONE, False, work[1]
                 continue
-            if code != _meeting.SOLVE:
-                n, ahead = self._size, code == _meeting.LOOK_AHEAD
+            if code == _meeting.MOVE:
+                if motion is None or not self._move(motion, new[0], work[0]):
+                    return None
+            elif code != _meeting.SOLVE:
+                ahead = code == _meeting.LOOK_AHEAD
                 columns = new[0][_col.RESULTS :] if ahead else work[0]
-                detector.ask(*_looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, n))
+                detector.ask(*_looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, self._size[0]))
             elif not self._solve(self._made(new, rooms, work, begun)):
                 return None
             stage, ready = code, True
+
+    def _load(self, half: Half, floats: Array, work: Array) -> None:
+        """Where a step has come to halfway, and what acts there."""
+        (n, _), views, (x, R, links) = self._size, self._views, half.middle.placement
+        work[: 3 * n], work[_col.R_THERE * n : _col.REACH * n] = x.ravel(), R.ravel()
+        work[_col.REACH * n : _col.LOOKED_THERE * n] = half.reach
+        self._velocity(work, _col.V_THERE)[:] = half.middle.v
+        self._velocity(work, _col.V_FREE)[:] = half.forces.v
+        self._velocity(floats[_col.RESULTS :], _col.RATE)[:] = half.rate
+        views[_col.M][:], views[_col.MINV][:] = half.forces.m, half.forces.minv
+        views[_col.PUSH][:], views[_col.TWIST][:] = half.forces.force, half.forces.torque
+        first = 0
+        for of_tree in links:
+            views[_col.JACOBIAN][first : (first := first + of_tree.J.shape[1])] = of_tree.J.T
+
+    def _move(self, motion: Motion, floats: Array, work: Array) -> bool:
+        """Bring the scene to the end of its step; whether it goes there."""
+        n, b = self._size[0], floats[_col.RESULTS :]
+        found = motion.end(self._velocity(work, _col.V_PLUS).copy(), self._velocity(work, _col.PUSHED).copy())
+        if found is None:
+            return False
+        position, v, (x, R, _), (linear, angular) = found
+        turns = position.quaternion.ravel()
+        b[: 3 * n], b[3 * n : 3 * n + turns.size] = x.ravel(), turns
+        b[_col.R * n : _col.LINEAR * n] = R.ravel()
+        b[_col.LINEAR * n : _col.ANGULAR * n], b[_col.ANGULAR * n : _col.LOOKED * n] = linear.ravel(), angular.ravel()
+        self._velocity(b, _col.V)[:] = v
+        return True
 
     def respond(
         self, s: System, begin: Instant, t: float, h: float, barred: Index
@@ -185,7 +239,7 @@ class Mover:
         if not Mover.ready:
             return None
         if self._given[0] is not begin:
-            self._given = begin, packed(begin, begin.v)
+            self._given = begin, packed(begin, begin.v, self.wide)
         if (given := self._given[1]) is None:
             return None
         made = self(*given, begin.memory.next_key, (h, s.depth), barred=barred)
@@ -193,25 +247,22 @@ class Mover:
 
     def _told(self, s: System, begin: Instant, t: float, h: float, made: Made) -> tuple[Half, Reach, Response]:
         """The move as values."""
-        d, n, nc, f, w, p = s.dynamics, self._size, made.status.size, made.floats, made.work, begin.position
-        b, a, own = f[_col.RESULTS :], f[_col.RESULTS + _col.BODY * n :], w[_col.BODY_WORK * n :]
+        d, n, nc, f, w, p = s.dynamics, self._size[0], made.status.size, made.floats, made.work, begin.position
+        b, a, own = f[_col.RESULTS :], f[self._acted :], w[self._own :]
         went, goes = f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = made.found.contacts() if went else begin.contacts
         memory = ContactMemory(made.found.names, made.found.points, made.next_key) if went else begin.memory
         there = Placement(_vectors(w, _col.X, n), _matrices(w, _col.R_THERE, n), ())
-        middle = Middle(p.moved(_vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)), w[16 * n : 22 * n], there, ())
-        v_free, reach, ahead = (
-            w[_col.V_FREE * n : _col.V_PLUS * n],
-            w[_col.REACH * n : _col.LOOKED_THERE * n],
-            s.theta * h,
-        )
-        forces = Forces(v_free, v_free, d.no_load, d.no_load, d.masses[3], d.masses[4], ())
-        rate, fast = b[_col.RATE * n : _col.BODY * n], bool(made.head[_col.FAST])
+        x, quaternion = _vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
+        middle = Middle(p.moved(x, quaternion), self._velocity(w, _col.V_THERE), there, ())
+        v_free, reach = self._velocity(w, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
+        forces = Forces(v_free, v_free, d.no_load, d.no_load, *self.still.masses, ())
+        rate, ahead, fast = self._velocity(b, _col.RATE), s.theta * h, bool(made.head[_col.FAST])
         half = Half(h, ahead, t + h, middle, forces, rate, reach, fast, not went, STILL_SURFACES, SILENT)
         looked = _looked(w, _col.LOOKED_THERE, n) if went else begin.looked
         met = made.met.contacts() if made.head[_col.SOME] else found
-        blocks = made.met.blocks(d)
-        rows, (slides, stays, sticks) = d.free_rows(blocks.block, blocks.start, blocks.H), made.flags[:3, :nc]
+        rows = Rows(made.met.blocks(d, self.still.masses), {}, *NO_CLUTCHES)
+        slides, stays, sticks = made.flags[:3, :nc]
         r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
         problem = FC3D.prepared(rows.full, q, met.mu, made.met.scales, float(f[_col.NORM]))
         error, residual, count, time = f[_col.ERROR : _col.CERTIFIED].tolist()
@@ -235,15 +286,15 @@ class Mover:
         )
         couple = NO_COUPLE
         if made.head[_col.TURNED]:
-            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], w[_col.TURN * n : _col.CHANGE * n]
+            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], self._velocity(w, _col.TURN)
             couple = Couple(_vectors(a, _col.COUPLE, nc), works, dv)
         end = Placement(_vectors(b, _col.X, n), _matrices(b, _col.R, n), ())
-        position = p.moved(end.x, b[_col.QUATERNION * n : _col.V * n].reshape(n, 4))
+        position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
         moved = Placed(position, end, found, begin.limits, memory, looked, True)
         if goes:
             memory_there = ContactMemory(made.end.names, made.end.points, made.end_key)
             moved = moved._replace(contacts=made.end.contacts(), memory=memory_there, looked=_looked(b, _col.LOOKED, n))
-        v_plus, v_end = w[_col.V_PLUS * n : _col.REACH * n], b[_col.V * n : _col.R * n]
+        v_plus, v_end = self._velocity(w, _col.V_PLUS), self._velocity(b, _col.V)
         twists = _vectors(b, _col.LINEAR, n), _vectors(b, _col.ANGULAR, n)
         acted = None, 0.0, slides, problem, solution, False, couple, v_plus, NOTHING, v_end, (), twists, moved
         return half, Reach(met, None, found, memory, looked), Response(encounter, *acted)
@@ -264,14 +315,28 @@ class Mover:
 
     def _rooms(self, moves: bool, step: bool) -> tuple[Acted, Rooms, tuple[Array, Index, Bools]]:
         """Room for a state, for what is found on the way there, if anything moves, and to work in."""
-        n, nc, work = self._size, self._most, self._work
+        nc, work = self._most, self._work
         if not step or work[2].shape[1] != nc:  # of what a step has worked with nothing is kept
-            work = _work(n, nc)
+            work = self._for_work(nc)
         if step:
             self._work = work
-        floats = np.empty(_col.RESULTS + _col.BODY * n + _col.CONTACT * nc)
-        new = floats, np.empty(2 * nc, np.int64), np.empty(nc, np.int8)
-        return new, (_room(nc), _room(nc), _room(nc)) if moves else NO_ROOMS, work
+        new = np.empty(self._acted + _col.CONTACT * nc), np.empty(2 * nc, np.int64), np.empty(nc, np.int8)
+        return new, (self._room(nc), self._room(nc), self._room(nc)) if moves else (self._room(0),) * 3, work
+
+    def _room(self, nc: int) -> tuple[Array, Index]:
+        """Room for what is found of so many contacts."""
+        return np.empty((_col.ROWS + self.wide) * nc), np.empty(_col.FOUND_NAMES * nc + 2, np.int64)
+
+    def _for_work(self, nc: int) -> tuple[Array, Index, Bools]:
+        """Room to work in, for so many contacts."""
+        own = np.empty(self._own + _col.CONTACT_WORK * nc)
+        return own, np.empty(_col.HEAD + 2 * nc, np.int64), np.empty((_col.FLAGS, nc), np.bool_)
+
+    def _velocity(self, f: Array, column: tuple[int, int]) -> Array:
+        """A column of the coordinates."""
+        n, nv = self._size
+        begin = column[0] * n + column[1] * nv
+        return f[begin : begin + nv]
 
     def _made(
         self,
@@ -281,15 +346,11 @@ class Mover:
         begun: Found,
     ) -> Made:
         """What is made so far, as large as it is."""
-        (floats, acted, status), (own, head, flags), n = new, work, self._size
+        (floats, acted, status), (own, head, flags) = new, work
         nc, went, goes = int(head[_col.MET]), floats[_col.WENT] > 0.0, floats[_col.GOES] > 0.0
         found = Found(*rooms[0]).of(int(head[_col.MIDDLE])) if went else begun
         if nc != status.size:
-            floats, acted, status = (
-                floats[: _col.RESULTS + _col.BODY * n + _col.CONTACT * nc],
-                acted[: 2 * nc],
-                status[:nc],
-            )
+            floats, acted, status = floats[: self._acted + _col.CONTACT * nc], acted[: 2 * nc], status[:nc]
         return Made(
             floats,
             acted,
@@ -306,30 +367,16 @@ class Mover:
 
     def _solve(self, made: Made) -> bool:
         """Solve the problem of a step where the kernel does not; whether that is an answer."""
-        n, nc, floats, met = self._size, made.status.size, made.floats, made.met
-        own, a = made.work[_col.BODY_WORK * n :], floats[_col.RESULTS + _col.BODY * n :]
+        nc, floats, met, masses = made.status.size, made.floats, made.met, self._views[_col.M : _col.MINV + 1]
+        own, a = made.work[self._own :], floats[self._acted :]
         b, norm = a[_col.FREE * nc : _col.U_END * nc], float(floats[_col.NORM])
-        problem = FC3D.prepared(met.blocks(self._dynamics), b, met.scalars[1], met.scales, norm)
+        problem = FC3D.prepared(met.blocks(self._dynamics, (masses[0], masses[1])), b, met.scalars[1], met.scales, norm)
         solution = self._solver(problem, own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc])
         if not solution.accepted:
             return False
         a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
         floats[_col.ERROR : _col.CERTIFIED] = solution[3:7]
         return True
-
-
-def _work(n: int, nc: int) -> tuple[Array, Index, Bools]:
-    """Room to work in, for so many bodies and contacts."""
-    own = np.empty(_col.BODY_WORK * n + _col.CONTACT_WORK * nc)
-    return own, np.empty(_col.HEAD + 2 * nc, np.int64), np.empty((_col.FLAGS, nc), np.bool_)
-
-
-def _room(nc: int) -> tuple[Array, Index]:
-    """Room for what is found of so many contacts."""
-    return np.empty(_col.FOUND * nc), np.empty(_col.FOUND_NAMES * nc + 2, np.int64)
-
-
-NO_ROOMS = (_room(0),) * 3
 
 
 def _vectors(f: Array, k: int, n: int) -> Array:

@@ -16,17 +16,16 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.half import Callbacks, Half, Loads, first_half
+from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among, take
 from nsdyn.stepping.move import trial
-from nsdyn.stepping.quiet_trees import quiet_trees
 from nsdyn.stepping.response import Trial
 from nsdyn.stepping.sight import approach, parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["through", "turns_far", "undisturbed"]
+__all__ = ["through", "turns_far"]
 
 WORK, EVENT = 400, 8
 """Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
@@ -122,11 +121,9 @@ def _pass(
     They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly,
     and where contacts that persist, or what is lifted, add energy.
     """
-    sunk, path = False, [begin.placement]
-    out, half = undisturbed(s, begin, end - h, h, loads(end - h + (1.0 - s.theta) * h))
-    if out is None:
-        out, sunk = _moves(s, loads, begin, end, h, rate, half, path, effort)
-        sunk = sunk or any(turns_far(s, h, a, begin, out.end).any() for a in out.done)
+    path = [begin.placement]
+    out, sunk = _moves(s, loads, begin, end, h, rate, path, effort)
+    sunk = sunk or any(turns_far(s, h, a, begin, out.end).any() for a in out.done)
     now, solved, works = out.end, out.solved, out.works
     d, gained = s.dynamics, sum(w.integration for w in works)
     if not d.surfaces.count:
@@ -138,16 +135,6 @@ def _pass(
         sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * out.rate))
     coarse = sunk and not any(_jammed(solution) for _, solution in solved)
     return out._replace(path=[*path, now.placement]), coarse
-
-
-def undisturbed(
-    s: System, begin: Instant, t: float, h: float, callbacks: Callbacks
-) -> tuple[Passage | None, Half | None]:
-    """A move of h s from the time t in which nothing new is met, None where anything is; its first half, if known."""
-    if not s.dynamics.trees:
-        return None, None
-    half = first_half(s, begin, t, h, callbacks)
-    return quiet_trees(s, begin, half, callbacks), half
 
 
 def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:
@@ -165,14 +152,12 @@ def _moves(
     end: float,
     h: float,
     rate: Array,
-    half: Half | None,
     path: list[Placement],
     effort: Effort,
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
     Where they were goes into the path.
-    The first half of a move all the way without impacts before it may be known.
     """
     now, left, clear, sunk = begin, h, True, False
     done: list[Impulses] = []
@@ -182,13 +167,11 @@ def _moves(
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
             now, impulses, more, pair = struck
-            half = None
             done.append(_later(impulses, h - left))
             solved.append(pair)
             works.append(more)
         soon = left * (AGAIN if cut and struck is None else SOON)
-        length, tried = _until_event(s, loads, now, t, left, soon, effort, half)
-        half = None
+        length, tried = _until_event(s, loads, now, t, left, soon, effort)
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
         done.append(_later(m.done[0], h - left))
@@ -220,12 +203,10 @@ def _until_event(
     h: float,
     soon: float,
     effort: Effort,
-    half: Half | None = None,
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
-    Or to where a slip turns round, but not `soon`, s. The first half of a move of h seconds may be known. Too long take
-    so many moves as would be too much to try.
+    Or to where a slip turns round, but not `soon`, s. Too long take so many moves as would be too much to try.
     """
 
     def capture() -> tuple[float, Trial]:
@@ -235,7 +216,7 @@ def _until_event(
     if not (affords := effort.affords(begin, EVENT)) and effort.left < WORK:
         return capture()
     effort.spend(begin)
-    m = _try(s, loads, begin, t, h, NONE, half)
+    m = _try(s, loads, begin, t, h, NONE)
     met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
     if _jammed(m.response.solution) or (not affords and (met or m.touched < h or soon < m.turned < h)):
         return capture()
@@ -359,8 +340,6 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
     return float(times[times > 0.0].min(initial=np.inf)), least
 
 
-def _try(
-    s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None = None
-) -> Trial:
-    """A move of h seconds, with what the user has to say where its impulses act; its first half may be known."""
-    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, half)
+def _try(s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:
+    """A move of h seconds, with what the user has to say where its impulses act."""
+    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred)

@@ -1,6 +1,7 @@
-"""Steps of free bodies that meet no event: what rests, slides and rolls on what it touches, and what flies.
+"""Steps that meet no event: what rests, slides and rolls on what it touches, and what flies.
 
-One call of a kernel in place of the stages of `nsdyn.stepping.move`, which begins again where anything else shows.
+A kernel in place of the stages of `nsdyn.stepping.move`, which begins again where anything else shows. It asks Python
+for the motion of trees, `nsdyn.stepping.quiet_trees`.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
-from nsdyn.stepping.flat import Flat
-from nsdyn.stepping.instant import NOTHING, System
+from nsdyn.stepping.flat import Acting, Flat, Found
+from nsdyn.stepping.half import Loads, first_half
+from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.mover import NO_PAIRS, Made, Mover
+from nsdyn.stepping.quiet_trees import Motion
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
@@ -31,7 +34,7 @@ ASKS = 50
 
 
 class Quiet:
-    """Steps of free bodies under gravity alone, in one call of a kernel as long as they meet no event.
+    """Steps of free bodies under gravity alone, and of scenes with trees, by a kernel as long as they meet no event.
 
     Nothing strikes or overlaps, and no slip turns round.
 
@@ -41,10 +44,13 @@ class Quiet:
     mover : Mover
     polish : bool
         Whether certificates are polished: no one of the kernel is then enough.
+    loads : callable
+        What the user has to say at a time [s], which trees obey.
     """
 
-    def __init__(self, system: System, mover: Mover, polish: bool) -> None:
+    def __init__(self, system: System, mover: Mover, polish: bool, loads: Loads) -> None:
         self._system, self._mover, self._moves, self._asked = system, mover, False, 0
+        self._loads = loads
         self._length = system.dt, system.depth
         self._pause = self._left = 0
         if polish:
@@ -55,7 +61,7 @@ class Quiet:
         if self._left > 0:
             self._left -= 1
             return None
-        old = now if isinstance(now, Flat) else Flat.of(now)
+        old = now if isinstance(now, Flat) else Flat.of(now, self._mover.still, self._mover.wide)
         if old is not None:
             if not (Mover.ready or self._is_ready(old)):
                 return None
@@ -67,16 +73,40 @@ class Quiet:
 
     def _next(self, old: Flat, certify: Certify) -> Flat | None:
         """The next state, None where more may happen."""
+        s = self._system
+        if not s.dynamics.trees:
+            made = self._made(old, old.found, None)
+            return None if made is None else self._told(old, made, old.like, old.acting, certify)
+        begin, t = old.instant(), old.origin + (old.count + 1) * old.dt - s.dt
+        callbacks = self._loads(t + (1.0 - s.theta) * s.dt)
+        motion = Motion(s, begin, first_half(s, begin, t, s.dt, callbacks))
+        while True:
+            # Rows of trees change whatever moves: those of the last step are still to be told.
+            if not motion.meets_nothing() or (made := self._made(old, old.found.anew(), motion)) is None:
+                return None
+            if (again := motion.corrected(callbacks)) is None:
+                break
+            motion, callbacks = again, None
+        if (told := motion.told(made.floats)) is None:
+            return None
+        return self._told(old, made, *told, certify)
+
+    def _made(self, old: Flat, found: Found, motion: Motion | None) -> Made | None:
+        """What the kernel has made."""
         direction = old.opening.d if old.opening else NOTHING
         begun = old.floats, old.acted, old.status
-        made = self._mover(begun, old.found, old.next_key, self._length, direction, NO_PAIRS, True, self._moves)
-        if made is None:
-            return None
+        made = self._mover(begun, found, old.next_key, self._length, direction, NO_PAIRS, True, self._moves, motion)
+        if made is not None:
+            some = made.floats[_col.WENT] or made.floats[_col.GOES] or made.head[_col.SOME]
+            self._moves = bool(some)
+        return made
+
+    def _told(self, old: Flat, made: Made, like: Instant, acting: Acting, certify: Certify) -> Flat | None:
+        """What was made as a state, with its certificate; None where it passes through something."""
         floats = made.floats
-        self._moves = bool(floats[_col.WENT] or floats[_col.GOES] or made.head[_col.SOME])
         if not math.isfinite(floats[_col.KINETIC] + floats[_col.POTENTIAL]):
             return None
-        state = floats, made.acted, made.status, made.met, made.end, made.end_key, old.opening, old.like
+        state = floats, made.acted, made.status, made.met, made.end, made.end_key, old.opening, like, acting
         out = Flat(old.origin, old.dt, old.count + 1, *state)
         if made.head[_col.FAST] and self._passes(old, out, made):
             return None
@@ -90,7 +120,7 @@ class Quiet:
     def _passes(self, old: Flat, new: Flat, made: Made) -> bool:
         """Whether anything touches on its way what it is not seen to meet."""
         s, n, w = self._system, self._system.dynamics.free, made.work
-        there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.V_THERE * n].reshape(n, 3, 3))
+        there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.REACH * n].reshape(n, 3, 3))
         places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
         memory = ContactMemory(made.found.names, made.found.points, made.next_key)
         own = old.found.contacts(), new.found.contacts(), places, memory

@@ -35,6 +35,7 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
+from nsdyn.stepping.mover import Mover
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
 from nsdyn.stepping.state import Pieces, Start, State, Step
@@ -169,8 +170,7 @@ class Stepper:
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
         self._islands = Islands(self.system)
-        mover, alone = self.system.mover, controller is None and external_force is None
-        self._quiet = Quiet(self.system, mover, polish) if mover is not None and alone else None
+        self._quiet = self._quietest(polish)
         self._names, self._begin = Names(scene, geoms), partial(begin, self.system, geoms, float(overlap), lift)
         self.reset()
 
@@ -351,6 +351,16 @@ class Stepper:
             self._now = self._now._replace(last=step)
         return step
 
+    def _quietest(self, polish: bool) -> Quiet | None:
+        """What makes steps of the scene that meet no event; None where only the general way does."""
+        s, d, functions = self.system, self.dynamics, self.functions
+        alone = functions["controller"] is None and functions["external_force"] is None
+        if s.mover is not None and alone:
+            return Quiet(s, s.mover, polish, lambda t: None)
+        if d.trees and d.loose and not functions.take_last:
+            return Quiet(s, Mover(s), polish, lambda t: functions.at(t, d, None))
+        return None
+
     def _quietly(self, quiet: Quiet) -> Step | None:
         """A step of the kernel; None where it is more than that."""
         if (found := quiet.step(self._now, self._certificate)) is None:
@@ -358,8 +368,10 @@ class Stepper:
         before, after = found
         untold = Untold(after, before.energies, (self.theta, self.system.solver.tol), self.dynamics)
         step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
-        if self._paradoxes.possible and self._paradoxes.met(step, after.body(RATE, 6)):
-            return None
+        if self._paradoxes.possible and after.status.size:
+            problem, solution = after.problem(self.dynamics), after.solution(self.system.solver.tol)
+            if self._paradoxes.met(problem, solution, self.dt, after.coordinate(RATE)):
+                return None
         self._now = after
         return step
 

@@ -89,6 +89,35 @@ def twists(x, support, J, v, linear, angular):
         linear[f, 2] += w[0] * x[f, 1] - w[1] * x[f, 0]
 
 
+@in_place
+def rows_of_all(trees, frame1, frame2, point, frame, start, H):
+    """`rows` of all trees of a scene.
+
+    trees = (table, support, J): of each tree its first frame, how many, its first coordinate, and how many; one tree
+    after the other, which coordinates move a link, and the velocity fields, (nv, 6).
+    """
+    table, support, J = trees
+    at, field = 0, 0
+    for t in range(table.size // 4):
+        first, count, nv = table[4 * t], table[4 * t + 1], table[4 * t + 3]
+        moves, own = support[at : at + count * nv].reshape((count, nv)), J[field : field + 6 * nv].reshape((nv, 6)).T
+        rows(frame1, frame2, point, frame, first, moves, own, start, H)
+        at, field = at + count * nv, field + 6 * nv
+
+
+@in_place
+def twists_of_all(trees, x, v, linear, angular):
+    """`twists` of the frames of all trees of a scene, as of `rows_of_all`, where all frames are at x (n, 3)."""
+    table, support, J = trees
+    at, field = 0, 0
+    for t in range(table.size // 4):
+        first, count, begin, nv = table[4 * t], table[4 * t + 1], table[4 * t + 2], table[4 * t + 3]
+        moves, own = support[at : at + count * nv].reshape((count, nv)), J[field : field + 6 * nv].reshape((nv, 6)).T
+        last = first + count
+        twists(x[first:last], moves, own, v[begin : begin + nv], linear[first:last], angular[first:last])
+        at, field = at + count * nv, field + 6 * nv
+
+
 @kernel
 def reach(x, support, J, v, h, radius, fall, out):
     """How far any point of each link's shapes moves in a step of h at velocity v, and by `fall`, m, into out (n,)."""

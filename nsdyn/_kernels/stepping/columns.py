@@ -1,7 +1,8 @@
-"""States of free bodies as a few arrays, and views of these.
+"""States as a few arrays, and views of these.
 
 What a call takes for its arguments is more than all that is done for a few bodies: a state is an array of floats, its
-results first, then what it has of the bodies and of the contacts, one column after the other.
+results first, then what it has of the frames, of the coordinates and of the contacts, one column after the other. The
+size of a scene is (frames, coordinates, free bodies), the frames of which are the first.
 """
 
 from nsdyn._kernels.compiled import kernel
@@ -18,14 +19,16 @@ from nsdyn._kernels.compiled import kernel
     M,
     MINV,
     GRAVITY,
-    NO_LOAD,
+    PUSH,
+    TWIST,
     ARM,
     NOWHERE,
     INSCRIBED,
+    JACOBIAN,
     NUMBERS,
     SYSTEM,
-) = range(16)
-BLOCK_OF_FRAME, OFFSET, M_START = range(3)
+) = range(18)
+BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 
 # The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`.
 (
@@ -52,7 +55,8 @@ BLOCK_OF_FRAME, OFFSET, M_START = range(3)
     FEW,
     WEAK,
     GEOMS,
-) = range(23)
+    WIDE,
+) = range(24)
 
 # The results of a step.
 (
@@ -61,6 +65,7 @@ BLOCK_OF_FRAME, OFFSET, M_START = range(3)
     EXTERNAL,
     NORMAL,
     FRICTION,
+    DAMPING,
     NUMERICS,
     NORM,
     ERROR,
@@ -75,10 +80,18 @@ BLOCK_OF_FRAME, OFFSET, M_START = range(3)
     WENT,
     GOES,
     RESULTS,
-) = range(19)
+) = range(20)
 
-# First columns of a body in a state, of a contact, of a contact in what was found, and of both in what is at work.
-X, QUATERNION, V, R, LINEAR, ANGULAR, LOOKED, RATE, BODY = 0, 3, 7, 13, 22, 25, 28, 41, 47
+# First columns of a frame in a state, and in what is at work; of the quaternions those of free bodies are used.
+X, QUATERNION, R, LINEAR, ANGULAR, LOOKED, FRAME = 0, 3, 7, 16, 19, 22, 35
+R_THERE, REACH, LOOKED_THERE, NEAR, FRAME_WORK = 7, 16, 17, 30, 31
+
+# Columns of the coordinates, behind those of the frames: how many these are, and which.
+V, RATE = (FRAME, 0), (FRAME, 1)
+V_THERE, V_FREE, V_PLUS, TURN, CHANGE, V_TURNED, V_MEAN, PUSHED = [(FRAME_WORK, k) for k in range(8)]
+COORDINATE, COORDINATE_WORK = 2, 8
+
+# First columns of a contact in a state, in what was found, whose rows of W come last, and in what is at work.
 FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, COUPLE, CONTACT = (
     0,
     3,
@@ -91,10 +104,8 @@ FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, COUPLE, CON
     18,
     21,
 )
-FRAMES, ROWS, SCALES, FOUND = 15, 24, 60, 61
+FRAMES, SCALES, ROWS = 15, 24, 25
 BLOCKS, STARTS, FOUND_NAMES, SIZE, MADE = 5, 7, 9, 0, 1
-R_THERE, V_THERE, V_FREE, V_PLUS, REACH, LOOKED_THERE = 7, 16, 22, 28, 34, 35
-TURN, CHANGE, V_TURNED, V_MEAN, NEAR, BODY_WORK = 48, 54, 60, 66, 72, 73
 LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, CONTACT_WORK = (
     0,
     15,
@@ -142,9 +153,10 @@ def rotations(f, k, n):
 
 
 @kernel(inline="always")
-def velocity(f, k, n):
-    """The columns from k on as (6 n,)."""
-    return f[k * n : (k + 6) * n]
+def velocity(f, k, size):
+    """The column k of the coordinates, (n,)."""
+    begin = k[0] * size[0] + k[1] * size[1]
+    return f[begin : begin + size[1]]
 
 
 @kernel(inline="always")
@@ -168,7 +180,7 @@ def rows(found, nc):
         rotations(f, FRAMES, nc),
         i[BLOCKS * nc : STARTS * nc].reshape((nc, 2)),
         i[STARTS * nc : FOUND_NAMES * nc].reshape((nc, 2)),
-        f[ROWS * nc : SCALES * nc],
+        f[ROWS * nc :],
         column(f, SCALES, nc),
         i[FOUND_NAMES * nc :],
     )

@@ -1,11 +1,11 @@
-"""Moves of free bodies alone, in as few calls as the equations suggest: each is one of the kernels of a move in turn.
+"""Moves in as few calls as the equations suggest: each is one of the kernels of a move in turn.
 
 A call from Python takes as long as what it does for a few bodies. Arguments come in plain tuples, named as those of the
-kernels that are called. The frames are those of the bodies, at their centres of mass.
+kernels that are called. The frames of free bodies are at their centres of mass.
 """
 
 from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.dynamics import motion
+from nsdyn._kernels.dynamics import links, motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.reductions import most
@@ -34,12 +34,13 @@ def half(bodies, loads, position, h, theta, looked, near, out):
 
 
 @in_place
-def meet(masses, here, begin, velocities, warm, laws, rows, out):
+def meet(masses, movers, here, begin, velocities, warm, laws, rows, out):
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 
-    masses = (block_of_frame, offset, m_start, m, minv); here = (key, frame1, frame2, point, normal, gap, x, R) where
-    the impulses act; all others as in `law.pose`, and out. Into rows = (frame, block, start, H, scales, again), H with
-    room for two free bodies a contact, unless they are those of the same contacts met `again`.
+    masses = (block_of_frame, offset, m_start, m, minv), movers = (free bodies, trees as of `links.rows_of_all`); here =
+    (key, frame1, frame2, point, normal, gap, x, R) where the impulses act; all others as in `law.pose`, and out. Into
+    rows = (frame, block, start, H, scales, again), H with room enough, unless they are those of the same contacts met
+    `again`.
     """
     block_of_frame, offset, m_start, m, minv = masses
     key, frame1, frame2, point, normal, gap, x, R = here
@@ -47,7 +48,10 @@ def meet(masses, here, begin, velocities, warm, laws, rows, out):
     size = H.size
     if not again:
         size = motion.contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start)
-        motion.free_rows(frame1, frame2, point, frame, x, R, x.shape[0], start, H)
+        if movers[0] < x.shape[0]:
+            H[:size] = 0.0
+        motion.free_rows(frame1, frame2, point, frame, x, R, movers[0], start, H)
+        links.rows_of_all(movers[1], frame1, frame2, point, frame, start, H)
     blocks = (offset, block, start, H[:size], m_start, m, minv)
     if not again:
         _blocks.delassus_scales(blocks, scales)
@@ -57,17 +61,21 @@ def meet(masses, here, begin, velocities, warm, laws, rows, out):
 
 
 @in_place
-def end(v_free, change, bodies, position, h, looked, out):
-    """The second half of a move: v⁺ = v_f + change and a free flow; whether what was `looked` for is found there too.
+def moving(movers, x, R, v, linear, angular):
+    """Velocities of all frames, at x (n, 3), and angular ones, world axes, into (n, 3) each; movers as of `meet`."""
+    motion.twists(R, v, movers[0], linear, angular)
+    links.twists_of_all(movers[1], x, v, linear, angular)
 
-    Into out = (v⁺, x, quaternion, v, R, linear, angular). looked = ((x, R, reach), reach, arm, tol), as of
-    `touching.unmoved`.
+
+@in_place
+def end(v_free, change, bodies, position, h, out):
+    """The second half of a move: v⁺ = v_f + change and a free flow.
+
+    Into out = (v⁺, x, quaternion, v, R, linear, angular).
     """
-    begun, reach, arm, tol = looked
     v_plus, x, quaternion, v, R, linear, angular = out
     for i in range(v_plus.size):
         v_plus[i] = v_free[i] + change[i]
     flow(bodies[0], bodies[1], position[0], position[1], v_plus, h, x, quaternion, v)
     motion.rotations(quaternion, R)
     motion.twists(R, v, x.shape[0], linear, angular)
-    return touching.unmoved(begun, (x, R, reach), arm, tol)

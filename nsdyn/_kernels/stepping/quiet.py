@@ -1,4 +1,4 @@
-"""A step of free bodies that meets no event, its stages in a row in one call.
+"""A step that meets no event, its stages in a row in one call: of free bodies, and of trees but for their motion.
 
 Each stage is made of the kernels that the general step of `nsdyn.stepping.move` calls, so that both give the same bits.
 """
@@ -7,7 +7,7 @@ from nsdyn._kernels.clock import seconds
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn._kernels.reductions import copy
+from nsdyn._kernels.reductions import copy, most
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, touching
 from nsdyn._kernels.stepping.quiet_checks import book, eventless, gains, may_gain, rebounds, strikes_at_once
@@ -16,6 +16,7 @@ from nsdyn._kernels.stepping.quiet_meeting import (
     LOOK,
     LOOK_AHEAD,
     MORE,
+    MOVE,
     OTHERWISE,
     SOLVE,
     catch,
@@ -25,24 +26,30 @@ from nsdyn._kernels.stepping.quiet_meeting import (
     strikes,
     take,
 )
-from nsdyn._kernels.stepping.quiet_response import arrive, corrects, end_gaps, respond, rests, too_wide
+from nsdyn._kernels.stepping.quiet_response import arrive, corrects, end_gaps, push, respond, rests, too_wide
 
 
 @in_place
-def depart(num, bodies, forces, arm, old, f, w):
-    """The first half of a move: how far it reaches, and whether contacts are those where it begins."""
-    n = arm.size
+def depart(num, size, bodies, forces, arm, old, f, w):
+    """The first half of a move: how far it reaches, and whether contacts are those where it begins.
+
+    Python has made it where there are trees.
+    """
+    n, reach = size[0], col.column(w, col.REACH, size[0])
     there = (
         col.vectors(w, col.X, n),
         col.quaternions(w, col.QUATERNION, n),
-        col.velocity(w, col.V_THERE, n),
+        col.velocity(w, col.V_THERE, size),
         col.rotations(w, col.R_THERE, n),
     )
-    reach, rate, v_free = col.column(w, col.REACH, n), col.velocity(f, col.RATE, n), col.velocity(w, col.V_FREE, n)
+    if size[2] < n:
+        looked = col.placed(old, col.LOOKED, n)
+        return most(reach), touching.unmoved(looked, (there[0], there[3], reach), arm, num[col.STILL])
+    rate, v_free = col.velocity(f, col.RATE, size), col.velocity(w, col.V_FREE, size)
     return free.half(
         bodies,
         forces,
-        (col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, n)),
+        (col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, size)),
         num[col.STEP],
         num[col.THETA],
         col.placed(old, col.LOOKED, n),
@@ -88,31 +95,45 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     Returns
     -------
     int
-        `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD` or `MORE`.
+        `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD`, `MORE` or `MOVE`.
     """
     (sf, si), (f, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = system, new, old, work
     num, arm, nowhere = numbers(sf, si, col.NUMBERS), numbers(sf, si, col.ARM), numbers(sf, si, col.NOWHERE)
+    mass, J = numbers(sf, si, col.MASS), matrices(sf, si, col.INERTIA)
+    offset = indices(si, col.OFFSET, col.SYSTEM)
+    size = arm.size, offset[offset.size - 1], mass.size
     n, room, was, out, head = arm.size, states.size, status_old.size, f, whole[: col.HEAD]
+    table = indices(si, col.TREES, col.SYSTEM)
+    movers, trees = (
+        (mass.size, (table, indices(si, col.SUPPORT, col.SYSTEM), numbers(sf, si, col.JACOBIAN))),
+        table.size > 0,
+    )
     moments, axes = triples(sf, si, col.MOMENTS), matrices(sf, si, col.AXES)
     inverse_mass, inverse_J = numbers(sf, si, col.INVERSE_MASS), matrices(sf, si, col.INVERSE_J)
     bodies = moments, axes, inverse_mass, inverse_J, numbers(sf, si, col.RADIUS)
-    mass, gravity, no_load = numbers(sf, si, col.MASS), numbers(sf, si, col.GRAVITY), triples(sf, si, col.NO_LOAD)
+    gravity, force, torque = numbers(sf, si, col.GRAVITY), triples(sf, si, col.PUSH), triples(sf, si, col.TWIST)
     masses = (
         indices(si, col.BLOCK_OF_FRAME, col.SYSTEM),
-        indices(si, col.OFFSET, col.SYSTEM),
+        offset,
         indices(si, col.M_START, col.SYSTEM),
         numbers(sf, si, col.M),
         numbers(sf, si, col.MINV),
     )
-    begin, bodies_at, inscribed = col.RESULTS, col.RESULTS + col.BODY * n, numbers(sf, si, col.INSCRIBED)
-    b, b_old, a, own = f[begin:bodies_at], f_old[begin:bodies_at], f[bodies_at:], w[col.BODY_WORK * n :]
+    begin, last = col.RESULTS, col.RESULTS + col.FRAME * n + col.COORDINATE * size[1]
+    inscribed, wide = numbers(sf, si, col.INSCRIBED), int(num[col.WIDE])
+    b, b_old, a, own = (
+        f[begin:last],
+        f_old[begin:last],
+        f[last:],
+        w[col.FRAME_WORK * n + col.COORDINATE_WORK * size[1] :],
+    )
     first, warm = col.contacts(begun, begun[1].size // col.FOUND_NAMES), (acted_old[:was], acted_old[was:], status_old)
 
     if stage == DONE:
         if step and strikes_at_once(num, first, warm, b_old, n):
             return OTHERWISE
-        far, same = depart(num, bodies, (gravity, no_load, num[col.WEIGHT]), arm, b_old, b, w)
-        if step and num[col.ELASTIC] > 0.0 and rebounds(num, first, b_old, w, n):
+        far, same = depart(num, size, bodies, (gravity, force, num[col.WEIGHT]), arm, b_old, b, w)
+        if step and not trees and num[col.ELASTIC] > 0.0 and rebounds(num, size, first, b_old, w):
             return OTHERWISE
         out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
         head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]
@@ -129,7 +150,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     starts, work_room = stage == DONE or stage == LOOK, (f, w, own, a)
     if starts and out[col.WENT] > 0.0:
         looked = col.placed(w, col.LOOKED_THERE, n)
-        code = look(detection, ready, looked, (first, next_key), rooms[0], head, col.MIDDLE, room)
+        code = look(detection, ready, looked, (first, next_key), rooms[0], head, col.MIDDLE, room, wide)
         if code != DONE:
             return code
     met_of = begun
@@ -140,9 +161,9 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         head[col.MET], head[col.SOME], head[col.NEEDED] = found[0].shape[1], 0, found[0].shape[1]
         if num[col.ELASTIC] > 0.0 or not touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
             kept = flags[col.OFF, : head[col.MET]]
-            head[col.MET] = catch(num, (arm, inscribed), (first, found), warm, b_old, w, barred, kept)
+            head[col.MET] = catch(num, size, movers, inscribed, (first, found), warm, b_old, w, barred, kept)
             if head[col.MET] < found[0].shape[1]:
-                if col.FOUND * head[col.MET] > rooms[1][0].size:
+                if (col.ROWS + wide) * head[col.MET] > rooms[1][0].size:
                     return MORE
                 take(found, kept, col.contacts(rooms[1], head[col.MET]))
                 rooms[1][1][col.FOUND_NAMES * head[col.MET] + col.MADE], head[col.SOME] = 0, 1
@@ -153,41 +174,48 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     q = a[col.FREE * nc : col.U_END * nc]
     gap, status, acted = col.column(a, col.GAP_END, nc), states[:nc], (keys_of[:nc], keys_of[nc : 2 * nc])
     if starts:
-        pressed = warm[0], col.vectors(f_old[bodies_at:], col.FORCE, was), status_old
+        pressed = warm[0], col.vectors(f_old[last:], col.FORCE, was), status_old
         of = frame, block, start, H[: made[col.SIZE]] if made[col.MADE] else H, scales, made[col.MADE] > 0
         slides, place = flags[col.SLIDES, :nc], whole[col.HEAD : col.HEAD + nc]
-        made[col.SIZE], _, good = pose(num, masses, (first, b_old), pressed, met, of, (w, own), (place, slides, q))
+        made[col.SIZE], _, good = pose(
+            num, size, masses, movers, (first, b_old), pressed, met, of, (w, own), (place, slides, q)
+        )
         made[col.MADE] = 1
         for c in range(nc):
             acted[0][c], acted[1][c] = met[0][4, c], met[0][0, c] * int(num[col.GEOMS]) + met[0][1, c]
         if not good or not lasting(num, met, ((first[0][4], first[2][0]), acted, warm), own, flags, status, q):
             return OTHERWISE
-        local, rate = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, n)
-        if num[col.ELASTIC] > 0.0 and strikes(num, met, local, rate, w):
+        local, rate = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, size)
+        if num[col.ELASTIC] > 0.0 and strikes(num, n, movers, met, local, rate, w):
             return OTHERWISE
         copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
         a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
-        col.velocity(w, col.TURN, n)[:] = 0.0
+        col.velocity(w, col.TURN, size)[:] = 0.0
         head[col.GAPS_LEFT], head[col.TURNED] = law.GAPS, 0
         out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = 0.0, 0.0, 0.0
         norm, _ = _blocks.size_of(q, met[2][1])
         out[col.NORM] = norm if norm > 0.0 else 1.0
-    blocks, now = (masses[1], block, start, H[: made[col.SIZE]], *masses[2:]), found
+    blocks, now = (offset, block, start, H[: made[col.SIZE]], *masses[2:]), found
     of_rows = blocks, frame, scales
     if starts and not step and too_wide(num, blocks):
         return OTHERWISE
     while True:
         if stage != LOOK_AHEAD:
-            began = seconds(head[col.CLOCK :])
-            label, again = whole[col.HEAD + room : col.HEAD + room + nc], stage == SOLVE
-            if not starts or not rests(num, n, of_rows, met, flags, label, work_room):
-                code = respond(num, (inverse_J, arm), of_rows, met, flags, again, head, work_room)
-                if code != DONE:
-                    return code
-            out[col.TIME] += seconds(head[col.CLOCK :]) - began
-            same = arrive(num, bodies, arm, b, w)
-            out[col.GOES] = 0.0 if same else 1.0
+            if stage != MOVE:
+                began = seconds(head[col.CLOCK :])
+                label, again = whole[col.HEAD + room : col.HEAD + room + nc], stage == SOLVE
+                if not starts or not rests(num, size, of_rows, met, flags, label, work_room):
+                    code = respond(num, size, (inverse_J, arm), of_rows, met, flags, again, head, work_room)
+                    if code != DONE:
+                        return code
+                out[col.TIME] += seconds(head[col.CLOCK :]) - began
+                if trees:
+                    push(size, blocks, a[col.IMPULSE * nc : col.U * nc], w)
+                    return MOVE
+                arrive(num, size, bodies, b, w)
             there = col.vectors(b, col.X, n), col.rotations(b, col.R, n), col.column(w, col.NEAR, n)
+            same = touching.unmoved(col.placed(w, col.LOOKED_THERE, n), there, arm, num[col.STILL])
+            out[col.GOES] = 0.0 if same else 1.0
             looked = col.placed(b, col.LOOKED, n)
             touching.look(col.placed(w, col.LOOKED_THERE, n), there, arm, num[col.STILL], looked)
             if not same and asks:
@@ -195,7 +223,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         now = found
         if out[col.GOES] > 0.0:
             placed, looked = ready and stage == LOOK_AHEAD, col.placed(b, col.LOOKED, n)
-            code = look(detection, placed, looked, (found, head[col.KEY_MIDDLE]), rooms[2], head, col.END, room)
+            code = look(detection, placed, looked, (found, head[col.KEY_MIDDLE]), rooms[2], head, col.END, room, wide)
             if code != DONE:
                 return LOOK_AHEAD if code == LOOK else code
             now = col.contacts(rooms[2], head[col.END])
@@ -210,16 +238,18 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
     if not eventless(num, inscribed, met, now, flags, status, spins, work_room):
         return OTHERWISE
-    inertia = mass, matrices(sf, si, col.INERTIA), gravity, no_load, nowhere[:0]
-    book(num, inertia, of_rows, met, flags, direction, head, status, work_room)
+    inertia = mass, J, gravity, force, torque, nowhere[:0]
+    book(num, size, inertia, of_rows, met, flags, direction, head, status, work_room)
+    if trees:
+        return DONE
     works, fallen = (
         (col.column(a, col.NORMAL_WORK, nc), col.column(a, col.FRICTION_WORK, nc)),
-        col.velocity(w, col.CHANGE, n),
+        col.velocity(w, col.CHANGE, size),
     )
-    rate = col.velocity(b, col.RATE, n)
+    rate = col.velocity(b, col.RATE, size)
     for i in range(fallen.size):
         fallen[i] = num[col.STEP] * rate[i]
-    velocities = col.velocity(b_old, col.V, n), fallen
+    velocities = col.velocity(b_old, col.V, size), fallen
     if may_gain(mass, works, fallen) and gains(num, inertia[:2], blocks, met, flags, status, works, velocities):
         return OTHERWISE
     return DONE

@@ -1,4 +1,4 @@
-"""Whether a move of free bodies is a whole step that meets no event, and what that did, in the arrays of `columns`."""
+"""Whether a move is a whole step that meets no event, and what that did, in the arrays of `columns`."""
 
 import math
 
@@ -50,11 +50,12 @@ def strikes_at_once(num, met, last, old, n):
 
 
 @kernel
-def rebounds(num, met, old, w, n):
-    """Whether anything strikes where the step begins, or parts, faster than what rests, of what may rebound."""
+def rebounds(num, size, met, old, w):
+    """Whether any free body strikes where the step begins, or parts, faster than what rests, of what may rebound."""
+    n = size[0]
     v, v_free, change, rates = (
-        col.velocity(old, col.V, n),
-        col.velocity(w, col.V_FREE, n),
+        col.velocity(old, col.V, size),
+        col.velocity(w, col.V_FREE, size),
         np.empty(6 * n),
         np.empty((2, n, 3)),
     )
@@ -161,15 +162,15 @@ def gains(num, bodies, blocks, met, flags, status, works, velocities):
 
 
 @in_place
-def book(num, bodies, rows, met, flags, direction, head, status, room):
+def book(num, size, bodies, rows, met, flags, direction, head, status, room):
     """What the step did: works, states, forces, energies and the certificate."""
-    (mass, J, gravity, no_load, none), (blocks, frame, scales), (f, w, own, acted) = bodies, rows, room
-    n, nc, out, h = mass.size, status.size, f, num[col.STEP]
+    (mass, J, gravity, force, torque, none), (blocks, frame, scales), (f, w, own, acted) = bodies, rows, room
+    n, nc, out, h = size[0], status.size, f, num[col.STEP]
     b, mu, r = f[col.RESULTS :], met[2][1], acted[col.IMPULSE * nc : col.U * nc]
-    v, v_plus = col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_PLUS, n)
+    v, v_plus = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_PLUS, size)
     couples = col.column(own, col.COUPLE_WORK, nc) if head[col.TURNED] else none
     out[col.EXTERNAL], beyond, out[col.NORMAL], out[col.FRICTION], rest = _account.account(
-        (mass, gravity, no_load, no_load),
+        (mass, gravity, force, torque),
         (h, num[col.THETA]),
         (v, v, v_plus),
         (blocks, none, mu, own[: col.ALONE * nc].reshape((5, 3 * nc)), frame),
@@ -184,8 +185,8 @@ def book(num, bodies, rows, met, flags, direction, head, status, room):
             col.vectors(acted, col.FORCE, nc),
         ),
     )
-    out[col.NUMERICS] = beyond + rest
-    x, v_end = col.vectors(b, col.X, n), col.velocity(b, col.V, n)
+    out[col.DAMPING], out[col.NUMERICS] = 0.0, beyond + rest
+    x, v_end = col.vectors(b, col.X, n), col.velocity(b, col.V, size)
     out[col.KINETIC], out[col.POTENTIAL] = motion.free_energies(mass, J, gravity, x, v_end)
     projected = own[col.PROJECTED * nc : (col.PROJECTED + 3) * nc]
     outside, gap, shift, speed, step, total, square = certificate_of(

@@ -1,29 +1,31 @@
-"""What a move of free bodies finds, and meets of that, in the arrays of `columns`."""
+"""What a move finds, and meets of that, in the arrays of `columns`."""
 
 import numpy as np
 
 from nsdyn._kernels.collision.search import LEFT, gather, seek
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, persistence, sight, touching
 
-DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD, MORE = range(6)
+DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD, MORE, MOVE = range(7)
 """How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
-the problem is to be solved; the geoms where it ends; there is no room for so many contacts. After LOOK, SOLVE and
-LOOK_AHEAD it goes on with what Python has done."""
+the problem is to be solved; the geoms where it ends; there is no room for so many contacts; trees are to be moved to
+the end. After LOOK, SOLVE, LOOK_AHEAD and MOVE it goes on with what Python has done."""
 
 
 @in_place
-def look(detection, ready, looked, begun, into, head, which, most):
-    """Find contacts, which go on from begun = (some, next key), and `DONE`; else `LOOK`, or `MORE` if they are many."""
+def look(detection, ready, looked, begun, into, head, which, most, wide):
+    """Find contacts, which go on from begun = (some, next key), and `DONE`; else `LOOK`, or `MORE` if they are many.
+
+    Their rows of W have at most `wide` numbers each.
+    """
     (geoms, pairs, limit, tolerance), (before, next_key) = detection, begun
     count = seek(geoms, pairs, limit, ready, looked)
     if count == LEFT:
         return LOOK
     head[which] = head[col.NEEDED] = count
-    if count > most or col.FOUND * count > into[0].size:
+    if count > most or (col.ROWS + wide) * count > into[0].size:
         return MORE
     room = col.contacts(into, count)
     head[col.KEY_MIDDLE + which - col.MIDDLE] = gather(geoms, pairs, tolerance, (before[0], before[1]), next_key, room)
@@ -32,19 +34,18 @@ def look(detection, ready, looked, begun, into, head, which, most):
 
 
 @kernel
-def catch(num, bodies, contacts, last, old, w, barred, out):
+def catch(num, size, movers, inscribed, contacts, last, old, w, barred, out):
     """Which contacts that are found the move meets, into out (nc,), as of `nsdyn.stepping.sight.caught`; how many.
 
-    bodies = (arm, radii of balls inside the shapes), contacts = (those where the move begins, those found), old: the
-    bodies where it begins.
+    inscribed: radii of balls inside the shapes, contacts = (those where the move begins, those found), old: the scene
+    where it begins.
     """
-    (arm, inscribed), h, size = bodies, num[col.STEP], int(num[col.GEOMS])
-    n = arm.size
+    h, geoms, n = num[col.STEP], int(num[col.GEOMS]), size[0]
     (names, points, scalars), (before, begun, known) = contacts[1], contacts[0]
     nc, v, v_begin, x = (
         names.shape[1],
-        col.velocity(w, col.V_FREE, n),
-        col.velocity(old, col.V, n),
+        col.velocity(w, col.V_FREE, size),
+        col.velocity(old, col.V, size),
         col.vectors(w, col.X, n),
     )
     rate, twists, gap = np.empty(v.size), np.empty((5, 2, n, 3)), known[0].copy()
@@ -52,9 +53,10 @@ def catch(num, bodies, contacts, last, old, w, barred, out):
         rate[i] = (v[i] - v_begin[i]) / h
     closed, tol, bounces_of = num[col.CLOSED], num[col.TOL], (num[col.HALF], num[col.LEAST])
     if num[col.ELASTIC] > 0.0 and known[2].any():
-        R, where = col.rotations(old, col.R, n), (before[2], before[3], begun[0], begun[1], col.vectors(old, col.X, n))
-        motion.twists(R, v_begin, n, twists[3, 0], twists[3, 1])
-        motion.twists(R, rate, n, twists[4, 0], twists[4, 1])
+        R, at = col.rotations(old, col.R, n), col.vectors(old, col.X, n)
+        where = before[2], before[3], begun[0], begun[1], at
+        free.moving(movers, at, R, v_begin, twists[3, 0], twists[3, 1])
+        free.moving(movers, at, R, rate, twists[4, 0], twists[4, 1])
         moving = (twists[3, 0], twists[3, 1]), (twists[4, 0], twists[4, 1])
         sight.parting(where, np.zeros(gap.size), known[0], known[2], moving, (closed, tol, bounces_of), gap)
     if touching.all_known(names[4], before[4], gap, closed):
@@ -62,11 +64,11 @@ def catch(num, bodies, contacts, last, old, w, barred, out):
         return nc
     pair, deep, R = np.empty(nc, np.int64), np.empty(nc), col.rotations(w, col.R_THERE, n)
     for c in range(nc):
-        pair[c] = names[0, c] * size + names[1, c]
+        pair[c] = names[0, c] * geoms + names[1, c]
         deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
-    motion.twists(R, v_begin, n, twists[0, 0], twists[0, 1])
-    motion.twists(R, v, n, twists[1, 0], twists[1, 1])
-    motion.twists(R, rate, n, twists[2, 0], twists[2, 1])
+    free.moving(movers, x, R, v_begin, twists[0, 0], twists[0, 1])
+    free.moving(movers, x, R, v, twists[1, 0], twists[1, 1])
+    free.moving(movers, x, R, rate, twists[2, 0], twists[2, 1])
     sight.caught(
         (names[4], pair, deep, scalars[0], scalars[2]),
         (names[2], names[3], points[0], points[1], x),
@@ -104,18 +106,19 @@ def closing_of(num):
 
 
 @in_place
-def pose(num, masses, begin, last, met, rows, room, out):
+def pose(num, size, masses, movers, begin, last, met, rows, room, out):
     """The problem of the step: the size of H, the norm of b, and its validity.
 
-    begin = (contacts where the step begins, its bodies), last = (keys, forces, states) of what acted last, rows as of
-    `free.meet`, room = (w, own), out = (place, slides, b).
+    masses and movers as of `free.meet`, begin = (contacts where the step begins, the scene there), last = (keys,
+    forces, states) of what acted last, rows as of `free.meet`, room = (w, own), out = (place, slides, b).
     """
-    (w, own), (place, slides, b), n = room, out, masses[0].size
+    (w, own), (place, slides, b), n = room, out, size[0]
     nc = place.size
     (names, points, _), old = begin
     x, R = col.vectors(w, col.LOOKED_THERE, n), col.rotations(w, col.LOOKED_THERE + 3, n)
     return free.meet(
         masses,
+        movers,
         (met[0][4], met[0][2], met[0][3], met[1][0], met[1][1], met[2][0], x, R),
         (
             names[4],
@@ -126,7 +129,7 @@ def pose(num, masses, begin, last, met, rows, room, out):
             col.vectors(old, col.ANGULAR, n),
             col.column(w, col.REACH, n),
         ),
-        (col.velocity(old, col.V, n), col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_FREE, n)),
+        (col.velocity(old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
         (last[0], last[1], num[col.STEP], last[2]),
         (met[2][1], met[2][2], closing_of(num)),
         rows,
@@ -135,11 +138,11 @@ def pose(num, masses, begin, last, met, rows, room, out):
 
 
 @kernel
-def strikes(num, met, local, rate, w):
+def strikes(num, n, movers, met, local, rate, w):
     """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`, should its gap close."""
-    (names, points, scalars), n = met, rate.size // 6
-    rates, where = np.empty((2, n, 3)), (names[2], names[3], points[0], points[1], col.vectors(w, col.X, n))
-    motion.twists(col.rotations(w, col.R_THERE, n), rate, n, rates[0], rates[1])
+    (names, points, scalars), x = met, col.vectors(w, col.X, n)
+    rates, where = np.empty((2, n, 3)), (names[2], names[3], points[0], points[1], x)
+    free.moving(movers, x, col.rotations(w, col.R_THERE, n), rate, rates[0], rates[1])
     for c in range(names.shape[1]):
         if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0:
             weight, bounces_of = touching.weight_of(c, where, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])

@@ -1,4 +1,4 @@
-"""What contacts of free bodies do in a move, where it then ends, and gaps there, in the arrays of `columns`."""
+"""What contacts do in a move, where it then ends, and gaps there, in the arrays of `columns`."""
 
 import numpy as np
 
@@ -22,22 +22,26 @@ def too_wide(num, blocks):
 
 
 @in_place
-def rests(num, n, rows, met, flags, label, room):
+def rests(num, size, rows, met, flags, label, room):
     """Whether a solve is all it takes, since nothing turns, nor slips otherwise than foreseen; then it is made."""
     (blocks, _, scales), (out, w, own, a) = rows, room
     nc, mu, h = scales.size, met[2][1], num[col.STEP]
-    v, v_free, change = col.velocity(w, col.V_THERE, n), col.velocity(w, col.V_FREE, n), col.velocity(w, col.CHANGE, n)
+    v, v_free, change = (
+        col.velocity(w, col.V_THERE, size),
+        col.velocity(w, col.V_FREE, size),
+        col.velocity(w, col.CHANGE, size),
+    )
     mean, local, slides = (
-        col.velocity(w, col.V_MEAN, n),
+        col.velocity(w, col.V_MEAN, size),
         own[: col.ALONE * nc].reshape((5, 3 * nc)),
         flags[col.SLIDES, :nc],
     )
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    copy(v_free, col.velocity(w, col.V_TURNED, n))
+    copy(v_free, col.velocity(w, col.V_TURNED, size))
     change[:] = 0.0
     if nc == 0:
         return True
-    if num[col.OWN] == 0.0 or persistence.turns(v, n, h):
+    if num[col.OWN] == 0.0 or persistence.turns(v, size[2], h):
         return False
     copy(local[4], r)
     limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
@@ -55,11 +59,11 @@ def rests(num, n, rows, met, flags, label, room):
     for i in range(mean.size):
         mean[i] = 0.5 * (v[i] + v_free[i] + change[i])
     out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
-    return not persistence.turns(mean, n, h)
+    return not persistence.turns(mean, size[2], h)
 
 
 @kernel
-def respond(num, bodies, rows, met, flags, again, head, room):
+def respond(num, size, bodies, rows, met, flags, again, head, room):
     """Impulses, and couples with which contacts that persist do no work; `DONE`, `SOLVE` or `OTHERWISE`.
 
     From the gaps that they are found to end with, if those were corrected; `again` where Python has solved the problem.
@@ -67,11 +71,11 @@ def respond(num, bodies, rows, met, flags, again, head, room):
     """
     (inverse_J, arm), (blocks, _, scales), (out, w, own, a) = bodies, rows, room
     nc, none = scales.size, own[:0]
-    n, mu, laws_of = arm.size, met[2][1], met[2][2]
+    n, mu, laws_of = size[0], met[2][1], met[2][2]
     v, v_free, turned = (
-        col.velocity(w, col.V_THERE, n),
-        col.velocity(w, col.V_FREE, n),
-        col.velocity(w, col.V_TURNED, n),
+        col.velocity(w, col.V_THERE, size),
+        col.velocity(w, col.V_FREE, size),
+        col.velocity(w, col.V_TURNED, size),
     )
     local, alone = (
         own[: col.ALONE * nc].reshape((5, 3 * nc)),
@@ -79,9 +83,13 @@ def respond(num, bodies, rows, met, flags, again, head, room):
     )
     end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
     slides, stays, off = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.OFF, :nc]
-    couple, dv, change = col.vectors(a, col.COUPLE, nc), col.velocity(w, col.TURN, n), col.velocity(w, col.CHANGE, n)
+    couple, dv, change = (
+        col.vectors(a, col.COUPLE, nc),
+        col.velocity(w, col.TURN, size),
+        col.velocity(w, col.CHANGE, size),
+    )
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    mean = col.velocity(w, col.V_MEAN, n)
+    mean = col.velocity(w, col.V_MEAN, size)
     laws, first = (end_gap, laws_of, none, late, closing_of(num)), head[col.GAPS_LEFT] == law.GAPS
     kept_r, kept_u, left_over = r, u, col.column(own, col.LEFT_OVER, nc)
     left_over[:] = np.inf
@@ -124,7 +132,7 @@ def respond(num, bodies, rows, met, flags, again, head, room):
         head[col.TURNED] = 1
     if head[col.TURNED]:
         R, works = col.rotations(w, col.R_THERE, n), col.column(own, col.COUPLE_WORK, nc)
-        persistence.works(met[0][2], met[0][3], n, R, mean, couple, works)
+        persistence.works(met[0][2], met[0][3], size[2], R, mean, couple, works)
         for i in range(turned.size):
             turned[i] = v_free[i] + dv[i]
     norm, _ = _blocks.size_of(b, mu)
@@ -133,26 +141,39 @@ def respond(num, bodies, rows, met, flags, again, head, room):
 
 
 @in_place
-def arrive(num, bodies, arm, f, w):
-    """The second half of a step; whether contacts are those where the impulses acted."""
-    n = arm.size
-    return free.end(
-        col.velocity(w, col.V_TURNED, n),
-        col.velocity(w, col.CHANGE, n),
+def arrive(num, size, bodies, f, w):
+    """The second half of a step of free bodies."""
+    n = size[0]
+    free.end(
+        col.velocity(w, col.V_TURNED, size),
+        col.velocity(w, col.CHANGE, size),
         bodies,
         (col.vectors(w, col.X, n), col.quaternions(w, col.QUATERNION, n)),
         num[col.THETA] * num[col.STEP],
-        (col.placed(w, col.LOOKED_THERE, n), col.column(w, col.NEAR, n), arm, num[col.STILL]),
         (
-            col.velocity(w, col.V_PLUS, n),
+            col.velocity(w, col.V_PLUS, size),
             col.vectors(f, col.X, n),
             col.quaternions(f, col.QUATERNION, n),
-            col.velocity(f, col.V, n),
+            col.velocity(f, col.V, size),
             col.rotations(f, col.R, n),
             col.vectors(f, col.LINEAR, n),
             col.vectors(f, col.ANGULAR, n),
         ),
     )
+
+
+@in_place
+def push(size, blocks, r, w):
+    """The velocity after the impulses, v⁺ = v_f + M̃⁻¹ H r, and H r."""
+    v, change, impulse = (
+        col.velocity(w, col.V_TURNED, size),
+        col.velocity(w, col.CHANGE, size),
+        col.velocity(w, col.PUSHED, size),
+    )
+    v_plus = col.velocity(w, col.V_PLUS, size)
+    for i in range(v.size):
+        v_plus[i] = v[i] + change[i]
+    _blocks.momentum(blocks, r, impulse)
 
 
 @in_place
