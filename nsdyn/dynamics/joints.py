@@ -119,7 +119,7 @@ class JointLaws:
         self.turning = (self.other >= 0) | np.roll(self.ball, 1)
         self.size = len(table)
         self.limits, self._no_impulses = np.flatnonzero(self.sign), np.zeros((self.size, 3))
-        self._passive = self.coordinate[: self.passive]
+        self._table = self.coordinate, self.sign, self.bound, self.near
 
     def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of a step: all friction, and the limits the joints may reach; None when there are none.
@@ -132,10 +132,10 @@ class JointLaws:
             Velocity at the beginning, and at the end without contacts.
         h : float
         """
-        rate = np.maximum(np.abs(v), np.abs(v_free))[self._passive]
-        (slot,) = (self.gaps(slice(self.passive), angle) <= self.near[: self.passive] + 2.0 * h * rate).nonzero()
-        if not slot.size:
+        slot = np.empty(self.passive, np.int64)
+        if not (count := _joints.near(angle, (v, v_free), h, self._table, slot)):
             return None
+        slot = slot[:count]
         friction = self.sign[slot] == 0.0
         clutch = np.zeros((3, slot.size))
         clutch[0] = np.where(friction, h * self.bound[slot], 0.0)

@@ -248,9 +248,7 @@ class Tree(Linkage):
         if self._armoured:
             kinetic += 0.5 * float(v @ (self._armature * v))
         if self._springs:
-            deviation, turns = self.angle(q) - self.rest, self._round
-            deviation[turns] = np.remainder(deviation[turns] + np.pi, 2.0 * np.pi) - np.pi  # the short way round
-            potential += 0.5 * float(deviation @ (self.stiffness * deviation))
+            potential += _trees.strain(self.angle(q), self._laws, self._round)
         return kinetic, potential
 
     def bias(self, q: Array, v: Array) -> Array:

@@ -36,9 +36,8 @@ Solve = Callable[[FC3D, Array], Solution]
 APART = 1e-6
 """Distance of two velocities, over the change that the larger impulse makes, from which on they are two."""
 
-FALL, ODD = 1e-3, 10.0
-"""Of the loads on the normals, what is left of them; and the change of slip over those, from which on there may be a
-jam: where friction is a force it is at most of the order of μ."""
+FALL = 1e-3
+"""Of the loads on the normals, what is left of them."""
 
 
 def ambiguous(problem: FC3D, u: Array, r: Array) -> Index:
@@ -125,7 +124,7 @@ def jams(problem: FC3D, solution: Solution, contacts: int, fall: float, solve: S
     q, u, r = (x.reshape(-1, 3)[:contacts] for x in (problem.q, solution.u, solution.r))
     pressed = r[:, 0] > 0.0
     load = max(float(np.abs(q[pressed, 0]).max(initial=0.0)), fall)
-    odd: NDArray[np.bool_] = pressed & (np.hypot(u[:, 1] - q[:, 1], u[:, 2] - q[:, 2]) > ODD * load)
+    odd: NDArray[np.bool_] = pressed & (np.hypot(u[:, 1] - q[:, 1], u[:, 2] - q[:, 2]) > _kernels.ODD * load)
     if not odd.any():
         return odd
     less = problem.q.copy()

@@ -198,26 +198,22 @@ class Flat(NamedTuple):
 
     def instant(self) -> Instant:
         """Its end."""
-        nc, like, (x, R) = self.status.size, self.like, self.poses
-        looked = self.frame(_col.LOOKED, 3), self.frame(_col.LOOKED + 3, 9).reshape(-1, 3, 3)
-        return Instant(
-            self.position,
-            self.coordinate(_col.V),
-            Placement(x, R, like.placement.links),
-            self.found.contacts(),
-            like.limits,
-            ContactMemory(self.found.names, self.found.points, self.next_key),
-            Looked(*looked, self.frame(_col.LOOKED + 12, 1).ravel()),
-            Warm(
-                self.acted[:nc],
-                self.acted[nc:],
-                self.contact(_col.FORCE, 3).reshape(-1, 3),
-                self.status,
-                like.warm.joints,
-            ),
-            self.twists,
-            like.energies,
+        nc, (x, R) = self.status.size, self.poses
+        force = self.contact(_col.FORCE, 3).reshape(-1, 3)
+        return self.begin()._replace(
+            position=self.position,
+            placement=Placement(x, R, self.like.placement.links),
+            contacts=self.found.contacts(),
+            memory=ContactMemory(self.found.names, self.found.points, self.next_key),
+            warm=Warm(self.acted[:nc], self.acted[nc:], force, self.status, self.like.warm.joints),
+            twists=self.twists,
         )
+
+    def begin(self) -> Instant:
+        """Where the trees begin their motion: all but contacts, and what acted on them."""
+        looked = self.frame(_col.LOOKED, 3), self.frame(_col.LOOKED + 3, 9).reshape(-1, 3, 3)
+        where = Looked(*looked, self.frame(_col.LOOKED + 12, 1).ravel())
+        return self.like._replace(v=self.coordinate(_col.V), looked=where)
 
     @property
     def position(self) -> Position:

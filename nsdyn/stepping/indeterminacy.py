@@ -83,7 +83,7 @@ class Paradoxes:
     def _jam(self, problem: FC3D, solution: Solution, nc: int, dt: float, rate: Array) -> Bools | None:
         """Which of the contacts, the first of a problem, jam; None where none is stopped by so much."""
         load, change = _kernels.stopped(problem.q, solution.u, solution.r, nc)
-        if change <= paradox.ODD * load:
+        if change <= _kernels.ODD * load:
             return None
         return paradox.jams(problem, solution, nc, dt * float(np.abs(rate).max(initial=0.0)), self._solver)
 

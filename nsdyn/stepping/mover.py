@@ -105,6 +105,7 @@ class Mover:
             WEAK,
             s.inscribed.size,
             self.wide,
+            -1.0,
         )
         full = int(np.square(np.diff(offset)).sum())
         trees = [(t.frames.start, len(t.joints), t.coordinates.start, t.model.nv) for t in d.trees]

@@ -15,6 +15,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.flat import Acting, Flat, Found
 from nsdyn.stepping.half import Loads, first_half
+from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.mover import NO_PAIRS, Made, Mover
 from nsdyn.stepping.quiet_trees import Motion
@@ -46,11 +47,14 @@ class Quiet:
         Whether certificates are polished: no one of the kernel is then enough.
     loads : callable
         What the user has to say at a time [s], which trees obey.
+    paradoxes : Paradoxes
+        Of these there are none in such a step.
     """
 
-    def __init__(self, system: System, mover: Mover, polish: bool, loads: Loads) -> None:
+    def __init__(self, system: System, mover: Mover, polish: bool, loads: Loads, paradoxes: Paradoxes) -> None:
         self._system, self._mover, self._moves, self._asked = system, mover, False, 0
-        self._loads = loads
+        self._loads, self._paradoxes = loads, paradoxes
+        mover.numbers[_col.FEWEST] = FEW if paradoxes.possible else -1.0
         self._length = system.dt, system.depth
         self._pause = self._left = 0
         if polish:
@@ -77,9 +81,9 @@ class Quiet:
         if not s.dynamics.trees:
             made = self._made(old, old.found, None)
             return None if made is None else self._told(old, made, old.like, old.acting, certify)
-        begin, t = old.instant(), old.origin + (old.count + 1) * old.dt - s.dt
+        begin, t = old.begin(), old.origin + (old.count + 1) * old.dt - s.dt
         callbacks = self._loads(t + (1.0 - s.theta) * s.dt)
-        motion = Motion(s, begin, first_half(s, begin, t, s.dt, callbacks))
+        motion = Motion(s, begin, old.found.contacts, first_half(s, begin, t, s.dt, callbacks))
         while True:
             # Rows of trees change whatever moves: those of the last step are still to be told.
             if not motion.meets_nothing() or (made := self._made(old, old.found.anew(), motion)) is None:
@@ -110,6 +114,10 @@ class Quiet:
         out = Flat(old.origin, old.dt, old.count + 1, *state)
         if made.head[_col.FAST] and self._passes(old, out, made):
             return None
+        if floats[_col.SUSPECT]:
+            problem, solution = out.problem(self._system.dynamics), out.solution(self._system.solver.tol)
+            if self._paradoxes.met(problem, solution, out.dt, out.coordinate(_col.RATE)):
+                return None
         if not floats[_col.CERTIFIED]:
             solution = out.solution(self._system.solver.tol)
             certificate, opening = certify(out.problem(self._system.dynamics), solution.r, solution.u, old.opening)

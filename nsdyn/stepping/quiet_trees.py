@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import columns as _col
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.booking import tree_works
@@ -26,12 +29,15 @@ class Motion:
     ----------
     s : System
     begin : Instant
+        As of `Flat.begin`.
+    contacts : callable
+        Gives those there.
     half : Half
         The first half of the step.
     """
 
-    def __init__(self, s: System, begin: Instant, half: Half) -> None:
-        self._s, self._begin, self.half = s, begin, half
+    def __init__(self, s: System, begin: Instant, contacts: Callable[[], ContactSet], half: Half) -> None:
+        self._s, self._begin, self._contacts, self.half = s, begin, contacts, half
         self._v = self._impulse = np.empty(0)
         self._ends: tuple[TreeEnd, ...] = ()
         self._position, self._placement = begin.position, begin.placement
@@ -41,7 +47,7 @@ class Motion:
         s, d, half, begin = self._s, self._s.dynamics, self.half, self._begin
         if half.fast or _few.any_below(begin.limits, s.closed):
             return False
-        if s.elastic and _bounces(s, begin, half.rate):
+        if s.elastic and _bounces(s, begin, self._contacts(), half.rate):
             return False
         joints = d.joint_rows(half.middle.placement, half.middle.v, half.forces.v, half.h)
         return d.with_actuators(joints, half.forces) is None
@@ -62,7 +68,7 @@ class Motion:
     def corrected(self, callbacks: Callbacks) -> Motion | None:
         """The motion with what callbacks say at the mean velocity of this one; None where that is the same."""
         again = corrected(self._s, self._begin, self.half, self._v, callbacks)
-        return None if again is self.half else Motion(self._s, self._begin, again)
+        return None if again is self.half else Motion(self._s, self._begin, self._contacts, again)
 
     def told(self, results: Array) -> tuple[Instant, Acting] | None:
         """The trees at the end, and what acted on them; their works and energies are added to the results of the step.
@@ -91,9 +97,8 @@ class Motion:
         return like, Acting((half.forces.m, half.forces.minv), joints, links)
 
 
-def _bounces(s: System, begin: Instant, rate: Array) -> bool:
+def _bounces(s: System, begin: Instant, c: ContactSet, rate: Array) -> bool:
     """Whether anything that may rebound strikes or parts faster than what rests at a free acceleration `rate` (n,)."""
-    c = begin.contacts
     if _few.most(c.restitution) == 0.0:
         return False
     u, e = approach(s.dynamics, c, begin.placement, begin.v), c.restitution

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nsdyn._kernels.stepping.columns import RATE
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -356,9 +355,9 @@ class Stepper:
         s, d, functions = self.system, self.dynamics, self.functions
         alone = functions["controller"] is None and functions["external_force"] is None
         if s.mover is not None and alone:
-            return Quiet(s, s.mover, polish, lambda t: None)
+            return Quiet(s, s.mover, polish, lambda t: None, self._paradoxes)
         if d.trees and d.loose and not functions.take_last:
-            return Quiet(s, Mover(s), polish, lambda t: functions.at(t, d, None))
+            return Quiet(s, Mover(s), polish, lambda t: functions.at(t, d, None), self._paradoxes)
         return None
 
     def _quietly(self, quiet: Quiet) -> Step | None:
@@ -368,10 +367,6 @@ class Stepper:
         before, after = found
         untold = Untold(after, before.energies, (self.theta, self.system.solver.tol), self.dynamics)
         step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
-        if self._paradoxes.possible and after.status.size:
-            problem, solution = after.problem(self.dynamics), after.solution(self.system.solver.tol)
-            if self._paradoxes.met(problem, solution, self.dt, after.coordinate(RATE)):
-                return None
         self._now = after
         return step
 

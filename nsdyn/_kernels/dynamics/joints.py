@@ -39,6 +39,22 @@ def append_rows(slots, coordinate, other, tree, sign, blocks):
 
 
 @in_place
+def near(angle, rates, h, table, out):
+    """Slots that may act in a step of h s, friction and limits that joints may reach, into out; how many they are.
+
+    At the joint coordinates `angle` (n,), with rates = (v, v_free), (n,) each, table = (coordinate, sign, bound, near).
+    """
+    (v, v_free), (coordinate, sign, bound, within), some = rates, table, 0
+    for k in range(out.size):
+        j = coordinate[k]
+        gap, rate = sign[k] * (angle[j] - bound[k]), max(abs(v[j]), abs(v_free[j]))
+        if gap <= within[k] + 2.0 * h * rate:
+            out[some] = k
+            some += 1
+    return some
+
+
+@in_place
 def reduce_jacobian(blocks, where, z, sizes, block, start, out):
     """Rows of Hᵀ Z, into out, of blocks of such sizes whose Z begins at `where` in z (-1: it is I); 1 of clutches."""
     offset, _, old, H = blocks[:4]

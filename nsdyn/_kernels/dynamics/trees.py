@@ -72,6 +72,15 @@ def excess(angle, goal, turning):
     return (out + math.pi) % (2.0 * math.pi) - math.pi if turning else out
 
 
+@in_place
+def strain(angle, springs, turning):
+    """Energy of joint springs, (stiffness, damping, rest) (3, n), J."""
+    energy = 0.0
+    for j in range(angle.size):
+        energy += 0.5 * springs[0, j] * excess(angle[j], springs[2, j], turning[j]) ** 2
+    return energy
+
+
 @kernel
 def linear_laws(M, springs, control, angle, turning, h, theta, laws):
     """What joint springs, (stiffness, damping, rest) (3, n), and a control, `Control` (5, n), are in a step.

@@ -20,6 +20,10 @@ def stopped(q, u, r, nc):
     return load, change
 
 
+ODD = 10.0
+"""Change of slip over the loads on the normals, from which on there may be a jam: where friction is a force it is at
+most of the order of μ."""
+
 DIRECTIONS = 180
 """Of slip, in which solutions of one contact are looked for; of two that are closer than 2° none is seen."""
 
@@ -128,3 +132,12 @@ def solutions(W, q, mu, out):
             out[found, 0], out[found, 1], out[found, 2] = normal, -mu * normal * t1, -mu * normal * t2
             found += 1
     return found
+
+
+@kernel
+def suspect(blocks, mu, q, u, r, few):
+    """Whether a solution may jam, or be one of several where there are at most `few` contacts."""
+    load, change = stopped(q, u, r, mu.size)
+    if change > ODD * load:
+        return True
+    return mu.size <= few and ambiguous(blocks, mu, u, r, np.empty(mu.size, np.int64)) > 0

@@ -56,7 +56,8 @@ BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
     WEAK,
     GEOMS,
     WIDE,
-) = range(24)
+    FEWEST,
+) = range(25)
 
 # The results of a step.
 (
@@ -79,8 +80,9 @@ BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
     COULOMB,
     WENT,
     GOES,
+    SUSPECT,
     RESULTS,
-) = range(20)
+) = range(21)
 
 # First columns of a frame in a state, and in what is at work; of the quaternions those of free bodies are used.
 X, QUATERNION, R, LINEAR, ANGULAR, LOOKED, FRAME = 0, 3, 7, 16, 19, 22, 35

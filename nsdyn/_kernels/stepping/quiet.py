@@ -7,6 +7,7 @@ from nsdyn._kernels.clock import seconds
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.problem.paradox import suspect
 from nsdyn._kernels.reductions import copy, most
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, touching
@@ -240,6 +241,10 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         return OTHERWISE
     inertia = mass, J, gravity, force, torque, nowhere[:0]
     book(num, size, inertia, of_rows, met, flags, direction, head, status, work_room)
+    out[col.SUSPECT] = 0.0
+    if nc > 0 and num[col.FEWEST] >= 0.0:
+        r, u = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc]
+        out[col.SUSPECT] = suspect(blocks, met[2][1], q, u, r, int(num[col.FEWEST]))
     if trees:
         return DONE
     works, fallen = (
