@@ -142,14 +142,14 @@ class Tree(Linkage):
         v0, M, h = halfway.v, halfway.M, halfway.h
         n = v0.size
         factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(n)
-        if not _trees.implicit(M, loads.laws, h, factor, m, minv):
+        if not _trees.move_free(M, loads.laws, loads.push, loads.weight, v0, h, factor, m, minv, v):
             raise indefinite(self.model, M)
-        start, constraints = v0, None
-        if self.constrained:
-            constraints = B, P, Z = self._restrict(halfway.q, factor)
-            minv, b = Z @ Z.T, np.zeros(len(B))
-            b[b.size - len(self.driven) :] = loads.rates
-            start = minv @ (m @ v0) + P @ b
+        if not self.constrained:
+            return FreeMotion(v, v, loads, m, minv, None)
+        constraints = B, P, Z = self._restrict(halfway.q, factor)
+        minv, b = Z @ Z.T, np.zeros(len(B))
+        b[b.size - len(self.driven) :] = loads.rates
+        start = minv @ (m @ v0) + P @ b
         _trees.respond(start, minv, loads.laws, loads.push, loads.weight, v0, h, v)
         return FreeMotion(v, v, loads, m, minv, constraints)
 

@@ -211,9 +211,16 @@ class Flat(NamedTuple):
 
     def begin(self) -> Instant:
         """Where the trees begin their motion: all but contacts, and what acted on them."""
-        looked = self.frame(_col.LOOKED, 3), self.frame(_col.LOOKED + 3, 9).reshape(-1, 3, 3)
-        where = Looked(*looked, self.frame(_col.LOOKED + 12, 1).ravel())
-        return self.like._replace(v=self.coordinate(_col.V), looked=where)
+        like, n, f = self.like, self.size[0], self.floats
+        at = _col.RESULTS + _col.LOOKED * n
+        looked = (
+            f[at : at + 3 * n].reshape(n, 3),
+            f[at + 3 * n : at + 12 * n].reshape(n, 3, 3),
+            f[at + 12 * n : at + 13 * n],
+        )
+        v = self.coordinate(_col.V)
+        found = like.contacts, like.limits, like.memory
+        return Instant(like.position, v, like.placement, *found, Looked(*looked), like.warm, like.twists, like.energies)
 
     @property
     def position(self) -> Position:

@@ -207,14 +207,15 @@ class Mover:
 
     def _load(self, half: Half, floats: Array, work: Array) -> None:
         """Where a step has come to halfway, and what acts there."""
-        (n, _), views, (x, R, links) = self._size, self._views, half.middle.placement
-        work[: 3 * n], work[_col.R_THERE * n : _col.REACH * n] = x.ravel(), R.ravel()
+        n, views, (x, R, links), forces = self._size[0], self._views, half.middle.placement, half.forces
+        _vectors(work, _col.X, n)[:], _matrices(work, _col.R_THERE, n)[:] = x, R
         work[_col.REACH * n : _col.LOOKED_THERE * n] = half.reach
         self._velocity(work, _col.V_THERE)[:] = half.middle.v
-        self._velocity(work, _col.V_FREE)[:] = half.forces.v
+        self._velocity(work, _col.V_FREE)[:] = forces.v
         self._velocity(floats[_col.RESULTS :], _col.RATE)[:] = half.rate
-        views[_col.M][:], views[_col.MINV][:] = half.forces.m, half.forces.minv
-        views[_col.PUSH][:], views[_col.TWIST][:] = half.forces.force, half.forces.torque
+        views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
+        if self._dynamics.free:
+            views[_col.PUSH][:], views[_col.TWIST][:] = forces.force, forces.torque
         first = 0
         for of_tree in links:
             views[_col.JACOBIAN][first : (first := first + of_tree.J.shape[1])] = of_tree.J.T
@@ -227,9 +228,9 @@ class Mover:
             return False
         position, v, (x, R, _), (linear, angular) = found
         turns = position.quaternion.ravel()
-        b[: 3 * n], b[3 * n : 3 * n + turns.size] = x.ravel(), turns
-        b[_col.R * n : _col.LINEAR * n] = R.ravel()
-        b[_col.LINEAR * n : _col.ANGULAR * n], b[_col.ANGULAR * n : _col.LOOKED * n] = linear.ravel(), angular.ravel()
+        b[3 * n : 3 * n + turns.size] = turns
+        _vectors(b, _col.X, n)[:], _matrices(b, _col.R, n)[:] = x, R
+        _vectors(b, _col.LINEAR, n)[:], _vectors(b, _col.ANGULAR, n)[:] = linear, angular
         self._velocity(b, _col.V)[:] = v
         return True
 

@@ -92,8 +92,9 @@ class Motion:
         for kinetic, potential in energies:
             results[_col.KINETIC] += kinetic
             results[_col.POTENTIAL] += potential
-        warm = begin.warm._replace(joints=slots)
-        like = begin._replace(position=position, placement=self._placement, limits=limits, warm=warm, energies=energies)
+        warm = begin.warm if begin.warm.joints is slots else begin.warm._replace(joints=slots)
+        found = begin.contacts, limits, begin.memory, begin.looked
+        like = Instant(position, begin.v, self._placement, *found, warm, begin.twists, energies)
         return like, Acting((half.forces.m, half.forces.minv), joints, links)
 
 

@@ -122,7 +122,7 @@ def linear_laws(M, springs, control, angle, turning, h, theta, laws):
             laws[1, 3, j] = 1.0 - OVERSHOOT / damps
 
 
-@kernel
+@in_place
 def implicit(M, laws, h, F, m, minv):
     """The effective mass matrix m = M + h (β d + h α² k) of all `linear_laws` and minv = Fᵀ F, its inverse, all (n, n).
 
@@ -222,6 +222,15 @@ def respond(start, minv, laws, push, weight, v0, h, v):
         v[i] = start[i]
         for j in range(v.size):
             v[i] += h * minv[i, j] * (acting[0, j] + acting[1, j] + acting[2, j] - weight[j])
+
+
+@in_place
+def move_free(M, laws, push, weight, v0, h, F, m, minv, v):
+    """`implicit`, and `respond` of a tree that nothing constrains; False when m is not positive definite."""
+    if not implicit(M, laws, h, F, m, minv):
+        return False
+    respond(v0, minv, laws, push, weight, v0, h, v)
+    return True
 
 
 @in_place

@@ -27,6 +27,8 @@ most of the order of μ."""
 DIRECTIONS = 180
 """Of slip, in which solutions of one contact are looked for; of two that are closer than 2° none is seen."""
 
+COS, SIN = (of(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS + 1)) for of in (np.cos, np.sin))
+
 SECANTS, MOST = 12, 6
 """Steps to such a direction, to round-off, and most solutions: open, stick, and four directions of slip."""
 
@@ -76,7 +78,7 @@ def _across(W, q, mu, t1, t2):
     return t1 * u2 - t2 * u1
 
 
-@in_place
+@kernel
 def solutions(W, q, mu, out):
     """All impulses that solve u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K of one contact, into out (6, 3); how many.
 
@@ -98,20 +100,20 @@ def solutions(W, q, mu, out):
         if normal > 0.0 and math.sqrt(first * first + second * second) <= (1.0 + ROUND_OFF) * mu * normal:
             out[found, 0], out[found, 1], out[found, 2] = normal, first, second
             found += 1
-    cos, sin = math.cos(2.0 * math.pi / DIRECTIONS), math.sin(2.0 * math.pi / DIRECTIONS)
-    b1, b2, after = 1.0, 0.0, 0.0
-    may, known = False, False
-    for _ in range(DIRECTIONS + 1):
-        a1, a2, might, before = b1, b2, may, after
-        b1, b2 = cos * a1 - sin * a2, sin * a1 + cos * a2
-        may = (W[0, 0] - mu * (W[0, 1] * b1 + W[0, 2] * b2)) * q[0] < 0.0
-        if not (may or might):
-            known = False
-            continue
-        if not known:
-            before = _across(W, q, mu, a1, a2)
-        after, known = _across(W, q, mu, b1, b2), True
+    turned, w0, w1, w2 = np.empty(DIRECTIONS + 1), W[0, 0], W[0, 1], W[0, 2]
+    w11, w12, w22, q0, q1, q2 = W[1, 1], W[1, 2], W[2, 2], q[0], q[1], q[2]
+    for k in range(DIRECTIONS + 1):  # of numbers alone, which the compiler makes vectors of
+        t1, t2 = COS[k], SIN[k]
+        s = w0 - mu * (w1 * t1 + w2 * t2)
+        u1, u2 = s * q1 - q0 * (w1 - mu * (w11 * t1 + w12 * t2)), s * q2 - q0 * (w2 - mu * (w12 * t1 + w22 * t2))
+        turned[k] = t1 * u2 - t2 * u1
+    for k in range(DIRECTIONS):
+        before, after = turned[k], turned[k + 1]
         if (after > 0.0) == (before > 0.0):
+            continue
+        a1, a2, b1, b2 = COS[k], SIN[k], COS[k + 1], SIN[k + 1]
+        might, may = w0 - mu * (w1 * a1 + w2 * a2), w0 - mu * (w1 * b1 + w2 * b2)
+        if might * q0 >= 0.0 and may * q0 >= 0.0:
             continue
         c1, c2, f, g, side = b1, b2, abs(before), abs(after), 0
         for _ in range(SECANTS):
