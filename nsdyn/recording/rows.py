@@ -95,7 +95,9 @@ def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | Non
         block.pop(ON_LINKS, None)
     elif len(shown) < len(steps):
         row = np.repeat(np.arange(len(steps)) // every, [step.nc for step in steps])
-        link_names.by_contacts(carriers, _contacts(steps)[0], row, block[ON_LINKS])
+        of_all = [_one_by_one(*_contacts(run)) for run in _runs(steps)]
+        columns = {name: np.concatenate([of[name] for of in of_all]) for name in of_all[0]}
+        link_names.by_contacts(carriers, columns, row, block[ON_LINKS])
     block["contacts/offset"] = np.array([step.nc for step in shown] if contacts else [0] * len(block["t"]))
     return [(block, None), *map(_contacts, _runs(shown))]
 
@@ -116,6 +118,13 @@ def _contacts(run: Sequence[Any]) -> Part:
         columns = [np.concatenate(of) for of in zip(*(step.contacts for step in run), strict=True)]
         return dict(zip(CONTACTS, columns, strict=True)), (len(columns[-1]),)
     return dict(zip(CONTACTS, _read_contacts(run[0].contacts(run)), strict=True)), (len(run), run[0].nc)
+
+
+def _one_by_one(columns: Columns, fitted: tuple[int, ...] | None) -> Columns:
+    """Columns of contacts with one axis for all of them."""
+    if fitted is None or len(fitted) == 1:
+        return columns
+    return {n: np.broadcast_to(c, (*fitted, *c.shape[2:])).reshape(-1, *c.shape[2:]) for n, c in columns.items()}
 
 
 def _stacked(rows: list[tuple[Any, ...]]) -> tuple[Any, ...]:

@@ -336,9 +336,9 @@ class Untold(NamedTuple):
         x = quaternion = joints = links = pieces = None
         if d.trees:
             told = [one.told() for one in some]
-            q, v, x, quaternion, links = (
-                np.stack([t[name] for t in told]) for name in ("q", "v", "frames_x", "frames_quat", "links")
-            )
+            q, v, links = (np.stack([t[name] for t in told]) for name in ("q", "v", "links"))
+            if d.frames > d.free:
+                x, quaternion = (np.stack([t[name] for t in told]) for name in ("frames_x", "frames_quat"))
             joints, pieces = np.stack([t["joints"] for t in told], axis=1), (None,) * m
         else:
             columns = [

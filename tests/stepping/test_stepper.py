@@ -9,7 +9,7 @@ import pytest
 
 import nsdyn as nd
 from nsdyn.collision.contacts import ContactMemory, Poses
-from nsdyn.stepping import failures, mover, passage, quiet, sight
+from nsdyn.stepping import failures, mover, quiet, sight
 
 
 @pytest.mark.parametrize(
@@ -570,13 +570,28 @@ def test_a_step_does_not_change():
         _ = step.speed
 
 
-@pytest.mark.parametrize("name", ["quadruped", "arm_pushes_box", "bricard", "double_pendulum"])
-def test_quiet_moves_of_trees_are_the_general_ones(name, monkeypatch):
-    """The same of robots under control, in contact and not, with closed loops and without."""
+@pytest.mark.parametrize("name", ["quadruped", "arm_pushes_box", "double_pendulum"])
+def test_quiet_steps_of_trees_are_the_general_ones(name, monkeypatch):
+    """The same of robots under control, in contact and not, beside free bodies and alone."""
     setup = nd.scenes.setup(name)
-    check_lane(
-        [(passage, "quiet_trees")], setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch
-    )
+    check_lane(KERNEL, setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch)
+
+
+def test_quiet_steps_under_forces_of_the_velocity_are_the_general_ones(monkeypatch):
+    """Drag on a standing robot and on boxes that slide and rest beside it, every fourth step recorded."""
+    module = nd.scenes.module("quadruped")
+    scene = module.scene(count=2)
+    for k, speed in enumerate((0.0, 2.0)):
+        place = {"position": (0.0, 2.0 + k, 0.1), "linear_velocity": (speed, 0, 0)}
+        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, material=nd.Material(mu=0.4), **place)
+    first = next(iter(scene.articulations))
+    body = next(iter(nd.Stepper(scene).dynamics.trees[0].bodies))
+
+    def drag(t, q, v):
+        return {"box0": (0.1, 0, 0), "box1": -0.3 * v[6:9], f"{first}/{body}": (0.0, 5.0 * np.sin(20.0 * t), 0.0)}
+
+    options = {"dt": 5e-3, "controller": module.controller(scene, walk=False), "external_force": drag, "every": 4}
+    check_lane(KERNEL, scene, 120, options, monkeypatch)
 
 
 def test_what_is_squeezed_out_of_a_wedge_is_not_lifted_far():
