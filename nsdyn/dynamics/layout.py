@@ -157,7 +157,6 @@ class Layout:
             [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(self._driven, np.bool_)]
         )
         self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
-        self.alone = self._bodies_only and not self.surfaces.count
         self.loose = not (self._constrained or self.surfaces.count)
 
     @staticmethod

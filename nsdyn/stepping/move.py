@@ -59,11 +59,30 @@ def trial(
     half : Half, optional
         Where it is known.
     """
-    # What the user's functions say the kernel knows nothing of.
-    mover = s.mover if callbacks is None and (half is None or half.given is SILENT) else None
-    if mover is not None and barred is not None and (made := mover.respond(s, begin, t, h, barred)) is not None:
-        return _met(s, begin, made, barred)
-    half = half or first_half(s, begin, t, h, callbacks)
+    if s.dynamics.trees or callbacks is not None:
+        half = half or first_half(s, begin, t, h, callbacks)
+    made = _by_kernel(s, begin, t, h, barred, half)
+    if made is None:
+        made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
+    half, _, response = made
+    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+        return trial(s, begin, t, h, None, barred, again)
+    return _met(s, begin, made, barred)
+
+
+def _by_kernel(
+    s: System, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None
+) -> tuple[Half, Reach, Response] | None:
+    """The move in a call of a kernel; None where that does not make it."""
+    trees = bool(s.dynamics.trees)
+    # Of what the user's functions say of free bodies alone it knows nothing.
+    if s.mover is None or barred is None or not (trees or half is None or half.given is SILENT):
+        return None
+    return s.mover.respond(s, begin, t, h, barred, half if trees else None)
+
+
+def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple[Half, Reach, Response]:
+    """The move from its first half, stage by stage."""
     reach = _reachable(s, begin, half, barred)
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
     rough = barred is None
@@ -81,9 +100,7 @@ def trial(
         rough = not same and left > 0
         reach = reach._replace(contacts=real, memory=memory)
         half, response = _respond(s, begin, half, reach, barred, response, rough)
-    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
-        return trial(s, begin, t, h, None, barred, again)
-    return _met(s, begin, (half, reach, response), barred)
+    return half, reach, response
 
 
 def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: Index | None) -> Trial:
@@ -112,15 +129,14 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
     Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
     nodes `skip`, whose contacts are passed over.
     """
-    mover, t, h = s.mover if callbacks is None and half.given is SILENT else None, half.end - half.h, half.h
-    if mover is not None and not skip.any() and (made := mover.respond(s, begin, t, h, NO_SLOTS)) is not None:
-        _, reach, response = made
-        unmet = others(s, response.moved.contacts, reach.contacts, response.normal, NOTHING, NO_SLOTS)
-        return Trial(*made, unmet, h, h)
-    reach = _reachable(s, begin, half, NO_SLOTS)
-    if skip.any():
-        reach = reach._replace(contacts=take(reach.contacts, ~skip[s.nodes(reach.contacts)]))
-    half, response = _respond(s, begin, half, reach, NO_SLOTS, None, False, label)
+    made = None if skip.any() else _by_kernel(s, begin, half.end - half.h, half.h, NO_SLOTS, half)
+    if made is None:
+        reach = _reachable(s, begin, half, NO_SLOTS)
+        if skip.any():
+            reach = reach._replace(contacts=take(reach.contacts, ~skip[s.nodes(reach.contacts)]))
+        half, response = _respond(s, begin, half, reach, NO_SLOTS, None, False, label)
+    else:
+        half, reach, response = made
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return attempt(s, begin, again, None, label, skip)
     slots, moved = NO_SLOTS if reach.joints is None else reach.joints.slot, response.moved

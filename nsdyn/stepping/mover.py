@@ -14,7 +14,7 @@ from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn._kernels.stepping import quiet_meeting as _meeting
 from nsdyn.collision.contacts import ContactMemory, Looked
 from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
-from nsdyn.dynamics.values import Forces, Middle, Placement
+from nsdyn.dynamics.values import Forces, Middle, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution, Status
@@ -111,7 +111,8 @@ class Mover:
         trees = [(t.frames.start, len(t.joints), t.coordinates.start, t.model.nv) for t in d.trees]
         supports = [t.support.astype(np.int64).ravel() for t in d.trees]
         floats = [moments, axes, inverse_mass, inverse_J, radius, d.mass, d.J, np.empty(full), np.empty(full)]
-        floats += [d.gravity, d.no_load, d.no_load, s.arm, d.nowhere, s.inscribed, np.empty((d.n - 6 * d.free, 6))]
+        fields = np.empty((d.n - 6 * d.free, 6))
+        floats += [d.gravity, d.no_load, d.no_load, s.arm, d.nowhere, s.inscribed, fields, fields]
         floats.append(np.array(numbers, dtype=float))
         table = np.array(trees, dtype=np.int64).ravel(), np.concatenate([NO_PAIRS, *supports])
         *packed, views, _ = pack(floats, [block_of_frame, offset, m_start, *table])
@@ -164,7 +165,7 @@ class Mover:
         self._most = max(self._most, begun.nc)
         new, rooms, work = self._rooms(moves, step)
         if motion is not None:
-            self._load(motion.half, new[0], work[0])
+            self._load(motion, new[0], work[0])
         stage, ready, head = _meeting.DONE, False, work[1]
         while True:
             code = _quiet.quiet(
@@ -191,7 +192,7 @@ class Mover:
                 self._most = max(self._most, int(head[_col.NEEDED]))
                 new, rooms, work = self._rooms(True, step)
                 if motion is not None:
-                    self._load(motion.half, new[0], work[0])
+                    self._load(motion, new[0], work[0])
                 stage, ready, head = _meeting.DONE, False, work[1]
                 continue
             if code == _meeting.MOVE:
@@ -205,9 +206,10 @@ class Mover:
                 return None
             stage, ready = code, True
 
-    def _load(self, half: Half, floats: Array, work: Array) -> None:
+    def _load(self, motion: Motion, floats: Array, work: Array) -> None:
         """Where a step has come to halfway, and what acts there."""
-        n, views, (x, R, links), forces = self._size[0], self._views, half.middle.placement, half.forces
+        half, n, views = motion.half, self._size[0], self._views
+        (x, R, links), forces = half.middle.placement, half.forces
         _vectors(work, _col.X, n)[:], _matrices(work, _col.R_THERE, n)[:] = x, R
         work[_col.REACH * n : _col.LOOKED_THERE * n] = half.reach
         self._velocity(work, _col.V_THERE)[:] = half.middle.v
@@ -217,8 +219,10 @@ class Mover:
         if self._dynamics.free:
             views[_col.PUSH][:], views[_col.TWIST][:] = forces.force, forces.torque
         first = 0
-        for of_tree in links:
-            views[_col.JACOBIAN][first : (first := first + of_tree.J.shape[1])] = of_tree.J.T
+        for begun, there in zip(motion.begun, links, strict=True):
+            last = first + there.J.shape[1]
+            views[_col.BEGUN][first:last], views[_col.JACOBIAN][first:last] = begun.J.T, there.J.T
+            first = last
 
     def _move(self, motion: Motion, floats: Array, work: Array) -> bool:
         """Bring the scene to the end of its step; whether it goes there."""
@@ -235,35 +239,39 @@ class Mover:
         return True
 
     def respond(
-        self, s: System, begin: Instant, t: float, h: float, barred: Index
+        self, s: System, begin: Instant, t: float, h: float, barred: Index, half: Half | None = None
     ) -> tuple[Half, Reach, Response] | None:
-        """The move of h s from the time t, with `barred` as of `trial`; None where the kernel does not make it."""
+        """The move of h s from the time t, with `barred` as of `trial`; None where the kernel does not make it.
+
+        Its first `half` is known where there are trees.
+        """
         if not Mover.ready:
+            return None
+        motion = None if half is None else Motion(s, begin, lambda: begin.contacts, half)
+        if motion is not None and motion.has_rows():
             return None
         if self._given[0] is not begin:
             self._given = begin, packed(begin, begin.v, self.wide)
         if (given := self._given[1]) is None:
             return None
-        made = self(*given, begin.memory.next_key, (h, s.depth), barred=barred)
-        return None if made is None else self._told(s, begin, t, h, made)
+        old, begun = given
+        begun = begun if motion is None else begun.anew()
+        made = self(old, begun, begin.memory.next_key, (h, s.depth), barred=barred, motion=motion)
+        return None if made is None else self._told(s, begin, t, h, made, motion)
 
-    def _told(self, s: System, begin: Instant, t: float, h: float, made: Made) -> tuple[Half, Reach, Response]:
+    def _told(
+        self, s: System, begin: Instant, t: float, h: float, made: Made, motion: Motion | None
+    ) -> tuple[Half, Reach, Response]:
         """The move as values."""
         d, n, nc, f, w, p = s.dynamics, self._size[0], made.status.size, made.floats, made.work, begin.position
         b, a, own = f[_col.RESULTS :], f[self._acted :], w[self._own :]
         went, goes = f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = made.found.contacts() if went else begin.contacts
         memory = ContactMemory(made.found.names, made.found.points, made.next_key) if went else begin.memory
-        there = Placement(_vectors(w, _col.X, n), _matrices(w, _col.R_THERE, n), ())
-        x, quaternion = _vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
-        middle = Middle(p.moved(x, quaternion), self._velocity(w, _col.V_THERE), there, ())
-        v_free, reach = self._velocity(w, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
-        forces = Forces(v_free, v_free, d.no_load, d.no_load, *self.still.masses, ())
-        rate, ahead, fast = self._velocity(b, _col.RATE), s.theta * h, bool(made.head[_col.FAST])
-        half = Half(h, ahead, t + h, middle, forces, rate, reach, fast, not went, STILL_SURFACES, SILENT)
+        half = self._half(t, h, s.theta, made, p) if motion is None else motion.half
         looked = _looked(w, _col.LOOKED_THERE, n) if went else begin.looked
         met = made.met.contacts() if made.head[_col.SOME] else found
-        rows = Rows(made.met.blocks(d, self.still.masses), {}, *NO_CLUTCHES)
+        rows = Rows(made.met.blocks(d, (half.forces.m, half.forces.minv)), {}, *NO_CLUTCHES)
         slides, stays, sticks = made.flags[:3, :nc]
         r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
         problem = FC3D.prepared(rows.full, q, met.mu, made.met.scales, float(f[_col.NORM]))
@@ -290,16 +298,33 @@ class Mover:
         if made.head[_col.TURNED]:
             works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], self._velocity(w, _col.TURN)
             couple = Couple(_vectors(a, _col.COUPLE, nc), works, dv)
-        end = Placement(_vectors(b, _col.X, n), _matrices(b, _col.R, n), ())
-        position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
-        moved = Placed(position, end, found, begin.limits, memory, looked, True)
+        end, position = Placement(_vectors(b, _col.X, n), _matrices(b, _col.R, n), ()), p
+        if motion is None:
+            position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
+        else:
+            end, position = motion.placement, motion.position
+        moved = Placed(position, end, found, d.limits(end), memory, looked, True)
         if goes:
             memory_there = ContactMemory(made.end.names, made.end.points, made.end_key)
             moved = moved._replace(contacts=made.end.contacts(), memory=memory_there, looked=_looked(b, _col.LOOKED, n))
         v_plus, v_end = self._velocity(w, _col.V_PLUS), self._velocity(b, _col.V)
         twists = _vectors(b, _col.LINEAR, n), _vectors(b, _col.ANGULAR, n)
-        acted = None, 0.0, slides, problem, solution, False, couple, v_plus, NOTHING, v_end, (), twists, moved
-        return half, Reach(met, None, found, memory, looked), Response(encounter, *acted)
+        acted = None, 0.0, slides, problem, solution, False, couple, v_plus
+        impulse, ends = (NOTHING, ()) if motion is None else (motion.impulse, motion.ends)
+        response = Response(encounter, *acted, impulse, v_end, ends, twists, moved)
+        return half, Reach(met, None, found, memory, looked), response
+
+    def _half(self, t: float, h: float, theta: float, made: Made, p: Position) -> Half:
+        """The first half of a move of h s of free bodies from the time t, and the position p."""
+        d, n, w = self._dynamics, self._size[0], made.work
+        x, quaternion = _vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
+        there = Placement(x, _matrices(w, _col.R_THERE, n), ())
+        middle = Middle(p.moved(x, quaternion), self._velocity(w, _col.V_THERE), there, ())
+        v_free, reach = self._velocity(w, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
+        forces = Forces(v_free, v_free, d.no_load, d.no_load, *self.still.masses, ())
+        rate, fast = self._velocity(made.floats[_col.RESULTS :], _col.RATE), bool(made.head[_col.FAST])
+        same = made.floats[_col.WENT] == 0.0
+        return Half(h, theta * h, t + h, middle, forces, rate, reach, fast, same, STILL_SURFACES, SILENT)
 
     def _set(self, length: tuple[float, float]) -> None:
         """Make moves of such a length."""

@@ -34,23 +34,39 @@ class Motion:
         Gives those there.
     half : Half
         The first half of the step.
+
+    Attributes
+    ----------
+    begun : tuple of Links
+        Where it begins.
+    position : Position
+    placement : Placement
+    impulse : ndarray, shape (n,)
+    ends : tuple of TreeEnd
+        Where the last `end` was, and what led there.
     """
 
     def __init__(self, s: System, begin: Instant, contacts: Callable[[], ContactSet], half: Half) -> None:
         self._s, self._begin, self._contacts, self.half = s, begin, contacts, half
-        self._v = self._impulse = np.empty(0)
-        self._ends: tuple[TreeEnd, ...] = ()
-        self._position, self._placement = begin.position, begin.placement
+        self.begun = begin.placement.links
+        self._v = self.impulse = np.empty(0)
+        self.ends: tuple[TreeEnd, ...] = ()
+        self.position, self.placement = begin.position, begin.placement
 
     def meets_nothing(self) -> bool:
         """Whether no joint is near its limits, none has dry friction, no actuator is at its limit, and none strikes."""
-        s, d, half, begin = self._s, self._s.dynamics, self.half, self._begin
+        s, half, begin = self._s, self.half, self._begin
         if half.fast or _few.any_below(begin.limits, s.closed):
             return False
         if s.elastic and _bounces(s, begin, self._contacts(), half.rate):
             return False
+        return not self.has_rows()
+
+    def has_rows(self) -> bool:
+        """Whether any joint has a row, by its limits, its friction or its actuator."""
+        d, half = self._s.dynamics, self.half
         joints = d.joint_rows(half.middle.placement, half.middle.v, half.forces.v, half.h)
-        return d.with_actuators(joints, half.forces) is None
+        return d.with_actuators(joints, half.forces) is not None
 
     def end(self, v: Array, impulse: Array) -> tuple[Position, Array, Placement, tuple[Array, Array]] | None:
         """Where the step ends whose forces leave v (n,), with the impulses H r (n,): (position, v, frames, twists).
@@ -60,9 +76,9 @@ class Motion:
         d, half = self._s.dynamics, self.half
         if d.within_limits(half.middle, half.forces, v) is not half.forces:
             return None
-        self._v, self._impulse = v, impulse
-        position, v_end, place, self._ends = d.end(half.middle, half.forces, v, impulse, half.ahead, STILL_SURFACES[2])
-        self._position, self._placement = position, place
+        self._v, self.impulse = v, impulse
+        position, v_end, place, self.ends = d.end(half.middle, half.forces, v, impulse, half.ahead, STILL_SURFACES[2])
+        self.position, self.placement = position, place
         return position, v_end, place, d.twists(place, v_end)
 
     def corrected(self, callbacks: Callbacks) -> Motion | None:
@@ -76,14 +92,14 @@ class Motion:
         None where joints are beyond their limits.
         """
         s, d, half, begin = self._s, self._s.dynamics, self.half, self._begin
-        limits = d.limits(self._placement)
+        limits = d.limits(self.placement)
         if _few.least(limits) < -s.closed:
             return None
         slots, joints = d.joints.impulses(None, np.empty((0, 3)), d.n)
-        links, position, ends = np.zeros((d.links, 6)), self._position, self._ends
+        links, position, ends = np.zeros((d.links, 6)), self.position, self.ends
         external, numerics = float(results[_col.EXTERNAL]), float(results[_col.NUMERICS])
         own = Works(external=external, integration=numerics)
-        own, energies = tree_works(s, begin, half, self._v, ends, self._impulse, position, (joints, links), own)
+        own, energies = tree_works(s, begin, half, self._v, ends, self.impulse, position, (joints, links), own)
         results[_col.EXTERNAL], results[_col.DAMPING], results[_col.NUMERICS] = (
             own.external,
             own.damping,
@@ -94,7 +110,7 @@ class Motion:
             results[_col.POTENTIAL] += potential
         warm = begin.warm if begin.warm.joints is slots else begin.warm._replace(joints=slots)
         found = begin.contacts, limits, begin.memory, begin.looked
-        like = Instant(position, begin.v, self._placement, *found, warm, begin.twists, energies)
+        like = Instant(position, begin.v, self.placement, *found, warm, begin.twists, energies)
         return like, Acting((half.forces.m, half.forces.minv), joints, links)
 
 

@@ -34,7 +34,6 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
-from nsdyn.stepping.mover import Mover
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
 from nsdyn.stepping.state import Pieces, Start, State, Step
@@ -353,12 +352,11 @@ class Stepper:
     def _quietest(self, polish: bool) -> Quiet | None:
         """What makes steps of the scene that meet no event; None where only the general way does."""
         s, d, functions = self.system, self.dynamics, self.functions
-        alone = functions["controller"] is None and functions["external_force"] is None
-        if s.mover is not None and alone:
-            return Quiet(s, s.mover, polish, lambda t: None, self._paradoxes)
-        if d.trees and d.loose and not functions.take_last:
-            return Quiet(s, Mover(s), polish, lambda t: functions.at(t, d, None), self._paradoxes)
-        return None
+        silent = functions["controller"] is None and functions["external_force"] is None
+        # Of what is said of free bodies alone the kernel knows nothing.
+        if s.mover is None or functions.take_last or not (d.trees or silent):
+            return None
+        return Quiet(s, s.mover, polish, lambda t: functions.at(t, d, None), self._paradoxes)
 
     def _quietly(self, quiet: Quiet) -> Step | None:
         """A step of the kernel; None where it is more than that."""

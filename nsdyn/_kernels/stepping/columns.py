@@ -25,9 +25,10 @@ from nsdyn._kernels.compiled import kernel
     NOWHERE,
     INSCRIBED,
     JACOBIAN,
+    BEGUN,
     NUMBERS,
     SYSTEM,
-) = range(18)
+) = range(19)
 BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 
 # The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`.

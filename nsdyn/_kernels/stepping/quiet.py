@@ -104,11 +104,9 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     offset = indices(si, col.OFFSET, col.SYSTEM)
     size = arm.size, offset[offset.size - 1], mass.size
     n, room, was, out, head = arm.size, states.size, status_old.size, f, whole[: col.HEAD]
-    table = indices(si, col.TREES, col.SYSTEM)
-    movers, trees = (
-        (mass.size, (table, indices(si, col.SUPPORT, col.SYSTEM), numbers(sf, si, col.JACOBIAN))),
-        table.size > 0,
-    )
+    table, support = indices(si, col.TREES, col.SYSTEM), indices(si, col.SUPPORT, col.SYSTEM)
+    movers, trees = (mass.size, (table, support, numbers(sf, si, col.JACOBIAN))), table.size > 0
+    movers_begun = mass.size, (table, support, numbers(sf, si, col.BEGUN))
     moments, axes = triples(sf, si, col.MOMENTS), matrices(sf, si, col.AXES)
     inverse_mass, inverse_J = numbers(sf, si, col.INVERSE_MASS), matrices(sf, si, col.INVERSE_J)
     bodies = moments, axes, inverse_mass, inverse_J, numbers(sf, si, col.RADIUS)
@@ -162,7 +160,9 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         head[col.MET], head[col.SOME], head[col.NEEDED] = found[0].shape[1], 0, found[0].shape[1]
         if num[col.ELASTIC] > 0.0 or not touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
             kept = flags[col.OFF, : head[col.MET]]
-            head[col.MET] = catch(num, size, movers, inscribed, (first, found), warm, b_old, w, barred, kept)
+            head[col.MET] = catch(
+                num, size, (movers_begun, movers), inscribed, (first, found), warm, b_old, w, barred, kept
+            )
             if head[col.MET] < found[0].shape[1]:
                 if (col.ROWS + wide) * head[col.MET] > rooms[1][0].size:
                     return MORE

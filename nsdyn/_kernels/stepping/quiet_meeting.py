@@ -37,8 +37,8 @@ def look(detection, ready, looked, begun, into, head, which, most, wide):
 def catch(num, size, movers, inscribed, contacts, last, old, w, barred, out):
     """Which contacts that are found the move meets, into out (nc,), as of `nsdyn.stepping.sight.caught`; how many.
 
-    inscribed: radii of balls inside the shapes, contacts = (those where the move begins, those found), old: the scene
-    where it begins.
+    movers = those where the move begins, and those there; inscribed: radii of balls inside the shapes; contacts =
+    (where it begins, those found); old: the scene where it begins.
     """
     h, geoms, n = num[col.STEP], int(num[col.GEOMS]), size[0]
     (names, points, scalars), (before, begun, known) = contacts[1], contacts[0]
@@ -55,8 +55,8 @@ def catch(num, size, movers, inscribed, contacts, last, old, w, barred, out):
     if num[col.ELASTIC] > 0.0 and known[2].any():
         R, at = col.rotations(old, col.R, n), col.vectors(old, col.X, n)
         where = before[2], before[3], begun[0], begun[1], at
-        free.moving(movers, at, R, v_begin, twists[3, 0], twists[3, 1])
-        free.moving(movers, at, R, rate, twists[4, 0], twists[4, 1])
+        free.moving(movers[0], at, R, v_begin, twists[3, 0], twists[3, 1])
+        free.moving(movers[0], at, R, rate, twists[4, 0], twists[4, 1])
         moving = (twists[3, 0], twists[3, 1]), (twists[4, 0], twists[4, 1])
         sight.parting(where, np.zeros(gap.size), known[0], known[2], moving, (closed, tol, bounces_of), gap)
     if touching.all_known(names[4], before[4], gap, closed):
@@ -66,9 +66,9 @@ def catch(num, size, movers, inscribed, contacts, last, old, w, barred, out):
     for c in range(nc):
         pair[c] = names[0, c] * geoms + names[1, c]
         deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
-    free.moving(movers, x, R, v_begin, twists[0, 0], twists[0, 1])
-    free.moving(movers, x, R, v, twists[1, 0], twists[1, 1])
-    free.moving(movers, x, R, rate, twists[2, 0], twists[2, 1])
+    free.moving(movers[1], x, R, v_begin, twists[0, 0], twists[0, 1])
+    free.moving(movers[1], x, R, v, twists[1, 0], twists[1, 1])
+    free.moving(movers[1], x, R, rate, twists[2, 0], twists[2, 1])
     sight.caught(
         (names[4], pair, deep, scalars[0], scalars[2]),
         (names[2], names[3], points[0], points[1], x),
