@@ -7,9 +7,11 @@ from itertools import count
 
 import numpy as np
 
+from nsdyn._kernels.stepping import sight as _sight
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.law import TURNS
 from nsdyn._kernels.stepping.quiet_checks import GAIN
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -18,10 +20,10 @@ from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among, take
+from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System
 from nsdyn.stepping.move import trial
 from nsdyn.stepping.response import Trial
-from nsdyn.stepping.sight import approach, parting
+from nsdyn.stepping.sight import moved_by
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -316,28 +318,31 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
     the free forces where they were not seen at the beginning. The time may be past the end of the move; infinite where
     nothing tells. What is closed without approaching, as where it has just begun to part, does not touch.
     """
-    d, a, c, rate = s.dynamics, m.response, m.response.moved.contacts, m.half.rate
-    pressed = a.met.contacts.key[a.normal > 0.0]
-    c = take(c, among(s.detector.codes(c), barred) & ~among(c.key, pressed))
-    there, joints, before = a.moved.placement, d.joints, begin.contacts
+    d, a, c, before = s.dynamics, m.response, m.response.moved.contacts, begin.contacts
+    there, joints, surfaces = a.moved.placement, d.joints, m.half.surfaces
+    rates, limits = d.twists(there, m.half.rate), (NOTHING, NOTHING, NOTHING)
     slots = joints.limits[-1 - barred[barred < 0]]
-    gap = np.concatenate((c.gap, joints.gaps(slots, d.angles(there)) if slots.size else NOTHING))
-    driven, surfaces = a.moved.position.driven_x, m.half.surfaces
-    u = np.concatenate((parting(d, c, there, a.v_end, driven, surfaces[2]), joints.rates(slots, a.v_end)))
-    fall = np.concatenate((approach(d, c, there, rate), joints.rates(slots, rate)))
-    least = float(gap[(np.abs(gap) > s.closed) | (u < -s.solver.tol)].min(initial=wide))
-    began = np.concatenate((np.full(c.gap.size, np.nan), joints.rates(slots, begin.v)))
-    _, here, was = np.intersect1d(c.key, before.key, return_indices=True)
-    began[here] = parting(d, before, begin.placement, begin.v, begin.position.driven_x, surfaces[0])[was]
-    change = np.where(np.isnan(began), m.half.h * fall, u - began)
-    # Bodies go θ of the way as fast as they end.
-    u, fall = u + (2.0 * s.theta - 1.0) * change, 2.0 * s.theta / m.half.h * change
-    # gap(h - x) = gap - u x + fall x²/2 = 0, where gap is negative: its least positive root
-    root = np.sqrt(np.maximum(u * u - 2.0 * fall * gap, 0.0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = np.where(u < 0.0, 2.0 * gap / (u - root), (u + root) / fall)
-    times = m.half.h - x[((gap < 0.0) & (x > 0.0)) | ((gap > 0.0) & (u < 0.0))]
-    return float(times[times > 0.0].min(initial=np.inf)), least
+    if slots.size:
+        limits = joints.gaps(slots, d.angles(there)), joints.rates(slots, a.v_end), joints.rates(slots, begin.v)
+    carried = (
+        moved_by(d, c, a.moved.position.driven_x, surfaces[2]),
+        moved_by(d, before, begin.position.driven_x, surfaces[0]),
+    )
+    time, least = _sight.first_touch(
+        ((c.key, s.detector.codes(c), c.gap), _where(c, there), a.twists, carried[0], rates),
+        (before.key, _where(before, begin.placement), begin.twists, carried[1]),
+        (a.met.contacts.key, a.normal),
+        limits,
+        barred,
+        (s.closed, s.solver.tol, s.theta, m.half.h),
+        wide,
+    )
+    return float(time), float(least)
+
+
+def _where(c: ContactSet, there: Placement) -> tuple[Index, Index, Array, Array, Array]:
+    """Contacts as of `touching.approach_of`."""
+    return c.frame1, c.frame2, c.point, c.normal, there.x
 
 
 def _try(s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:

@@ -31,6 +31,7 @@ __all__ = [
     "caught",
     "caught_limits",
     "followed",
+    "moved_by",
     "others",
     "parting",
     "reached",
@@ -72,7 +73,7 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
         gap, here = np.empty(gap.size), begin.placement
         where = before.frame1, before.frame2, before.point, before.normal, here.x
         motion = d.twists(here, begin.v), d.twists(here, rate)
-        carried = _carried(d, before, begin.position.driven_x, half.surfaces[0])
+        carried = moved_by(d, before, begin.position.driven_x, half.surfaces[0])
         _sight.parting(where, carried, before.gap, before.restitution, motion, (s.closed, s.solver.tol, s.bounces), gap)
     if _touching.all_known(c.key, before.key, gap, s.closed):
         return contacts
@@ -80,7 +81,7 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
     _sight.caught(
         (c.key, s.detector.codes(c), s.deep(c), c.gap, c.restitution),
         (c.frame1, c.frame2, c.point, c.normal, there.x),
-        _carried(d, c, half.middle.position.driven_x, half.surfaces[1]),
+        moved_by(d, c, half.middle.position.driven_x, half.surfaces[1]),
         tuple([d.twists(there, w) for w in (begin.v, v, rate)]),
         (before.key, gap, s.closed),
         (warm.key, warm.pair, warm.status),
@@ -148,11 +149,11 @@ def approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) 
 
 def parting(d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array) -> Array:
     """The same where driven bodies at such positions (nd, 3) and surfaces have such twists (surfaces, 2, 3)."""
-    return approach(d, contacts, there, v) + _carried(d, contacts, driven_x, surfaces)
+    return approach(d, contacts, there, v) + moved_by(d, contacts, driven_x, surfaces)
 
 
-def _carried(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:
-    """What these add to normal velocities, shape (nc,), m/s."""
+def moved_by(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:
+    """What surfaces and driven bodies add to normal velocities, as of `parting`, shape (nc,), m/s."""
     if not d.surfaces.count:
         return np.zeros(contacts.gap.size)
     out: Array = (contacts.normal * d.surfaces.velocities(contacts, driven_x, surfaces)).sum(axis=1)

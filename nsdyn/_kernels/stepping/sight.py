@@ -75,3 +75,68 @@ def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
         for b in barred:
             shallow = shallow and b != pair[c]
         out[c] = shallow and (e == 0.0 or u > -(tol + rests_of(weight, e, bounces) / e))
+
+
+@in_place
+def touch(gap, u, change, sizes):
+    """When a gap that ends a move with the speed u, which changed by `change`, is 0, s; infinite for never.
+
+    By the parabola gap - u x + fall x²/2 in the time x before the end, of the least positive root where it ends inside.
+    """
+    _, _, theta, h = sizes
+    # Bodies go θ of the way as fast as they end.
+    speed, fall = u + (2.0 * theta - 1.0) * change, 2.0 * theta / h * change
+    root, x = math.sqrt(max(speed * speed - 2.0 * fall * gap, 0.0)), 0.0
+    if speed < 0.0:
+        x = 2.0 * gap / (speed - root)
+    elif fall != 0.0:
+        x = (speed + root) / fall
+    time = h - x
+    return time if time > 0.0 and ((gap < 0.0 and x > 0.0) or (gap > 0.0 and speed < 0.0)) else math.inf
+
+
+@kernel
+def first_touch(ended, begun, met, joints, barred, sizes, wide):
+    """When a move first touches what is barred, and the least gap of that, as of `nsdyn.stepping.passage`.
+
+    Parameters
+    ----------
+    ended : tuple
+        Contacts where it ends, (keys, pairs, gaps), `where` and twists as of `touching.approach_of`, what moving
+        surfaces add to their speeds of parting, (nc,), and twists of the free acceleration.
+    begun : tuple
+        Of the contacts where it begins (keys, where, twists, what surfaces add).
+    met : (keys, normal impulses)
+    joints : (gaps, speeds where it ends, and where it begins)
+        Of joint limits that are barred.
+    barred : ndarray of int
+        Pairs.
+    sizes : (closed, tol, θ, h)
+    wide : float
+        The gap where nothing is near.
+    """
+    (key, pair, gap), where, twists, carried, rates = ended
+    begin_key, begin_where, begin_twists, begin_carried = begun
+    closed, tol, _, h = sizes
+    place, pressed, time, least = np.empty(key.size, np.int64), np.empty(key.size, np.int64), math.inf, wide
+    places(begin_key, key, place)
+    places(met[0], key, pressed)
+    for c in range(key.size):
+        apart = True
+        for code in barred:
+            apart = apart and code != pair[c]
+        if apart or (pressed[c] >= 0 and met[1][pressed[c]] > 0.0):
+            continue
+        u, k = approach_of(c, where, twists) + carried[c], place[c]
+        if abs(gap[c]) > closed or u < -tol:
+            least = min(least, gap[c])
+        if k < 0:
+            change = h * approach_of(c, where, rates)
+        else:
+            change = u - (approach_of(k, begin_where, begin_twists) + begin_carried[k])
+        time = min(time, touch(gap[c], u, change, sizes))
+    for k in range(joints[0].size):
+        if abs(joints[0][k]) > closed or joints[1][k] < -tol:
+            least = min(least, joints[0][k])
+        time = min(time, touch(joints[0][k], joints[1][k], joints[1][k] - joints[2][k], sizes))
+    return time, least
