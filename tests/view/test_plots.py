@@ -316,7 +316,8 @@ def test_what_a_servo_takes_has_an_area():
     ought = total.y[0] + np.maximum(given, 0.0) + numerics
     np.testing.assert_allclose(total.y, ought, atol=1e-12 * run.largest_energy)
     page = ledger(run)
-    stack = page["kinetic"] + page["potential"] - sum(page[name] for name in ("friction", "normal", "damping", "drives"))
+    stack = page["kinetic"] + page["potential"]
+    stack = stack - sum(page[name] for name in ("friction", "normal", "damping", "drives"))
     np.testing.assert_allclose(stack, total.y, rtol=1e-12)
     np.testing.assert_allclose(page["put_in"], np.maximum(given, 0.0), atol=1e-14)
 
