@@ -21,7 +21,7 @@ MESSAGES = 128
 short tasks go together, and so few of all that a message that is lost, or comes late, does not matter."""
 
 AGAIN = 1.0
-"""s after which a task that still runs is interrupted again: Python drops what is raised in finalisers and callbacks."""
+"""s after which a task that still runs is interrupted again: Python drops what finalisers and callbacks raise."""
 
 Tasks = Mapping[int, tuple[Any, ...]]
 Outcome = tuple[int, Any, str]
