@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.audit.poses import Poses
@@ -43,7 +44,7 @@ SHOWN = 40
 
 @dataclass(frozen=True)
 class Mass:
-    """A body, or what a joint or a fixed base carries: its mass [kg] and principal moments [kg m²], ascending."""
+    """A body and what is welded to it, or a fixed base: mass [kg] and principal moments [kg m²], ascending."""
 
     name: str
     mass: float
@@ -176,10 +177,10 @@ def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
     joints: list[Joint] = []
     told: dict[str, list[str]] = {"missing": [], "dropped": [], "unused": []}
     for a in scene.articulations.values():
-        model = a.model
-        for joint, inertia in enumerate(model.inertias):
+        bodies = {int(f.parentJoint): f.name for f in reversed(list(a.model.frames)) if f.type == pin.FrameType.BODY}
+        for joint, inertia in enumerate(a.model.inertias):
             if joint > 0 or inertia.mass > 0.0:
-                name_ = f"{a.name}/{model.names[joint]}" if joint else a.name
+                name_ = f"{a.name}/{bodies.get(joint, a.model.names[joint])}" if joint else a.name
                 masses.append(Mass(name_, float(inertia.mass), _moments(inertia.inertia), joint == 0))
         joints += _joints(a)
         for what, notes in told.items():

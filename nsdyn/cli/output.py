@@ -135,6 +135,8 @@ def check_files(arguments: argparse.Namespace) -> None:
     for path in read:
         if not os.path.exists(path):
             raise ValueError(f"no such file: {path}")
+        if os.path.isdir(path):
+            raise ValueError(f"cannot read {path}: it is a folder")
     taken = {files.resolved(path): "it is read" for path in read}
     for name, kind in given.get("outputs", {}).items():
         if path := given[name]:

@@ -112,8 +112,8 @@ class Closures:
             if loop.kind == "frame":
                 a, b = self._data.oMi[loop.joint1].rotation, self._data.oMi[loop.joint2].rotation
                 phi[row + 3 : row + 6] = pin.log3(a @ loop.placement1.rotation @ (b @ loop.placement2.rotation).T)
-        first = self._rows[-1]
-        phi[first:], G[first:] = self._gears.at(q), self._gears.rows
+        if (first := self._rows[-1]) < self.size:
+            phi[first:], G[first:] = self._gears.at(q), self._gears.rows
         return phi, G
 
     def close(self, q: Array, driven: Array) -> Array:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import signal
+import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
@@ -17,6 +19,9 @@ __all__ = ["gather"]
 MESSAGES = 128
 """Most messages with tasks to an executor: one to a dask scheduler and back costs 10 ms of processor time, so that many
 short tasks go together, and so few of all that a message that is lost, or comes late, does not matter."""
+
+AGAIN = 1.0
+"""s after which a task that still runs is interrupted again: Python drops what finalisers and callbacks raise."""
 
 Tasks = Mapping[int, tuple[Any, ...]]
 Outcome = tuple[int, Any, str]
@@ -99,22 +104,34 @@ _over = threading.Event()
 def _heed(stopped: Connection) -> None:
     """Begin a process of a pool: it ignores interrupts between tasks, which end it in the midst of its messages."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.unraisablehook = _tell
     threading.Thread(target=_wait_for_stop, args=(stopped,), daemon=True).start()
+
+
+def _tell(dropped: Any) -> None:
+    """Tell what is raised where Python drops it, but for interrupts, which come again."""
+    if not issubclass(dropped.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(dropped)
 
 
 def _wait_for_stop(stopped: Connection) -> None:
     """Interrupt the task that runs when the other end is closed, as it also is where that process is killed."""
     stopped.poll(None)
     _over.set()
-    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # nothing where it is ignored
+    while True:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # nothing where it is ignored
+        time.sleep(AGAIN)
 
 
 def _heeding(function: Callable[..., Any], *task: Any) -> Any:
-    """Call a function that may be interrupted, once."""
+    """Call a function that may be interrupted, and has time to end before it is again."""
+    last = -math.inf
 
     def interrupt(*_: Any) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        nonlocal last
+        if time.monotonic() - last > 0.9 * AGAIN:
+            last = time.monotonic()
+            raise KeyboardInterrupt
 
     signal.signal(signal.SIGINT, interrupt)
     try:

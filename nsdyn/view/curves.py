@@ -30,7 +30,8 @@ def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array
     Returns
     -------
     dict of str to ndarray
-        t, s; kinetic and potential, the latter from its smallest value, and each work so far, J; residual, m/s,
+        t, s; kinetic and potential, the latter from its smallest value, and each work so far, J, of which those of
+        drives and loads are in `put_in` while their sum is positive, in `drives` while it is negative; residual, m/s,
         bound, √J, and penetration by the recorded gaps, m: the largest since the point before, NaN at the first and
         where they are not recorded.
     """
@@ -43,6 +44,8 @@ def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array
     }
     for name in WORKS:
         out[name] = np.concatenate([[0.0], np.cumsum(getattr(e, name))])[rows]
+    given = out.pop("external") + out.pop("constraint")
+    out["put_in"], out["drives"] = np.maximum(given, 0.0), np.minimum(given, 0.0)
     penetration = np.full(trajectory.steps, np.nan)
     if trajectory.has_contacts:
         step = np.repeat(np.arange(trajectory.steps), np.diff(trajectory.columns["contacts/offset"]))

@@ -26,6 +26,7 @@ LEDGER = {
     "friction": "#e69f00",
     "normal": "#b5405e",
     "damping": "#5aa17f",
+    "drives": "#8f86b8",
 }
 """Colours of energies and of who took them, as the page has them (`ledger.js`)."""
 
@@ -38,6 +39,7 @@ GREYS = {
     LEDGER["friction"]: "0.65",
     LEDGER["normal"]: "0.42",
     LEDGER["damping"]: "0.75",
+    LEDGER["drives"]: "0.55",
     OTHERS: "0.8",
 }
 """In styles that have no colours; neighbours of a stack can be told apart."""

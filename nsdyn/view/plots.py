@@ -264,12 +264,14 @@ def _energy(trajectory: Trajectory, name: str) -> list[Panel]:
 
     least = NEGLIGIBLE * trajectory.largest_energy
     potential = e.potential - e.potential.min()
+    given = so_far("external") + so_far("constraint")
     heights = {
         "kinetic": ("kinetic", e.kinetic),
         "potential": ("potential, from its least", potential),
         "friction": ("friction took", -so_far("friction")),
         "normal": ("impacts took", -so_far("normal")),
         "damping": ("damping took", -so_far("damping")),
+        "drives": ("drives and loads took", np.maximum(-given, 0.0)),  # more than they put in
     }
     areas = [
         Curve(word, t, height, {"color": LEDGER[name]})
@@ -278,7 +280,7 @@ def _energy(trajectory: Trajectory, name: str) -> list[Panel]:
     ]
     total = np.sum([c.y for c in areas], axis=0)
     curves = [Curve("sum", t, total, {"color": "k", "lw": 1.2})]
-    ought = total[0] + so_far("external") + so_far("constraint")
+    ought = total[0] + np.maximum(given, 0.0)
     if np.abs(total - ought).max() > APART * max(total.max(), least):
         curves.append(Curve("sum, as it ought to be", t, ought, {"color": "k", "ls": "--", "lw": 0.8}))
     note = f"at rest: nothing of {with_unit(trajectory.largest_energy, 'J')} moves"

@@ -44,12 +44,16 @@ OUTLINE = 200
 BESIDE = 2.0
 """Radii of what moves, so much of which is shown of a larger fixed body: of a pole that a toy goes down."""
 
+MANY, RARE, SMALL = 12, 0.1, 0.7
+"""Of more shapes that move, places where they are for less than a tenth of all their time are left out of the picture
+where it then need show less than 0.7 of the radius: what fell onto a heap, not the corners of a wall."""
+
 BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 20.0}
 """Moves a surface back in depth, so that lines on it stay whole."""
 
 
 class View:
-    """Where scenes are: a ball around fixed bodies and all that moving ones ever reach; camera and sun."""
+    """Where scenes are: a ball around fixed bodies and what moving ones reach (see `MANY`); camera and sun."""
 
     def __init__(self, trajectories: Sequence[Trajectory]) -> None:
         points: list[Array] = []
@@ -74,7 +78,9 @@ class View:
         self.planes = halfspaces(geom for trajectory in trajectories for geom in trajectory.scene["geoms"])
         # Where there is nothing, the unit ball.
         x, r = np.concatenate(points or [np.zeros((1, 3))]), np.concatenate(reach or [np.ones(1)])[:, None]
-        x, r = _cut(x, r, np.concatenate(fixed or [np.zeros(1, dtype=bool)])[:, None])
+        held = np.concatenate(fixed or [np.zeros(1, dtype=bool)])[:, None]
+        often = _often(x, r, held[:, 0]) if len(sizes) > MANY else slice(None)
+        x, r = _cut(x[often], r[often], held[often])
         self.centre, self.radius = _ball(x, r)
         self.body_radius = float(np.median(sizes)) if sizes else self.radius
         self.outline = _outline(x, r)
@@ -101,6 +107,16 @@ def _ball(x: Array, r: Array) -> tuple[Array, float]:
     """Centre and radius of the ball around the box that holds balls."""
     lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
     return 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
+
+
+def _often(x: Array, r: Array, fixed: Bools) -> Bools:
+    """Which balls are to be in the picture: all fixed ones, and moving ones as `MANY` says."""
+    away = np.linalg.norm(x - np.median(x[~fixed], axis=0), axis=1)
+    near = away <= np.quantile(away[~fixed], 1.0 - RARE)
+    moving, most = ~fixed, ~fixed & near
+    small = _ball(x[most], r[most])[1] < SMALL * _ball(x[moving], r[moving])[1]
+    out: Bools = fixed | near if small else np.ones(len(x), dtype=bool)
+    return out
 
 
 def _cut(x: Array, r: Array, fixed: Bools) -> tuple[Array, Array]:

@@ -189,3 +189,15 @@ def test_options_that_do_not_fit_are_refused(tmp_path):
         nd.check(nd.Scene(), overlap=1.0)
     with pytest.raises(ValueError, match="what to check, if it is no Trajectory and no Scene, must be a path, got 3"):
         nd.check(3)
+
+
+def test_masses_have_the_names_of_bodies(tmp_path):
+    """Not of what they hang on: two hinges of one body, a free joint, a weld, or a base that the file leaves fixed."""
+    ball = '<geom size="0.05" mass="1"/>'
+    (tmp_path / "r.xml").write_text(
+        f'<mujoco><worldbody>{BALL}<body name="arm" pos="1 0 0"><joint name="j1" axis="1 0 0"/>'
+        f'<joint name="j2" axis="0 1 0"/>{ball}<body name="welded" pos="0 0 1">{ball}</body>'
+        f'<body name="hand" pos="0 0 2"><joint name="j3"/>{ball}</body></body></worldbody></mujoco>'
+    )
+    found = nd.check(tmp_path / "r.xml").masses
+    assert [(body.name, body.mass) for body in found] == [("robot/b", 1.0), ("robot/arm", 2.0), ("robot/hand", 1.0)]

@@ -308,6 +308,8 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
         (["run", "slide", "-o", "run.h5", "--html", "missing/run.html"], "cannot write missing/run.html"),
         (["run", "slide", "-o", "."], "cannot write .: it is a folder"),
         (["solve", "missing.hdf5"], "no such file: missing.hdf5"),
+        (["solve", "."], "cannot read .: it is a folder"),
+        (["view", "."], "cannot read .: it is a folder"),
         (["solve", "text.h5"], "text.h5 is not an HDF5 file"),
         (["solve", "text.h5", "--solver", "magic"], "solver must be one of"),
         (["solve", "text.h5", "--tol", "-1"], "tol must be positive"),

@@ -230,6 +230,35 @@ def test_tasks_that_run_are_interrupted_where_no_more_are_wanted():
     assert not multiprocessing.active_children()
 
 
+class Finalised:
+    """What an interrupt meets where Python drops it."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __del__(self):
+        Path(self.mark).touch()
+        time.sleep(600.0)
+
+
+def finalise(mark, first):
+    if first:
+        Finalised(mark)
+        time.sleep(600.0)
+    while not Path(mark).exists():
+        time.sleep(0.01)
+
+
+def test_tasks_are_interrupted_again_where_an_interrupt_is_dropped(tmp_path, capfd):
+    begin, mark = time.monotonic(), str(tmp_path / "mark")
+    outcomes = gathering.gather(finalise, {0: (mark, True), 1: (mark, False)}, 2)
+    assert next(outcomes) == (1, None, "")
+    outcomes.close()
+    assert time.monotonic() - begin < 60.0
+    assert not multiprocessing.active_children()
+    assert "KeyboardInterrupt" not in capfd.readouterr().err
+
+
 @pytest.mark.slow
 def test_ctrl_c_of_two_workers_loses_no_run_that_is_told(tmp_path):
     """As a terminal sends it, to all processes at once, in the midst of runs."""

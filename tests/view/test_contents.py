@@ -231,7 +231,7 @@ def test_curves_are_the_ledger(bouncing, monkeypatch):
     monkeypatch.setattr(curves, "MAX_POINTS", 14)
     found = curves.ledger(bouncing)
     assert found["t"].tolist() == bouncing.t[::100].tolist()
-    sums = sum(found[name] for name in ("external", "normal", "friction", "damping", "constraint"))
+    sums = sum(found[name] for name in ("put_in", "drives", "normal", "friction", "damping"))
     sums = sums + found["integration"] + found["projection"] + found["defect"]
     # Of 9.81 J.
     np.testing.assert_allclose(found["kinetic"] + found["potential"] - sums, found["potential"][0], rtol=1e-12)

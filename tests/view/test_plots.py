@@ -18,6 +18,7 @@ from nsdyn.study.drawings import draw_refinement, draw_sweep, varied
 from nsdyn.study.sweep import Member
 from nsdyn.tools.units import with_unit
 from nsdyn.view import panels, plots
+from nsdyn.view.curves import ledger
 
 PAGE = Path(plots.__file__).parent / "page" / "ledger.js"
 
@@ -170,8 +171,8 @@ def test_plots_draw_what_is_recorded(slide, arm):
     np.testing.assert_array_equal(rate["arm/elbow"], arm.joint("arm/elbow").velocity)
     (phase,) = curves(arm, "phase", "arm/elbow")
     np.testing.assert_array_equal(phase["arm/elbow"], arm.joint("arm/elbow").velocity)
-    (ledger,) = curves(slide, "energy")
-    np.testing.assert_allclose(ledger["sum"], 2.0, rtol=0, atol=1e-9)  # the page's flat line
+    (stack,) = curves(slide, "energy")
+    np.testing.assert_allclose(stack["sum"], 2.0, rtol=0, atol=1e-9)  # the page's flat line
     (certificate,) = curves(slide, "certificate")
     np.testing.assert_array_equal(np.nan_to_num(certificate["bound [√J]"]), slide.gauss.bound)
     (depth,) = curves(arm, "penetration")
@@ -295,6 +296,30 @@ def test_a_line_behind_another_has_no_name(slide):
     for run in (slide, closing):
         (panel,) = plots.KINDS["energy"](run, "*")
         assert [c.label for c in panel.curves] == ["sum"]
+
+
+def test_what_a_servo_takes_has_an_area():
+    """It lifts a pendulum and lets it down: the stack is what there was and what was put in, on the page too."""
+    scene = nd.scenes.load("double_pendulum")()
+    (name,) = scene.articulations
+
+    def servo(t, q, v):
+        return {name: nd.PD(kp=0.0, kd=8.0, target=0.0, target_velocity=4.0 * (t < 0.3))}
+
+    run = nd.simulate(scene, 3.0, 1e-2, controller=servo)
+    given = np.concatenate([[0.0], np.cumsum(run.energy.external)])
+    assert given.min() < -0.1 * run.largest_energy < 0.01 * run.largest_energy < given.max()
+    (panel,) = plots.KINDS["energy"](run, "*")
+    areas, (total, *_) = {c.label: c.y for c in panel.areas}, panel.curves
+    np.testing.assert_allclose(areas["drives and loads took"], np.maximum(-given, 0.0), atol=1e-14)
+    numerics = np.concatenate([[0.0], np.cumsum(run.energy.integration + run.energy.projection + run.energy.defect)])
+    ought = total.y[0] + np.maximum(given, 0.0) + numerics
+    np.testing.assert_allclose(total.y, ought, atol=1e-12 * run.largest_energy)
+    page = ledger(run)
+    stack = page["kinetic"] + page["potential"]
+    stack = stack - sum(page[name] for name in ("friction", "normal", "damping", "drives"))
+    np.testing.assert_allclose(stack, total.y, rtol=1e-12)
+    np.testing.assert_allclose(page["put_in"], np.maximum(given, 0.0), atol=1e-14)
 
 
 def test_colours_are_those_of_the_page():

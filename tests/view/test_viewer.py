@@ -273,6 +273,21 @@ def test_camera_is_near_what_moves_along_a_large_fixed_body():
         assert abs(view.centre[2] - (0.3 * length - 0.01)) < 0.1
 
 
+@pytest.mark.parametrize(
+    ("count", "states", "least", "most"), [(16, 3, 0.4, 0.7), (4, 3, 2.5, 3.0), (16, 12, 2.5, 3.0)]
+)
+def test_camera_is_near_a_heap(count, states, least, most):
+    """Not where its bodies fell from for some states of 40; of few bodies, or for long, it shows all that they do."""
+    scene = nd.Scene()
+    for k in range(count):
+        scene.add_sphere(f"ball{k}", 0.1, 1.0)
+    at = np.zeros((40, count, 7))
+    at[..., 6], at[..., 0], at[..., 1] = 1.0, 0.2 * (np.arange(count) % 4), 0.2 * (np.arange(count) // 4)
+    at[:states, :, 2] = 5.0
+    view = stage.View([recordings.recording(scene, at.reshape(40, -1))])
+    assert least < view.radius < most
+
+
 def test_meshcat_itself_is_not_loaded():
     code = "import sys; from nsdyn.view import viewer; viewer._meshcat_script(); print('meshcat' in sys.modules)"
     root = str(Path(nd.__file__).parents[1])

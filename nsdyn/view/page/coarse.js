@@ -2,7 +2,7 @@
 // the planes of the triangles around them are nearest in the mean of squares (Lindstrom 2000). The triangles that are
 // left keep their normals: what is round is shaded as before.
 
-const CELL = 3;  // pixels
+const CELL = 2;  // pixels
 const LEVELS = 2;  // of cells, within a factor of two
 const STIFF = 0.02;  // what draws a corner to the mean of those it stands for, beside the planes
 

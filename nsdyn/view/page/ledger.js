@@ -6,8 +6,8 @@ const LAYERS = [
   {name: "friction", label: "friction took", colour: "#e69f00", sign: -1},
   {name: "normal", label: "impacts took", colour: "#b5405e", sign: -1},
   {name: "damping", label: "damping took", colour: "#5aa17f", sign: -1},
+  {name: "drives", label: "drives and loads took", colour: "#8f86b8", sign: -1},  // more than they put in
 ];
-const PUT_IN = ["external", "constraint"];
 const NUMERICS = ["integration", "projection", "defect"];
 const CHECKS = [
   {name: "residual", label: "residual", unit: "m/s", colour: "#3b75af", words: "of the contact problem"},
@@ -24,11 +24,7 @@ class Ledger {
     const most = name => this.curve(name).reduce((size, x) => Math.max(size, Math.abs(x)), 0);
     const least = NEGLIGIBLE * recording.largest;
     this.layers = LAYERS.filter(({name, sign}) => sign > 0 || most(name) > least);
-    this.putIn = PUT_IN.filter(name => most(name) > least);
-  }
-
-  sum(names, scale = 1) {
-    return this.t.map((_, k) => names.reduce((total, name) => total + scale * this.curve(name)[k], 0));
+    this.fed = most("put_in") > least;
   }
 
   // Heights of the stack: its foot and what each layer reaches.
@@ -44,7 +40,7 @@ class Ledger {
   // Where the top of the stack ought to be: what there was, and what was put in.
   expected() {
     const start = this.curve("kinetic")[0] + this.curve("potential")[0];
-    return this.sum(this.putIn).map(x => start + x);
+    return this.curve("put_in").map(x => start + x);
   }
 
   // What a chart shows of a kind of curves: the ledgers `beside` have the same scale, and the curves of those that are
@@ -83,7 +79,7 @@ class Ledger {
   // Mean power since the point before that each work took.
   powers() {
     const rate = values => values.map((x, k) => k ? (x - values[k - 1]) / (this.t[k] - this.t[k - 1]) : NaN);
-    const taken = this.layers.filter(({sign}) => sign < 0);
+    const taken = this.layers.filter(({name, sign}) => sign < 0 && name !== "drives");
     return taken.map(layer => ({...layer, values: rate(this.curve(layer.name)).map(x => -x)}));
   }
 
@@ -153,9 +149,8 @@ class Ledger {
     const {largest} = this.recording;
     const rows = this.layers.map(({name, label, colour, sign}) => [label, colour, sign * at(name), "J", largest]);
     const total = rows.reduce((sum, row) => sum + row[2], 0);
-    const given = this.putIn.reduce((sum, name) => sum + at(name), 0);
     const numerics = NUMERICS.reduce((sum, name) => sum + at(name), 0);
-    if (this.putIn.length) rows.push(["put in", theme.colour("faint"), given, "J", largest]);
+    if (this.fed) rows.push(["put in", theme.colour("faint"), at("put_in"), "J", largest]);
     return [...rows, ["sum", theme.colour("ink"), total, "J", largest], ["by numerics", "", numerics, "J", largest]];
   }
 
