@@ -84,7 +84,7 @@ class Islands:
         half = first_half(s, begin, t, h, callbacks)
         label, count = self._foreseen(begin, half)
         if count < 2:
-            return through(self.whole, state, loads)
+            return through(self.whole, state, loads, half)
         opened, tried = np.zeros(count, np.bool_), None
         opened[label[self._struck(begin, half)]] = True
         if not opened.all():

@@ -18,7 +18,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.half import Loads
+from nsdyn.stepping.half import Half, Loads
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System
 from nsdyn.stepping.move import trial
@@ -74,7 +74,7 @@ def _contacts(begin: Instant) -> int:
     return max(1, begin.contacts.gap.size)
 
 
-def through(system: System, state: State, loads: Loads) -> Passage:
+def through(system: System, state: State, loads: Loads, half: Half | None = None) -> Passage:
     """Moves and impacts of a step, in one piece, or in several where that is too coarse (`_pass`).
 
     Parameters
@@ -84,10 +84,12 @@ def through(system: System, state: State, loads: Loads) -> Passage:
         Where the step begins.
     loads : callable
         What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
+    half : Half, optional
+        That of the step in one move, where it is known.
     """
     begin, system = state.instant, system.during(state.next_t - state.dt, state.dt)
     effort = Effort()
-    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort)
+    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort, half)
     return _in_pieces(system, state, loads, effort) if coarse and _contacts(begin) <= WORK else whole
 
 
@@ -116,7 +118,7 @@ def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Pa
 
 
 def _pass(
-    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, effort: Effort
+    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, effort: Effort, half: Half | None = None
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
@@ -124,7 +126,7 @@ def _pass(
     and where contacts that persist, or what is lifted, add energy.
     """
     path = [begin.placement]
-    out, sunk = _moves(s, loads, begin, end, h, rate, path, effort)
+    out, sunk = _moves(s, loads, begin, end, h, rate, path, effort, half)
     sunk = sunk or any(turns_far(s, h, a, begin, out.end).any() for a in out.done)
     now, solved, works = out.end, out.solved, out.works
     d, gained = s.dynamics, sum(w.integration for w in works)
@@ -156,10 +158,11 @@ def _moves(
     rate: Array,
     path: list[Placement],
     effort: Effort,
+    half: Half | None,
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
-    Where they were goes into the path.
+    Where they were goes into the path. The first half of a move all the way without impacts before it may be known.
     """
     now, left, clear, sunk = begin, h, True, False
     done: list[Impulses] = []
@@ -168,12 +171,13 @@ def _moves(
     for cut in count():
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
-            now, impulses, more, pair = struck
+            (now, impulses, more, pair), half = struck, None
             done.append(_later(impulses, h - left))
             solved.append(pair)
             works.append(more)
         soon = left * (AGAIN if cut and struck is None else SOON)
-        length, tried = _until_event(s, loads, now, t, left, soon, effort)
+        length, tried = _until_event(s, loads, now, t, left, soon, effort, half)
+        half = None
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
         done.append(_later(m.done[0], h - left))
@@ -205,10 +209,12 @@ def _until_event(
     h: float,
     soon: float,
     effort: Effort,
+    half: Half | None = None,
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
-    Or to where a slip turns round, but not `soon`, s. Too long take so many moves as would be too much to try.
+    Or to where a slip turns round, but not `soon`, s. The first half of a move of h seconds may be known. Too long take
+    so many moves as would be too much to try.
     """
 
     def capture() -> tuple[float, Trial]:
@@ -218,7 +224,7 @@ def _until_event(
     if not (affords := effort.affords(begin, EVENT)) and effort.left < WORK:
         return capture()
     effort.spend(begin)
-    m = _try(s, loads, begin, t, h, NONE)
+    m = _try(s, loads, begin, t, h, NONE, half)
     met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
     if _jammed(m.response.solution) or (not affords and (met or m.touched < h or soon < m.turned < h)):
         return capture()
@@ -345,6 +351,8 @@ def _where(c: ContactSet, there: Placement) -> tuple[Index, Index, Array, Array,
     return c.frame1, c.frame2, c.point, c.normal, there.x
 
 
-def _try(s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None) -> Trial:
-    """A move of h seconds, with what the user has to say where its impulses act."""
-    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred)
+def _try(
+    s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None = None
+) -> Trial:
+    """A move of h seconds, with what the user has to say where its impulses act; its first half may be known."""
+    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, half)
