@@ -14,7 +14,7 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
-from nsdyn.stepping.half import SILENT, Callbacks, Half, corrected, first_half
+from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Instant, System, among, take
 from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
 from nsdyn.stepping.projection import Placed, place
@@ -61,24 +61,13 @@ def trial(
     """
     if s.dynamics.trees or callbacks is not None:
         half = half or first_half(s, begin, t, h, callbacks)
-    made = _by_kernel(s, begin, t, h, barred, half)
+    made = None if s.mover is None or barred is None else s.mover.respond(s, begin, t, h, barred, half)
     if made is None:
         made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
     half, _, response = made
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
         return trial(s, begin, t, h, None, barred, again)
     return _met(s, begin, made, barred)
-
-
-def _by_kernel(
-    s: System, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None
-) -> tuple[Half, Reach, Response] | None:
-    """The move in a call of a kernel; None where that does not make it."""
-    trees = bool(s.dynamics.trees)
-    # Of what the user's functions say of free bodies alone it knows nothing.
-    if s.mover is None or barred is None or not (trees or half is None or half.given is SILENT):
-        return None
-    return s.mover.respond(s, begin, t, h, barred, half if trees else None)
 
 
 def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple[Half, Reach, Response]:
@@ -129,7 +118,9 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
     Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
     nodes `skip`, whose contacts are passed over.
     """
-    made = None if skip.any() else _by_kernel(s, begin, half.end - half.h, half.h, NO_SLOTS, half)
+    made = None
+    if s.mover is not None and not skip.any():
+        made = s.mover.respond(s, begin, half.end - half.h, half.h, NO_SLOTS, half)
     if made is None:
         reach = _reachable(s, begin, half, NO_SLOTS)
         if skip.any():

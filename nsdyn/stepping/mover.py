@@ -1,4 +1,4 @@
-"""Moves in one call of a kernel, `nsdyn._kernels.stepping.quiet`, of free bodies, and of trees but for their motion."""
+"""Moves in one call of a kernel, `nsdyn._kernels.stepping.quiet`, but for the motion of trees and the user's forces."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Made(NamedTuple):
 
 
 class Mover:
-    """Moves of a system under gravity alone, or of one with trees under whatever its `Motion` has.
+    """Moves of a system, of free bodies under gravity alone, or of others by what a `Motion` has.
 
     Parameters
     ----------
@@ -106,6 +106,7 @@ class Mover:
             s.inscribed.size,
             self.wide,
             -1.0,
+            0.0,
         )
         full = int(np.square(np.diff(offset)).sum())
         trees = [(t.frames.start, len(t.joints), t.coordinates.start, t.model.nv) for t in d.trees]
@@ -157,9 +158,12 @@ class Mover:
         moves : bool
             Whether anything is likely to move, so that there should be room for what is found then.
         motion : Motion, optional
-            Of trees.
+            Of trees, or under the forces of the user.
         """
         detector = self._detector
+        if motion is None and self.numbers[_col.GIVEN]:
+            self._views[_col.PUSH][:] = self._views[_col.TWIST][:] = 0.0
+        self.numbers[_col.GIVEN] = motion is not None
         if length != self._length:
             self._set(length)
         self._most = max(self._most, begun.nc)
@@ -212,12 +216,14 @@ class Mover:
         (x, R, links), forces = half.middle.placement, half.forces
         _vectors(work, _col.X, n)[:], _matrices(work, _col.R_THERE, n)[:] = x, R
         work[_col.REACH * n : _col.LOOKED_THERE * n] = half.reach
-        self._velocity(work, _col.V_THERE)[:] = half.middle.v
-        self._velocity(work, _col.V_FREE)[:] = forces.v
-        self._velocity(floats[_col.RESULTS :], _col.RATE)[:] = half.rate
+        self.velocity(work, _col.V_THERE)[:] = half.middle.v
+        self.velocity(work, _col.V_FREE)[:] = forces.v
+        self.velocity(floats[_col.RESULTS :], _col.RATE)[:] = half.rate
         views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
         if self._dynamics.free:
             views[_col.PUSH][:], views[_col.TWIST][:] = forces.force, forces.torque
+            turns = half.middle.position.quaternion.ravel()
+            work[3 * n : 3 * n + turns.size] = turns
         first = 0
         for begun, there in zip(motion.begun, links, strict=True):
             last = first + there.J.shape[1]
@@ -227,7 +233,7 @@ class Mover:
     def _move(self, motion: Motion, floats: Array, work: Array) -> bool:
         """Bring the scene to the end of its step; whether it goes there."""
         n, b = self._size[0], floats[_col.RESULTS :]
-        found = motion.end(self._velocity(work, _col.V_PLUS).copy(), self._velocity(work, _col.PUSHED).copy())
+        found = motion.end(self.velocity(work, _col.V_PLUS).copy(), self.velocity(work, _col.PUSHED).copy())
         if found is None:
             return False
         position, v, (x, R, _), (linear, angular) = found
@@ -235,7 +241,7 @@ class Mover:
         b[3 * n : 3 * n + turns.size] = turns
         _vectors(b, _col.X, n)[:], _matrices(b, _col.R, n)[:] = x, R
         _vectors(b, _col.LINEAR, n)[:], _vectors(b, _col.ANGULAR, n)[:] = linear, angular
-        self._velocity(b, _col.V)[:] = v
+        self.velocity(b, _col.V)[:] = v
         return True
 
     def respond(
@@ -243,7 +249,7 @@ class Mover:
     ) -> tuple[Half, Reach, Response] | None:
         """The move of h s from the time t, with `barred` as of `trial`; None where the kernel does not make it.
 
-        Its first `half` is known where there are trees.
+        Its first `half` is known where there are trees, or forces of the user.
         """
         if not Mover.ready:
             return None
@@ -255,7 +261,7 @@ class Mover:
         if (given := self._given[1]) is None:
             return None
         old, begun = given
-        begun = begun if motion is None else begun.anew()
+        begun = begun.anew() if self._dynamics.trees else begun
         made = self(old, begun, begin.memory.next_key, (h, s.depth), barred=barred, motion=motion)
         return None if made is None else self._told(s, begin, t, h, made, motion)
 
@@ -296,10 +302,10 @@ class Mover:
         )
         couple = NO_COUPLE
         if made.head[_col.TURNED]:
-            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], self._velocity(w, _col.TURN)
+            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], self.velocity(w, _col.TURN)
             couple = Couple(_vectors(a, _col.COUPLE, nc), works, dv)
         end, position = Placement(_vectors(b, _col.X, n), _matrices(b, _col.R, n), ()), p
-        if motion is None:
+        if motion is None or not d.trees:
             position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
         else:
             end, position = motion.placement, motion.position
@@ -307,7 +313,7 @@ class Mover:
         if goes:
             memory_there = ContactMemory(made.end.names, made.end.points, made.end_key)
             moved = moved._replace(contacts=made.end.contacts(), memory=memory_there, looked=_looked(b, _col.LOOKED, n))
-        v_plus, v_end = self._velocity(w, _col.V_PLUS), self._velocity(b, _col.V)
+        v_plus, v_end = self.velocity(w, _col.V_PLUS), self.velocity(b, _col.V)
         twists = _vectors(b, _col.LINEAR, n), _vectors(b, _col.ANGULAR, n)
         acted = None, 0.0, slides, problem, solution, False, couple, v_plus
         impulse, ends = (NOTHING, ()) if motion is None else (motion.impulse, motion.ends)
@@ -319,10 +325,10 @@ class Mover:
         d, n, w = self._dynamics, self._size[0], made.work
         x, quaternion = _vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
         there = Placement(x, _matrices(w, _col.R_THERE, n), ())
-        middle = Middle(p.moved(x, quaternion), self._velocity(w, _col.V_THERE), there, ())
-        v_free, reach = self._velocity(w, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
+        middle = Middle(p.moved(x, quaternion), self.velocity(w, _col.V_THERE), there, ())
+        v_free, reach = self.velocity(w, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
         forces = Forces(v_free, v_free, d.no_load, d.no_load, *self.still.masses, ())
-        rate, fast = self._velocity(made.floats[_col.RESULTS :], _col.RATE), bool(made.head[_col.FAST])
+        rate, fast = self.velocity(made.floats[_col.RESULTS :], _col.RATE), bool(made.head[_col.FAST])
         same = made.floats[_col.WENT] == 0.0
         return Half(h, theta * h, t + h, middle, forces, rate, reach, fast, same, STILL_SURFACES, SILENT)
 
@@ -359,7 +365,7 @@ class Mover:
         own = np.empty(self._own + _col.CONTACT_WORK * nc)
         return own, np.empty(_col.HEAD + 2 * nc, np.int64), np.empty((_col.FLAGS, nc), np.bool_)
 
-    def _velocity(self, f: Array, column: tuple[int, int]) -> Array:
+    def velocity(self, f: Array, column: tuple[int, int]) -> Array:
         """A column of the coordinates."""
         n, nv = self._size
         begin = column[0] * n + column[1] * nv

@@ -1,7 +1,7 @@
 """Steps that meet no event: what rests, slides and rolls on what it touches, and what flies.
 
-A kernel in place of the stages of `nsdyn.stepping.move`, which begins again where anything else shows. It asks Python
-for the motion of trees, `nsdyn.stepping.quiet_trees`.
+A kernel in place of the stages of `nsdyn.stepping.move`, which begins again where anything else shows. Python makes the
+motion of trees and asks the user's functions, `nsdyn.stepping.quiet_trees`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ASKS = 50
 
 
 class Quiet:
-    """Steps of free bodies under gravity alone, and of scenes with trees, by a kernel as long as they meet no event.
+    """Steps by a kernel as long as they meet no event.
 
     Nothing strikes or overlaps, and no slip turns round.
 
@@ -46,7 +46,7 @@ class Quiet:
     polish : bool
         Whether certificates are polished: no one of the kernel is then enough.
     loads : callable
-        What the user has to say at a time [s], which trees obey.
+        What the user has to say at a time [s].
     paradoxes : Paradoxes
         Of these there are none in such a step.
     """
@@ -78,17 +78,20 @@ class Quiet:
     def _next(self, old: Flat, certify: Certify) -> Flat | None:
         """The next state, None where more may happen."""
         s = self._system
-        if not s.dynamics.trees:
+        t = old.origin + (old.count + 1) * old.dt - s.dt
+        callbacks = self._loads(t + (1.0 - s.theta) * s.dt)
+        if not s.dynamics.trees and callbacks is None:
             made = self._made(old, old.found, None)
             return None if made is None else self._told(old, made, old.like, old.acting, certify)
-        begin, t = old.begin(), old.origin + (old.count + 1) * old.dt - s.dt
-        callbacks = self._loads(t + (1.0 - s.theta) * s.dt)
+        begin = old.begin() if s.dynamics.trees else old.instant()
         motion = Motion(s, begin, old.found.contacts, first_half(s, begin, t, s.dt, callbacks))
         while True:
             # Rows of trees change whatever moves: those of the last step are still to be told.
-            if not motion.meets_nothing() or (made := self._made(old, old.found.anew(), motion)) is None:
+            found = old.found.anew() if s.dynamics.trees else old.found
+            if not motion.meets_nothing() or (made := self._made(old, found, motion)) is None:
                 return None
-            if (again := motion.corrected(callbacks)) is None:
+            v = self._mover.velocity(made.work, _col.V_PLUS)
+            if (again := motion.corrected(v, callbacks)) is None:
                 break
             motion, callbacks = again, None
         if (told := motion.told(made.floats)) is None:
@@ -127,7 +130,7 @@ class Quiet:
 
     def _passes(self, old: Flat, new: Flat, made: Made) -> bool:
         """Whether anything touches on its way what it is not seen to meet."""
-        s, n, w = self._system, self._system.dynamics.free, made.work
+        s, n, w = self._system, self._system.dynamics.frames, made.work
         there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.REACH * n].reshape(n, 3, 3))
         places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
         memory = ContactMemory(made.found.names, made.found.points, made.next_key)

@@ -1,4 +1,4 @@
-"""The motion of trees in a step that meets no event: what Python does between the calls of the kernel of such steps."""
+"""What Python does between the calls of the kernel of steps: the motion of trees, and the forces of the user."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["Motion"]
 
 
 class Motion:
-    """The motion of one step of a scene with trees.
+    """The motion of one step, or of one move, of a scene with trees or under forces of the user.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Motion:
     def meets_nothing(self) -> bool:
         """Whether no joint is near its limits, none has dry friction, no actuator is at its limit, and none strikes."""
         s, half, begin = self._s, self.half, self._begin
-        if half.fast or _few.any_below(begin.limits, s.closed):
+        if _few.any_below(begin.limits, s.closed):
             return False
         if s.elastic and _bounces(s, begin, self._contacts(), half.rate):
             return False
@@ -81,9 +81,9 @@ class Motion:
         self.position, self.placement = position, place
         return position, v_end, place, d.twists(place, v_end)
 
-    def corrected(self, callbacks: Callbacks) -> Motion | None:
-        """The motion with what callbacks say at the mean velocity of this one; None where that is the same."""
-        again = corrected(self._s, self._begin, self.half, self._v, callbacks)
+    def corrected(self, v: Array, callbacks: Callbacks) -> Motion | None:
+        """The motion with what callbacks say at the mean velocity of this one, v⁺ = v; None where that is the same."""
+        again = corrected(self._s, self._begin, self.half, v, callbacks)
         return None if again is self.half else Motion(self._s, self._begin, self._contacts, again)
 
     def told(self, results: Array) -> tuple[Instant, Acting] | None:
@@ -92,6 +92,8 @@ class Motion:
         None where joints are beyond their limits.
         """
         s, d, half, begin = self._s, self._s.dynamics, self.half, self._begin
+        if not d.trees:
+            return begin, Acting((half.forces.m, half.forces.minv), d.no_impulses[1], d.no_push)
         limits = d.limits(self.placement)
         if _few.least(limits) < -s.closed:
             return None

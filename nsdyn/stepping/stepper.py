@@ -352,9 +352,7 @@ class Stepper:
     def _quietest(self, polish: bool) -> Quiet | None:
         """What makes steps of the scene that meet no event; None where only the general way does."""
         s, d, functions = self.system, self.dynamics, self.functions
-        silent = functions["controller"] is None and functions["external_force"] is None
-        # Of what is said of free bodies alone the kernel knows nothing.
-        if s.mover is None or functions.take_last or not (d.trees or silent):
+        if s.mover is None or functions.take_last:
             return None
         return Quiet(s, s.mover, polish, lambda t: functions.at(t, d, None), self._paradoxes)
 

@@ -594,6 +594,24 @@ def test_quiet_steps_under_forces_of_the_velocity_are_the_general_ones(monkeypat
     check_lane(KERNEL, scene, 120, options, monkeypatch)
 
 
+@pytest.mark.parametrize(
+    ("name", "parameters", "dt"),
+    [("slide", {}, 5e-3), ("rolling", {"balls": 2}, 2e-3), ("bounce", {}, 1e-2), ("tumble", {}, 5e-3)],
+)
+def test_quiet_steps_of_bodies_that_are_pushed_are_the_general_ones(name, parameters, dt, monkeypatch):
+    """A wind that turns with the time, drag of the velocity, and a torque of the spin, on bodies that touch and fly."""
+    scene = nd.scenes.load(name)(**parameters)
+
+    def wind(t, q, v):
+        push = {}
+        for k, body in enumerate(scene.free_bodies):
+            own = v[6 * k : 6 * k + 6]
+            push[body.name] = np.array([(0.5 * np.sin(9.0 * t), 0.3, 0.0) - 0.1 * own[:3], -1e-3 * own[3:]])
+        return push
+
+    check_lane(KERNEL, scene, 120, {"dt": dt, "external_force": wind}, monkeypatch)
+
+
 def test_what_is_squeezed_out_of_a_wedge_is_not_lifted_far():
     """Two heavy plates close on a light ball: what overlaps by little is lifted far, so that the step is halved."""
     scene = nd.Scene(gravity=(0, 0, 0), friction_rule="min")

@@ -58,7 +58,8 @@ BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
     GEOMS,
     WIDE,
     FEWEST,
-) = range(25)
+    GIVEN,
+) = range(26)
 
 # The results of a step.
 (

@@ -34,7 +34,7 @@ from nsdyn._kernels.stepping.quiet_response import arrive, corrects, end_gaps, p
 def depart(num, size, bodies, forces, arm, old, f, w):
     """The first half of a move: how far it reaches, and whether contacts are those where it begins.
 
-    Python has made it where there are trees.
+    It may be given: Python makes it where there are trees, and under the forces of the user.
     """
     n, reach = size[0], col.column(w, col.REACH, size[0])
     there = (
@@ -43,7 +43,7 @@ def depart(num, size, bodies, forces, arm, old, f, w):
         col.velocity(w, col.V_THERE, size),
         col.rotations(w, col.R_THERE, n),
     )
-    if size[2] < n:
+    if num[col.GIVEN] > 0.0:
         looked = col.placed(old, col.LOOKED, n)
         return most(reach), touching.unmoved(looked, (there[0], there[3], reach), arm, num[col.STILL])
     rate, v_free = col.velocity(f, col.RATE, size), col.velocity(w, col.V_FREE, size)
@@ -132,7 +132,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         if step and strikes_at_once(num, first, warm, b_old, n):
             return OTHERWISE
         far, same = depart(num, size, bodies, (gravity, force, num[col.WEIGHT]), arm, b_old, b, w)
-        if step and not trees and num[col.ELASTIC] > 0.0 and rebounds(num, size, first, b_old, w):
+        if step and num[col.GIVEN] == 0.0 and num[col.ELASTIC] > 0.0 and rebounds(num, size, first, b_old, w):
             return OTHERWISE
         out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
         head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]
