@@ -25,7 +25,7 @@ from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
 from nsdyn.stepping.projection import Placed
-from nsdyn.stepping.quiet_trees import Motion
+from nsdyn.stepping.between import Motion
 from nsdyn.stepping.response import Reach, Response
 from nsdyn.tools.arrays import Array, Bools, Index
 

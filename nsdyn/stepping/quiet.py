@@ -1,7 +1,7 @@
 """Steps that meet no event: what rests, slides and rolls on what it touches, and what flies.
 
 A kernel in place of the stages of `nsdyn.stepping.move`, which begins again where anything else shows. Python makes the
-motion of trees and asks the user's functions, `nsdyn.stepping.quiet_trees`.
+motion of trees and asks the user's functions, `nsdyn.stepping.between`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from nsdyn.stepping.half import Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.mover import NO_PAIRS, Made, Mover
-from nsdyn.stepping.quiet_trees import Motion
+from nsdyn.stepping.between import Motion
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
