@@ -19,13 +19,13 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.auto import LIMITS, Auto
+from nsdyn.stepping.between import Motion
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.flat import Acted, Acting, Found, packed
 from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
 from nsdyn.stepping.projection import Placed
-from nsdyn.stepping.between import Motion
 from nsdyn.stepping.response import Reach, Response
 from nsdyn.tools.arrays import Array, Bools, Index
 

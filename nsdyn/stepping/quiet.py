@@ -13,12 +13,12 @@ from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
+from nsdyn.stepping.between import Motion
 from nsdyn.stepping.flat import Acting, Flat, Found
 from nsdyn.stepping.half import Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.mover import NO_PAIRS, Made, Mover
-from nsdyn.stepping.between import Motion
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
