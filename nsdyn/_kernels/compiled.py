@@ -112,6 +112,16 @@ def helpers(few: bool) -> list[subprocess.Popen[bytes]]:
     return out
 
 
+class Options(Flags):
+    """numba's options of a kernel, which it compares a hundred thousand times: here without a look at all defaults."""
+
+    def __hash__(self) -> int:
+        return len(self._values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Flags) and self._values == other._values
+
+
 class Kernel(CPUDispatcher):
     """Compiled function, compiled for variables where it is given constants."""
 
@@ -127,6 +137,7 @@ class Kernel(CPUDispatcher):
         super().__init__(function, *others, **options)
         # The text is read now, since it may be edited before the first call
         self._cache, self._callees, self._content = self, {}, content(function.__module__)
+        self._compiler._customize_flags = Options
 
     def file(self, types: Any, form: str = "machine code") -> Path:
         """File of this kernel for these types; where there is no folder, one that cannot be read or written."""
@@ -168,7 +179,7 @@ class Kernel(CPUDispatcher):
 
     def _lower(self, types: Any) -> tuple[Any, ...]:
         """LLVM's code for these types, simplified function by function: its callers are optimised with it."""
-        flags = Flags()
+        flags = Options()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         result = compile_extra(self.typingctx, self.targetctx, self.py_func, types, None, flags, {})
