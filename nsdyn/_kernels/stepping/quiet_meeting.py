@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nsdyn._kernels.collision.search import LEFT, gather, seek
+from nsdyn._kernels.collision.search import LEFT, WHOLE, gather, seek
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.problem import blocks as _blocks
@@ -19,7 +19,7 @@ LOOK_AHEAD it goes on with what Python has done."""
 def look(detection, ready, looked, begun, into, head, which, most):
     """Find contacts, which go on from begun = (some, next key), and `DONE`; else `LOOK`, or `MORE` if they are many."""
     (geoms, pairs, limit, tolerance), (before, next_key) = detection, begun
-    count = seek(geoms, pairs, limit, ready, looked)
+    count = seek(geoms, pairs, limit, ready, looked, WHOLE)
     if count == LEFT:
         return LOOK
     head[which] = head[col.NEEDED] = count
