@@ -37,7 +37,8 @@ from numba.core.serialize import dumps
 from numba.core.types import unliteral
 
 FOLDER, PROCESSES = "NSDYN_CACHE_DIR", "NSDYN_COMPILE_PROCESSES"
-"""Environment variables: the folder of the files, and how many processes compile, by default one per core."""
+"""Environment variables: the folder of the files, and how many processes compile, by default one per core,
+and two on one core: what takes longest is compiled while general steps do the same."""
 
 KEEP, PATIENCE = 60 * 86400.0, 2.0
 """s after its last use that a file is kept, and of loading and compiling in a process about which nothing is said."""
@@ -99,7 +100,7 @@ def helpers(few: bool) -> list[subprocess.Popen[bytes]]:
     None where another process of the user has some: of many that begin at once only one does.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = int(os.environ.get(PROCESSES) or cores) - 1
+    count = int(os.environ.get(PROCESSES) or max(cores, 2)) - 1
     one = os.environ | dict.fromkeys((PROCESSES, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     code = f"import sys; sys.path[:] = {sys.path}; from nsdyn.compilation import work; work({few}, %d, {count})"
