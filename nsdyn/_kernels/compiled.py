@@ -38,7 +38,7 @@ from numba.core.types import unliteral
 
 FOLDER, PROCESSES = "NSDYN_CACHE_DIR", "NSDYN_COMPILE_PROCESSES"
 """Environment variables: the folder of the files, and how many processes compile, by default one per core,
-and two on one core: what takes longest is compiled while general steps do the same."""
+but two on one: while the kernel of quiet steps is compiled, general steps do the same."""
 
 KEEP, PATIENCE = 60 * 86400.0, 2.0
 """s after its last use that a file is kept, and of loading and compiling in a process about which nothing is said."""
