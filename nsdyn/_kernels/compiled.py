@@ -37,7 +37,8 @@ from numba.core.serialize import dumps
 from numba.core.types import unliteral
 
 FOLDER, PROCESSES = "NSDYN_CACHE_DIR", "NSDYN_COMPILE_PROCESSES"
-"""Environment variables: the folder of the files, and how many processes compile, by default one per core."""
+"""Environment variables: the folder of the files, and how many processes compile, by default one per core,
+but two on one: while the kernel of quiet steps is compiled, general steps do the same."""
 
 KEEP, PATIENCE = 60 * 86400.0, 2.0
 """s after its last use that a file is kept, and of loading and compiling in a process about which nothing is said."""
@@ -99,7 +100,7 @@ def helpers(few: bool) -> list[subprocess.Popen[bytes]]:
     None where another process of the user has some: of many that begin at once only one does.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = int(os.environ.get(PROCESSES) or cores) - 1
+    count = int(os.environ.get(PROCESSES) or max(cores, 2)) - 1
     one = os.environ | dict.fromkeys((PROCESSES, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     code = f"import sys; sys.path[:] = {sys.path}; from nsdyn.compilation import work; work({few}, %d, {count})"
@@ -110,6 +111,16 @@ def helpers(few: bool) -> list[subprocess.Popen[bytes]]:
             for k in range(count):
                 out.append(subprocess.Popen([*command, code % k], env=one, start_new_session=True, **options))
     return out
+
+
+class Options(Flags):
+    """numba's options of a kernel, which it compares a hundred thousand times: here without a look at all defaults."""
+
+    def __hash__(self) -> int:
+        return len(self._values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Flags) and self._values == other._values
 
 
 class Kernel(CPUDispatcher):
@@ -127,6 +138,7 @@ class Kernel(CPUDispatcher):
         super().__init__(function, *others, **options)
         # The text is read now, since it may be edited before the first call
         self._cache, self._callees, self._content = self, {}, content(function.__module__)
+        self._compiler._customize_flags = Options
 
     def file(self, types: Any, form: str = "machine code") -> Path:
         """File of this kernel for these types; where there is no folder, one that cannot be read or written."""
@@ -168,7 +180,7 @@ class Kernel(CPUDispatcher):
 
     def _lower(self, types: Any) -> tuple[Any, ...]:
         """LLVM's code for these types, simplified function by function: its callers are optimised with it."""
-        flags = Flags()
+        flags = Options()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         result = compile_extra(self.typingctx, self.targetctx, self.py_func, types, None, flags, {})

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn._kernels.collision import broadphase
-from nsdyn._kernels.collision.geometry import Geometry, Placed
+from nsdyn._kernels.collision.geometry import Geometry
 from nsdyn._kernels.packing import pack
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.distances import SHRINK, Batch, empty_model, split
@@ -82,9 +82,11 @@ class Candidates:
         self._arm = np.where(self._moving, arm, 0.0)  # farthest any point is from the origin of its frame
         self.base = self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
         self._reach = np.zeros(n)
-        self._lower, self._upper = np.empty((n, 3)), np.empty((n, 3))
-        for k in range(n):
-            broadphase.bound(Placed._make((*self._geometry, self._R, self._t)), k, self._lower, self._upper)
+        self._lower, self._upper = boxes = np.empty((n, 3)), np.empty((n, 3))
+        # Fixed geoms have their boxes once for all: those of a frame at the origin.
+        fixed, placed = self._geometry._replace(frame=np.zeros(n, np.int64)), (self._R.copy(), self._t.copy())
+        still = np.zeros((1, 3)), np.eye(3)[None], np.zeros(1)
+        broadphase.follow(tuple(fixed), still, self.base, (*placed, np.empty(n)), boxes, boxes)
         self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
         self._served = 0  # calls served by the present candidates
         self._batches: list[Batch] = []

@@ -132,11 +132,13 @@ def candidates(fields, R, t, lower, upper, excluded):
     axis of their greatest spread. Half-spaces are tested against every moving box.
     """
     geometry = Geometry(*fields)
-    axis, solids = widest(geometry, t), np.flatnonzero(geometry.kind != HALFSPACE)
-    order = solids[order_of(lower[solids, axis])]
-    n, m = geometry.kind.size, order.size
-    codes = np.empty(64, dtype=np.int64)
-    count = 0
+    axis, n, m = widest(geometry, t), geometry.kind.size, 0
+    solids, begin = np.empty(n, np.int64), np.empty(n)
+    for g in range(n):
+        if geometry.kind[g] != HALFSPACE:
+            solids[m], begin[m] = g, lower[g, axis]
+            m += 1
+    order, codes, count = order_of(begin[:m]), np.empty(64, np.int64), 0
     for g in range(n if m < n else 0):
         if geometry.kind[g] != HALFSPACE:
             continue
@@ -148,10 +150,10 @@ def candidates(fields, R, t, lower, upper, excluded):
                     count += 1
     a, b = (axis + 1) % 3, (axis + 2) % 3
     for p in range(m):
-        i = order[p]
+        i = solids[order[p]]
         end = upper[i, axis]
         for q in range(p + 1, m):
-            j = order[q]
+            j = solids[order[q]]
             if lower[j, axis] > end:
                 break
             if (
@@ -165,8 +167,11 @@ def candidates(fields, R, t, lower, upper, excluded):
                 if not contains(excluded, code):
                     codes = append(codes, count, code)
                     count += 1
-    codes = codes[:count]
-    return codes[order_of(codes)]
+    out = np.empty(count, np.int64)
+    order = order_of(codes[:count])
+    for k in range(count):
+        out[k] = codes[order[k]]
+    return out
 
 
 @in_place

@@ -7,6 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity, relative_velocity_of, weighted_rows
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
+from nsdyn._kernels.reductions import largest
 
 UNITS = 4.0
 """Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
@@ -89,7 +90,7 @@ def certificate(u, r, o, mu, scales):
         return gap, shift, 0.0, 0.0, gap + least
     s, margin = np.empty(mu.size), np.empty(mu.size)
     frozen_shift(u, mu, s)
-    speed = ROUNDING * np.abs(u).max()
+    speed = ROUNDING * largest(u)
     for c in range(mu.size):
         margin[c] = u[3 * c]
         speed = max(speed, -margin[c])

@@ -84,7 +84,7 @@ def part(problem, label, k, r, measure, aims, limits):
     given = own, own_q, mu[contacts], scales[contacts], q_norm
     count, measure = small(given, x.reshape(-1), measure, aims, limits)
     for e in range(contacts.size):
-        impulses[contacts[e]] = x[e]
+        copy(x[e], impulses[contacts[e]])
     return count, measure
 
 
