@@ -19,7 +19,6 @@ from nsdyn.stepping.instant import Instant, System, among, take
 from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
 from nsdyn.stepping.projection import Placed, place
 from nsdyn.stepping.response import Reach, Response, Trial
-from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.stepping.solving import Way
@@ -96,7 +95,7 @@ def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: 
     """What a move runs into."""
     half, reach, response = made
     h, moved = half.h, response.moved
-    unmet, until, turned = None, h, h
+    unmet, until = None, h
     if barred is not None:
         limits = moved.limits
         if limits.size and not barred.size and _few.least(limits) >= -s.closed:
@@ -107,9 +106,7 @@ def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: 
             first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
             own = begin.contacts, moved.contacts, (first, second, third), reach.memory
             until = touched(s, *own, h, half.reach / half.ahead)
-        if not barred.size:
-            turned = h * reversal(response.met, s.solver, response.problem, response.solution)
-    return Trial(half, reach, response, unmet, until, turned)
+    return Trial(half, reach, response, unmet, until)
 
 
 def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: Index, skip: Bools) -> Trial:
@@ -132,7 +129,7 @@ def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: 
         return attempt(s, begin, again, None, label, skip)
     slots, moved = NO_SLOTS if reach.joints is None else reach.joints.slot, response.moved
     unmet = others(s, moved.contacts, reach.contacts, response.normal, moved.limits, slots)
-    return Trial(half, reach, response, unmet, half.h, half.h)
+    return Trial(half, reach, response, unmet, half.h)
 
 
 def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> Reach:

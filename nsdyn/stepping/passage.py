@@ -23,6 +23,7 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System
 from nsdyn.stepping.move import trial
 from nsdyn.stepping.response import Trial
+from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import moved_by
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -34,8 +35,8 @@ WORK, EVENT = 400, 8
 the moves that one takes, about; what it cannot afford it catches within the rest of the step."""
 
 SOON, AGAIN = 1e-6, 0.1
-"""Fractions of a move in which slip that turns round is not located: before it is nothing but round-off, and where slip
-has just been cut, which is located to second order, what is left of it."""
+"""Fractions of a move in which slip that turns round is not located: where it begins and ends, as nothing but
+round-off, and where slip has just been cut, which is located to second order, what is left of it."""
 
 SHALLOWER = 0.125
 """By what fraction bodies may run less far into each other in halves of a step in which they sank, were lifted far, or
@@ -226,12 +227,15 @@ def _until_event(
     effort.spend(begin)
     m = _try(s, loads, begin, t, h, NONE, half)
     met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
-    if _jammed(m.response.solution) or (not affords and (met or m.touched < h or soon < m.turned < h)):
+    a = m.response
+    if _jammed(a.solution) or (not affords and (met or m.touched < h)):
         return capture()
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)
-    if soon < m.turned < h:
-        return _until_event(s, loads, begin, t, m.turned, h, effort)
+    # Where slip has been cut nothing is asked about it again.
+    turned = h * reversal(a.met, s.solver, a.problem, a.solution) if soon < h else h
+    if soon < turned < (1.0 - SOON) * h:
+        return _until_event(s, loads, begin, t, turned, h, effort) if affords else capture()
     if m.unmet is None or not met:
         return h, m
     hit = m.unmet.gap < -m.unmet.limit

@@ -104,8 +104,6 @@ class Trial(NamedTuple):
     touched : float
         Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
         if nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
-    turned : float
-        When the first slip turns round, s; that of the move if none does, or if all is caught.
     """
 
     half: Half
@@ -113,4 +111,3 @@ class Trial(NamedTuple):
     response: Response
     unmet: Unmet | None
     touched: float
-    turned: float
