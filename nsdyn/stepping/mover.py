@@ -2,71 +2,32 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn._kernels.compiled import is_ready
 from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn._kernels.stepping import quiet_meeting as _meeting
-from nsdyn.collision.contacts import ContactMemory, Looked
-from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
-from nsdyn.dynamics.values import Forces, Middle, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
-from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.flat import Acted, Acting, Found, packed
-from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
+from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
-from nsdyn.stepping.persistence import NO_COUPLE, Couple
-from nsdyn.stepping.projection import Placed
+from nsdyn.stepping.made import Made, looked, matrices, vectors
 from nsdyn.stepping.response import Reach, Response
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["NO_PAIRS", "Made", "Mover"]
+__all__ = ["NO_PAIRS", "Mover"]
 
 NO_PAIRS, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
 Rooms = tuple[tuple[Array, Index], tuple[Array, Index], tuple[Array, Index]]
-
-
-class Made(NamedTuple):
-    """What the kernel has made.
-
-    Attributes
-    ----------
-    floats, acted, status : ndarray
-        The state at the end, as of `Flat`.
-    work : ndarray
-        What it worked with, columns of the bodies and of the contacts met.
-    head : ndarray of int
-        The first integers at work.
-    flags : ndarray of bool, shape (FLAGS, nc)
-    found, met, end : Found
-        What was found where the impulses acted, what of that was met, and what was found at the end.
-    next_key : int
-        That after `found`; at the end it is of `end_key`.
-    end_key : int
-    """
-
-    floats: Array
-    acted: Index
-    status: NDArray[np.int8]
-    work: Array
-    head: Index
-    flags: Bools
-    found: Found
-    met: Found
-    end: Found
-    next_key: int
-    end_key: int
 
 
 class Mover:
@@ -205,7 +166,7 @@ class Mover:
             elif code != _meeting.SOLVE:
                 ahead = code == _meeting.LOOK_AHEAD
                 columns = new[0][_col.RESULTS :] if ahead else work[0]
-                detector.ask(*_looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, self._size[0]))
+                detector.ask(*looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, self._size[0]))
             elif not self._solve(self._made(new, rooms, work, begun)):
                 return None
             stage, ready = code, True
@@ -214,7 +175,7 @@ class Mover:
         """Where a step has come to halfway, and what acts there."""
         half, n, views = motion.half, self._size[0], self._views
         (x, R, links), forces = half.middle.placement, half.forces
-        _vectors(work, _col.X, n)[:], _matrices(work, _col.R_THERE, n)[:] = x, R
+        vectors(work, _col.X, n)[:], matrices(work, _col.R_THERE, n)[:] = x, R
         work[_col.REACH * n : _col.LOOKED_THERE * n] = half.reach
         self.velocity(work, _col.V_THERE)[:] = half.middle.v
         self.velocity(work, _col.V_FREE)[:] = forces.v
@@ -239,8 +200,8 @@ class Mover:
         position, v, (x, R, _), (linear, angular) = found
         turns = position.quaternion.ravel()
         b[3 * n : 3 * n + turns.size] = turns
-        _vectors(b, _col.X, n)[:], _matrices(b, _col.R, n)[:] = x, R
-        _vectors(b, _col.LINEAR, n)[:], _vectors(b, _col.ANGULAR, n)[:] = linear, angular
+        vectors(b, _col.X, n)[:], matrices(b, _col.R, n)[:] = x, R
+        vectors(b, _col.LINEAR, n)[:], vectors(b, _col.ANGULAR, n)[:] = linear, angular
         self.velocity(b, _col.V)[:] = v
         return True
 
@@ -263,74 +224,7 @@ class Mover:
         old, begun = given
         begun = begun.anew() if self._dynamics.trees else begun
         made = self(old, begun, begin.memory.next_key, (h, s.depth), barred=barred, motion=motion)
-        return None if made is None else self._told(s, begin, t, h, made, motion)
-
-    def _told(
-        self, s: System, begin: Instant, t: float, h: float, made: Made, motion: Motion | None
-    ) -> tuple[Half, Reach, Response]:
-        """The move as values."""
-        d, n, nc, f, w, p = s.dynamics, self._size[0], made.status.size, made.floats, made.work, begin.position
-        b, a, own = f[_col.RESULTS :], f[self._acted :], w[self._own :]
-        went, goes = f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
-        found = made.found.contacts() if went else begin.contacts
-        memory = ContactMemory(made.found.names, made.found.points, made.next_key) if went else begin.memory
-        half = self._half(t, h, s.theta, made, p) if motion is None else motion.half
-        looked = _looked(w, _col.LOOKED_THERE, n) if went else begin.looked
-        met = made.met.contacts() if made.head[_col.SOME] else found
-        rows = Rows(made.met.blocks(d, (half.forces.m, half.forces.minv)), {}, *NO_CLUTCHES)
-        slides, stays, sticks = made.flags[:3, :nc]
-        r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
-        problem = FC3D.prepared(rows.full, q, met.mu, made.met.scales, float(f[_col.NORM]))
-        error, residual, count, time = f[_col.ERROR : _col.CERTIFIED].tolist()
-        solution = Solution(r, u, Status.CONVERGED, error, residual, int(count), time)
-        encounter = Encounter(
-            met,
-            None,
-            rows,
-            made.met.frame,
-            None,
-            met.mu,
-            met.restitution,
-            made.head[_col.HEAD : _col.HEAD + nc],
-            begin.warm.status,
-            own[: 15 * nc].reshape(5, 3 * nc),
-            own[_col.FORESEEN * nc : _col.LATE * nc],
-            stays=stays,
-            sticks=sticks,
-            was=made.status,
-            late=own[_col.LATE * nc : _col.PROJECTED * nc],
-        )
-        couple = NO_COUPLE
-        if made.head[_col.TURNED]:
-            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], self.velocity(w, _col.TURN)
-            couple = Couple(_vectors(a, _col.COUPLE, nc), works, dv)
-        end, position = Placement(_vectors(b, _col.X, n), _matrices(b, _col.R, n), ()), p
-        if motion is None or not d.trees:
-            position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
-        else:
-            end, position = motion.placement, motion.position
-        moved = Placed(position, end, found, d.limits(end), memory, looked, True)
-        if goes:
-            memory_there = ContactMemory(made.end.names, made.end.points, made.end_key)
-            moved = moved._replace(contacts=made.end.contacts(), memory=memory_there, looked=_looked(b, _col.LOOKED, n))
-        v_plus, v_end = self.velocity(w, _col.V_PLUS), self.velocity(b, _col.V)
-        twists = _vectors(b, _col.LINEAR, n), _vectors(b, _col.ANGULAR, n)
-        acted = None, 0.0, slides, problem, solution, False, couple, v_plus
-        impulse, ends = (NOTHING, ()) if motion is None else (motion.impulse, motion.ends)
-        response = Response(encounter, *acted, impulse, v_end, ends, twists, moved)
-        return half, Reach(met, None, found, memory, looked), response
-
-    def _half(self, t: float, h: float, theta: float, made: Made, p: Position) -> Half:
-        """The first half of a move of h s of free bodies from the time t, and the position p."""
-        d, n, w = self._dynamics, self._size[0], made.work
-        x, quaternion = _vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
-        there = Placement(x, _matrices(w, _col.R_THERE, n), ())
-        middle = Middle(p.moved(x, quaternion), self.velocity(w, _col.V_THERE), there, ())
-        v_free, reach = self.velocity(w, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
-        forces = Forces(v_free, v_free, d.no_load, d.no_load, *self.still.masses, ())
-        rate, fast = self.velocity(made.floats[_col.RESULTS :], _col.RATE), bool(made.head[_col.FAST])
-        same = made.floats[_col.WENT] == 0.0
-        return Half(h, theta * h, t + h, middle, forces, rate, reach, fast, same, STILL_SURFACES, SILENT)
+        return None if made is None else made.values(s, begin, t, h, motion)
 
     def _set(self, length: tuple[float, float]) -> None:
         """Make moves of such a length."""
@@ -385,6 +279,7 @@ class Mover:
         if nc != status.size:
             floats, acted, status = floats[: self._acted + _col.CONTACT * nc], acted[: 2 * nc], status[:nc]
         return Made(
+            self._size,
             floats,
             acted,
             status,
@@ -410,18 +305,3 @@ class Mover:
         a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
         floats[_col.ERROR : _col.CERTIFIED] = solution[3:7]
         return True
-
-
-def _vectors(f: Array, k: int, n: int) -> Array:
-    """The columns from k on as (n, 3)."""
-    return f[k * n : (k + 3) * n].reshape(n, 3)
-
-
-def _matrices(f: Array, k: int, n: int) -> Array:
-    """The columns from k on as (n, 3, 3)."""
-    return f[k * n : (k + 9) * n].reshape(n, 3, 3)
-
-
-def _looked(f: Array, k: int, n: int) -> Looked:
-    """Where contacts are looked for, in the columns from k on."""
-    return Looked(_vectors(f, k, n), _matrices(f, k + 3, n), f[(k + 12) * n : (k + 13) * n])

@@ -18,7 +18,8 @@ from nsdyn.stepping.flat import Acting, Flat, Found
 from nsdyn.stepping.half import Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
-from nsdyn.stepping.mover import NO_PAIRS, Made, Mover
+from nsdyn.stepping.made import Made
+from nsdyn.stepping.mover import NO_PAIRS, Mover
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
@@ -90,7 +91,7 @@ class Quiet:
             found = old.found.anew() if s.dynamics.trees else old.found
             if not motion.meets_nothing() or (made := self._made(old, found, motion)) is None:
                 return None
-            v = self._mover.velocity(made.work, _col.V_PLUS)
+            v = made.velocity(made.work, _col.V_PLUS)
             if (again := motion.corrected(v, callbacks)) is None:
                 break
             motion, callbacks = again, None

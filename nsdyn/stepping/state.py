@@ -19,7 +19,7 @@ from nsdyn.stepping.names import Names
 from nsdyn.tools.arrays import Array
 
 if TYPE_CHECKING:
-    from nsdyn.stepping.flat import Untold
+    from nsdyn.stepping.untold import Untold
 
 __all__ = ["Pieces", "Start", "State", "Step", "Touch"]
 

@@ -27,7 +27,7 @@ from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping.contradictions import Prescribed
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
-from nsdyn.stepping.flat import Flat, Untold
+from nsdyn.stepping.flat import Flat
 from nsdyn.stepping.functions import Callback, Functions
 from nsdyn.stepping.impacts import Law, as_law
 from nsdyn.stepping.impulses import Impulses
@@ -38,6 +38,7 @@ from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
 from nsdyn.stepping.state import Pieces, Start, State, Step
 from nsdyn.stepping.system import check_options, system_of
+from nsdyn.stepping.untold import Untold
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
 

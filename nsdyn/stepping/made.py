@@ -1,0 +1,154 @@
+"""What the kernel of moves has made, and the move as values."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsdyn._kernels.stepping import columns as _col
+from nsdyn.collision.contacts import ContactMemory, Looked
+from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
+from nsdyn.dynamics.values import Forces, Middle, Placement, Position
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.stepping.between import Motion
+from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.flat import Found
+from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
+from nsdyn.stepping.instant import Instant, System
+from nsdyn.stepping.persistence import NO_COUPLE, Couple
+from nsdyn.stepping.projection import Placed
+from nsdyn.stepping.response import Reach, Response
+from nsdyn.tools.arrays import Array, Bools, Index
+
+if TYPE_CHECKING:
+    from nsdyn.dynamics.dynamics import Dynamics
+
+__all__ = ["Made", "looked", "matrices", "vectors"]
+
+NOTHING = np.empty(0)
+
+
+class Made(NamedTuple):
+    """What the kernel has made.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Frames and coordinates.
+    floats, acted, status : ndarray
+        The state at the end, as of `Flat`.
+    work : ndarray
+        What it worked with, columns of the bodies and of the contacts met.
+    head : ndarray of int
+        The first integers at work.
+    flags : ndarray of bool, shape (FLAGS, nc)
+    found, met, end : Found
+        What was found where the impulses acted, what of that was met, and what was found at the end.
+    next_key : int
+        That after `found`; at the end it is of `end_key`.
+    end_key : int
+    """
+
+    size: tuple[int, int]
+    floats: Array
+    acted: Index
+    status: NDArray[np.int8]
+    work: Array
+    head: Index
+    flags: Bools
+    found: Found
+    met: Found
+    end: Found
+    next_key: int
+    end_key: int
+
+    def velocity(self, f: Array, column: tuple[int, int]) -> Array:
+        """A column of the coordinates."""
+        begin = column[0] * self.size[0] + column[1] * self.size[1]
+        return f[begin : begin + self.size[1]]
+
+    def values(
+        self, s: System, begin: Instant, t: float, h: float, motion: Motion | None
+    ) -> tuple[Half, Reach, Response]:
+        """The move of h s from the time t as values; its motion where Python knows of it."""
+        d, (n, nv), nc, f, w, p = s.dynamics, self.size, self.status.size, self.floats, self.work, begin.position
+        b, a = f[_col.RESULTS :], f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :]
+        own = w[_col.FRAME_WORK * n + _col.COORDINATE_WORK * nv :]
+        went, goes = f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
+        found = self.found.contacts() if went else begin.contacts
+        memory = ContactMemory(self.found.names, self.found.points, self.next_key) if went else begin.memory
+        half = self._half(d, t, h, s.theta, p) if motion is None else motion.half
+        where = looked(w, _col.LOOKED_THERE, n) if went else begin.looked
+        met = self.met.contacts() if self.head[_col.SOME] else found
+        rows = Rows(self.met.blocks(d, (half.forces.m, half.forces.minv)), {}, *NO_CLUTCHES)
+        slides, stays, sticks = self.flags[:3, :nc]
+        r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
+        problem = FC3D.prepared(rows.full, q, met.mu, self.met.scales, float(f[_col.NORM]))
+        error, residual, count, time = f[_col.ERROR : _col.CERTIFIED].tolist()
+        solution = Solution(r, u, Status.CONVERGED, error, residual, int(count), time)
+        encounter = Encounter(
+            met,
+            None,
+            rows,
+            self.met.frame,
+            None,
+            met.mu,
+            met.restitution,
+            self.head[_col.HEAD : _col.HEAD + nc],
+            begin.warm.status,
+            own[: 15 * nc].reshape(5, 3 * nc),
+            own[_col.FORESEEN * nc : _col.LATE * nc],
+            stays=stays,
+            sticks=sticks,
+            was=self.status,
+            late=own[_col.LATE * nc : _col.PROJECTED * nc],
+        )
+        couple = NO_COUPLE
+        if self.head[_col.TURNED]:
+            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], self.velocity(w, _col.TURN)
+            couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
+        end, position = Placement(vectors(b, _col.X, n), matrices(b, _col.R, n), ()), p
+        if motion is None or not d.trees:
+            position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
+        else:
+            end, position = motion.placement, motion.position
+        moved = Placed(position, end, found, d.limits(end), memory, where, True)
+        if goes:
+            memory_there = ContactMemory(self.end.names, self.end.points, self.end_key)
+            moved = moved._replace(contacts=self.end.contacts(), memory=memory_there, looked=looked(b, _col.LOOKED, n))
+        v_plus, v_end = self.velocity(w, _col.V_PLUS), self.velocity(b, _col.V)
+        twists = vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)
+        acted = None, 0.0, slides, problem, solution, False, couple, v_plus
+        impulse, ends = (NOTHING, ()) if motion is None else (motion.impulse, motion.ends)
+        response = Response(encounter, *acted, impulse, v_end, ends, twists, moved)
+        return half, Reach(met, None, found, memory, where), response
+
+    def _half(self, d: Dynamics, t: float, h: float, theta: float, p: Position) -> Half:
+        """The first half of a move of h s of free bodies from the time t, and the position p."""
+        n, w = self.size[0], self.work
+        x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
+        there = Placement(x, matrices(w, _col.R_THERE, n), ())
+        middle = Middle(p.moved(x, quaternion), self.velocity(w, _col.V_THERE), there, ())
+        v_free, reach = self.velocity(w, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
+        forces = Forces(v_free, v_free, d.no_load, d.no_load, *d.masses[3:], ())
+        rate, fast = self.velocity(self.floats[_col.RESULTS :], _col.RATE), bool(self.head[_col.FAST])
+        same = self.floats[_col.WENT] == 0.0
+        return Half(h, theta * h, t + h, middle, forces, rate, reach, fast, same, STILL_SURFACES, SILENT)
+
+
+def vectors(f: Array, k: int, n: int) -> Array:
+    """The columns from k on as (n, 3)."""
+    return f[k * n : (k + 3) * n].reshape(n, 3)
+
+
+def matrices(f: Array, k: int, n: int) -> Array:
+    """The columns from k on as (n, 3, 3)."""
+    return f[k * n : (k + 9) * n].reshape(n, 3, 3)
+
+
+def looked(f: Array, k: int, n: int) -> Looked:
+    """Where contacts are looked for, in the columns from k on."""
+    return Looked(vectors(f, k, n), matrices(f, k + 3, n), f[(k + 12) * n : (k + 13) * n])

@@ -1,0 +1,161 @@
+"""What tells of steps of the kernel when it is asked for: of one, or of many together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from nsdyn._kernels.stepping import columns as _col
+from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.values import Placement
+from nsdyn.problem.gauss import Certificate
+from nsdyn.problem.solution import Solution, Status
+from nsdyn.stepping.energy import Ledger, Works
+from nsdyn.stepping.flat import Flat
+from nsdyn.stepping.state import Step
+from nsdyn.tools.arrays import Array, Index
+
+if TYPE_CHECKING:
+    from nsdyn.dynamics.dynamics import Dynamics
+
+__all__ = ["Untold"]
+
+
+class Untold(NamedTuple):
+    """What tells of a quiet step when it is asked for, alone or together with others.
+
+    Attributes
+    ----------
+    flat : Flat
+        Where it ended.
+    before : (float, float)
+        Energies where it began, J.
+    scheme : (float, float)
+        θ and the solver's tolerance.
+    dynamics : Dynamics
+    """
+
+    flat: Flat
+    before: tuple[float, float]
+    scheme: tuple[float, float]
+    dynamics: Dynamics
+
+    @property
+    def nc(self) -> int:
+        """Number of contacts."""
+        return self.flat.status.size
+
+    def told(self) -> dict[str, Any]:
+        """What the step did, by the names of `Step`."""
+        flat, d, nc = self.flat, self.dynamics, self.nc
+        x, quaternion = d.poses(flat.position, Placement(*flat.poses, ()))
+        q, v = d.pinocchio_state(flat.position, flat.coordinate(_col.V))
+        ledger, certificate = _sums(self.before, flat.floats[: _col.RESULTS].tolist(), 0.0)
+        return {
+            "q": q,
+            "v": v,
+            "frames_x": x,
+            "frames_quat": quaternion,
+            "joints": flat.acting.joints[:, 6 * d.free :] if d.trees else None,
+            "links": flat.acting.links,
+            "pieces": None,
+            "created": 0.0,
+            "ledger": ledger,
+            "gauss": certificate,
+            "problem": flat.problem(d),
+            "solution": flat.solution(self.scheme[1]),
+            "twists": flat.twists,
+            **_contacts(flat.met.names, flat.met.floats, flat.contact(0, _col.CONTACT), flat.status, self._time(nc)),
+        }
+
+    def _time(self, *shape: int) -> Array:
+        """When the impulses of as many contacts acted, s after the beginning of the step."""
+        out = np.empty(shape)
+        out.fill((1.0 - self.scheme[0]) * self.flat.dt)
+        return out
+
+    @staticmethod
+    def steps(some: Sequence[Untold]) -> Step:
+        """What m steps of a scene did but for their contacts, arrays with a leading axis of m, of joints (7, m)."""
+        first, d, m, nothing = some[0].flat, some[0].dynamics, len(some), np.zeros(len(some))
+        x = quaternion = joints = links = pieces = None
+        if d.trees:
+            told = [one.told() for one in some]
+            q, v, links = (np.stack([t[name] for t in told]) for name in ("q", "v", "links"))
+            if d.frames > d.free:
+                x, quaternion = (np.stack([t[name] for t in told]) for name in ("frames_x", "frames_quat"))
+            joints, pieces = np.stack([t["joints"] for t in told], axis=1), (None,) * m
+        else:
+            columns = [
+                np.concatenate([one.flat.frame(*of) for one in some]) for of in ((_col.X, 3), (_col.QUATERNION, 4))
+            ]
+            v = np.concatenate([one.flat.coordinate(_col.V) for one in some])
+            q, v = (a.reshape(m, -1) for a in d.pinocchio_state(first.position.moved(*columns), v))
+        results: Any = np.array([one.flat.floats[: _col.RESULTS] for one in some]).T
+        ledger, certificate = _sums(np.array([one.before for one in some]).T, results, nothing)
+        error, residual, count, time = results[_col.ERROR : _col.CERTIFIED]
+        good = np.maximum(error, residual) <= some[0].scheme[1]
+        status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)
+        return Step(
+            t=np.array([one.flat.t for one in some]),
+            q=q,
+            v=v,
+            frames_x=x,
+            frames_quat=quaternion,
+            joints=joints,
+            links=links,
+            pieces=pieces,
+            created=nothing,
+            ledger=ledger,
+            gauss=certificate,
+            solution=Solution(nothing, nothing, status, error, residual, count.astype(np.int64), time),
+        )
+
+    @staticmethod
+    def contacts(some: Sequence[Untold]) -> Step:
+        """The contacts of m steps of a scene with nc each, every array with leading axes (m, nc) or (1, nc)."""
+        m, nc, met = len(some), some[0].nc, [one.flat.met for one in some]
+        if all(each is met[0] for each in met):  # what rests touches where it touched
+            met = met[:1]
+        names = np.stack([each.names for each in met], axis=1)
+        found = np.concatenate([each.floats[: _col.SCALES * nc] for each in met]).reshape(len(met), -1)
+        acted = np.concatenate([one.flat.contact(0, _col.CONTACT) for one in some]).reshape(m, -1)
+        status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
+        return Step(**_contacts(names, found, acted, status, some[0]._time(1, nc)))
+
+
+def _sums(before: Any, results: Any, nothing: Any) -> tuple[Ledger, Certificate]:
+    """Ledger and certificate of a step, or of many as arrays, from the energies before it and from its results."""
+    external, normal, friction, damping, numerics = results[_col.EXTERNAL : _col.NORM]
+    works = Works(external, normal, friction, damping, nothing, numerics, nothing)
+    return Ledger.of(before, results[: _col.EXTERNAL], works), Certificate(*results[_col.GAP : _col.WENT])
+
+
+def _contacts(names: Index, found: Array, acted: Array, status: Any, time: Array) -> dict[str, Any]:
+    """The contacts of a step, or of many with a leading axis, by the names of `Step`; names of shape (5, ..., nc)."""
+    nc = status.shape[-1]
+
+    def scalars(source: Array, column: int) -> Array:
+        return source[..., column * nc : (column + 1) * nc]
+
+    def vectors(source: Array, column: int, *shape: int) -> Array:
+        return source[..., column * nc : (column + math.prod(shape)) * nc].reshape(*source.shape[:-1], nc, *shape)
+
+    geom1, geom2, frame1, frame2, key = names
+    point, normal = vectors(found, 0, 3), vectors(found, 3, 3)
+    gap, mu, restitution = (scalars(found, column) for column in (12, 13, 14))
+    return {
+        "contacts": ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key),
+        "gap": scalars(acted, _col.GAP_END),
+        "frame": vectors(found, _col.FRAMES, 3, 3),
+        "u": vectors(acted, _col.U_END, 3),
+        "r": vectors(acted, _col.IMPULSE, 3),
+        "couple": vectors(acted, _col.COUPLE, 3),
+        "contact_status": status,
+        "contact_time": time,
+        "work_normal": scalars(acted, _col.NORMAL_WORK),
+        "work_friction": scalars(acted, _col.FRICTION_WORK),
+    }
