@@ -103,6 +103,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     mass, J = numbers(sf, si, col.MASS), matrices(sf, si, col.INERTIA)
     offset = indices(si, col.OFFSET, col.SYSTEM)
     size = arm.size, offset[offset.size - 1], mass.size
+    scene = num, size
     n, room, was, out, head = arm.size, states.size, status_old.size, f, whole[: col.HEAD]
     table, support = indices(si, col.TREES, col.SYSTEM), indices(si, col.SUPPORT, col.SYSTEM)
     movers, trees = (mass.size, (table, support, numbers(sf, si, col.JACOBIAN))), table.size > 0
@@ -149,7 +150,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     starts, work_room = stage == DONE or stage == LOOK, (f, w, own, a)
     if starts and out[col.WENT] > 0.0:
         looked = col.placed(w, col.LOOKED_THERE, n)
-        code = look(detection, ready, looked, (first, next_key), rooms[0], head, col.MIDDLE, room, wide)
+        code = look(detection, ready, looked, (first, next_key), rooms[0], head, col.MIDDLE, (room, wide))
         if code != DONE:
             return code
     met_of = begun
@@ -160,9 +161,8 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         head[col.MET], head[col.SOME], head[col.NEEDED] = found[0].shape[1], 0, found[0].shape[1]
         if num[col.ELASTIC] > 0.0 or not touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
             kept = flags[col.OFF, : head[col.MET]]
-            head[col.MET] = catch(
-                num, size, (movers_begun, movers), inscribed, (first, found), warm, b_old, w, barred, kept
-            )
+            moved = movers_begun, movers, inscribed
+            head[col.MET] = catch(scene, moved, (first, found), warm, b_old, w, barred, kept)
             if head[col.MET] < found[0].shape[1]:
                 if (col.ROWS + wide) * head[col.MET] > rooms[1][0].size:
                     return MORE
@@ -179,7 +179,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         of = frame, block, start, H[: made[col.SIZE]] if made[col.MADE] else H, scales, made[col.MADE] > 0
         slides, place = flags[col.SLIDES, :nc], whole[col.HEAD : col.HEAD + nc]
         made[col.SIZE], _, good = pose(
-            num, size, masses, movers, (first, b_old), pressed, met, of, (w, own), (place, slides, q)
+            scene, (masses, movers), (first, b_old), pressed, met, of, (w, own), (place, slides, q)
         )
         made[col.MADE] = 1
         for c in range(nc):
@@ -205,8 +205,8 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
             if stage != MOVE:
                 began = seconds(head[col.CLOCK :])
                 label, again = whole[col.HEAD + room : col.HEAD + room + nc], stage == SOLVE
-                if not starts or not rests(num, size, of_rows, met, flags, label, work_room):
-                    code = respond(num, size, (inverse_J, arm), of_rows, met, flags, again, head, work_room)
+                if not starts or not rests(scene, of_rows, met, flags, label, work_room):
+                    code = respond(scene, (inverse_J, arm), of_rows, met, flags, again, head, work_room)
                     if code != DONE:
                         return code
                 out[col.TIME] += seconds(head[col.CLOCK :]) - began
@@ -224,7 +224,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         now = found
         if out[col.GOES] > 0.0:
             placed, looked = ready and stage == LOOK_AHEAD, col.placed(b, col.LOOKED, n)
-            code = look(detection, placed, looked, (found, head[col.KEY_MIDDLE]), rooms[2], head, col.END, room, wide)
+            code = look(detection, placed, looked, (found, head[col.KEY_MIDDLE]), rooms[2], head, col.END, (room, wide))
             if code != DONE:
                 return LOOK_AHEAD if code == LOOK else code
             now = col.contacts(rooms[2], head[col.END])
@@ -240,7 +240,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     if not eventless(num, inscribed, met, now, flags, status, spins, work_room):
         return OTHERWISE
     inertia = mass, J, gravity, force, torque, nowhere[:0]
-    book(num, size, inertia, of_rows, met, flags, direction, head, status, work_room)
+    book(scene, inertia, of_rows, met, flags, direction, head, status, work_room)
     out[col.SUSPECT] = 0.0
     if nc > 0 and num[col.FEWEST] >= 0.0:
         r, u = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc]

@@ -162,9 +162,10 @@ def gains(num, bodies, blocks, met, flags, status, works, velocities):
 
 
 @in_place
-def book(num, size, bodies, rows, met, flags, direction, head, status, room):
+def book(scene, bodies, rows, met, flags, direction, head, status, room):
     """What the step did: works, states, forces, energies and the certificate."""
-    (mass, J, gravity, force, torque, none), (blocks, frame, scales), (f, w, own, acted) = bodies, rows, room
+    (num, size), (mass, J, gravity, force, torque, none) = scene, bodies
+    (blocks, frame, scales), (f, w, own, acted) = rows, room
     n, nc, out, h = size[0], status.size, f, num[col.STEP]
     b, mu, r = f[col.RESULTS :], met[2][1], acted[col.IMPULSE * nc : col.U * nc]
     v, v_plus = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_PLUS, size)

@@ -15,31 +15,32 @@ the end. After LOOK, SOLVE, LOOK_AHEAD and MOVE it goes on with what Python has 
 
 
 @in_place
-def look(detection, ready, looked, begun, into, head, which, most, wide):
+def look(detection, ready, looked, begun, into, head, which, room):
     """Find contacts, which go on from begun = (some, next key), and `DONE`; else `LOOK`, or `MORE` if they are many.
 
-    Their rows of W have at most `wide` numbers each.
+    room = (most contacts, most numbers in the rows of W of each).
     """
-    (geoms, pairs, limit, tolerance), (before, next_key) = detection, begun
+    (geoms, pairs, limit, tolerance), (before, next_key), (most, wide) = detection, begun, room
     count = seek(geoms, pairs, limit, ready, looked, WHOLE)
     if count == LEFT:
         return LOOK
     head[which] = head[col.NEEDED] = count
     if count > most or (col.ROWS + wide) * count > into[0].size:
         return MORE
-    room = col.contacts(into, count)
-    head[col.KEY_MIDDLE + which - col.MIDDLE] = gather(geoms, pairs, tolerance, (before[0], before[1]), next_key, room)
+    found = col.contacts(into, count)
+    head[col.KEY_MIDDLE + which - col.MIDDLE] = gather(geoms, pairs, tolerance, (before[0], before[1]), next_key, found)
     into[1][col.FOUND_NAMES * count + col.MADE] = 0
     return DONE
 
 
 @kernel
-def catch(num, size, movers, inscribed, contacts, last, old, w, barred, out):
+def catch(scene, bodies, contacts, last, old, w, barred, out):
     """Which contacts that are found the move meets, into out (nc,), as of `nsdyn.stepping.sight.caught`; how many.
 
-    movers = those where the move begins, and those there; inscribed: radii of balls inside the shapes; contacts =
-    (where it begins, those found); old: the scene where it begins.
+    scene = (numbers, size), bodies = (movers where the move begins, movers there, radii of balls inside the shapes),
+    contacts = (those where it begins, those found), old: the scene where it begins.
     """
+    (num, size), (movers_begun, movers, inscribed) = scene, bodies
     h, geoms, n = num[col.STEP], int(num[col.GEOMS]), size[0]
     (names, points, scalars), (before, begun, known) = contacts[1], contacts[0]
     nc, v, v_begin, x = (
@@ -55,8 +56,8 @@ def catch(num, size, movers, inscribed, contacts, last, old, w, barred, out):
     if num[col.ELASTIC] > 0.0 and known[2].any():
         R, at = col.rotations(old, col.R, n), col.vectors(old, col.X, n)
         where = before[2], before[3], begun[0], begun[1], at
-        free.moving(movers[0], at, R, v_begin, twists[3, 0], twists[3, 1])
-        free.moving(movers[0], at, R, rate, twists[4, 0], twists[4, 1])
+        free.moving(movers_begun, at, R, v_begin, twists[3, 0], twists[3, 1])
+        free.moving(movers_begun, at, R, rate, twists[4, 0], twists[4, 1])
         moving = (twists[3, 0], twists[3, 1]), (twists[4, 0], twists[4, 1])
         sight.parting(where, np.zeros(gap.size), known[0], known[2], moving, (closed, tol, bounces_of), gap)
     if touching.all_known(names[4], before[4], gap, closed):
@@ -66,9 +67,9 @@ def catch(num, size, movers, inscribed, contacts, last, old, w, barred, out):
     for c in range(nc):
         pair[c] = names[0, c] * geoms + names[1, c]
         deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
-    free.moving(movers[1], x, R, v_begin, twists[0, 0], twists[0, 1])
-    free.moving(movers[1], x, R, v, twists[1, 0], twists[1, 1])
-    free.moving(movers[1], x, R, rate, twists[2, 0], twists[2, 1])
+    free.moving(movers, x, R, v_begin, twists[0, 0], twists[0, 1])
+    free.moving(movers, x, R, v, twists[1, 0], twists[1, 1])
+    free.moving(movers, x, R, rate, twists[2, 0], twists[2, 1])
     sight.caught(
         (names[4], pair, deep, scalars[0], scalars[2]),
         (names[2], names[3], points[0], points[1], x),
@@ -106,13 +107,15 @@ def closing_of(num):
 
 
 @in_place
-def pose(num, size, masses, movers, begin, last, met, rows, room, out):
+def pose(scene, bodies, begin, last, met, rows, room, out):
     """The problem of the step: the size of H, the norm of b, and its validity.
 
-    masses and movers as of `free.meet`, begin = (contacts where the step begins, the scene there), last = (keys,
-    forces, states) of what acted last, rows as of `free.meet`, room = (w, own), out = (place, slides, b).
+    scene = (numbers, size), bodies = (masses, movers) and rows as of `free.meet`, begin = (contacts where the step
+    begins, the scene there), last = (keys, forces, states) of what acted last, room = (w, own), out = (place, slides,
+    b).
     """
-    (w, own), (place, slides, b), n = room, out, size[0]
+    (num, size), (masses, movers), (w, own), (place, slides, b) = scene, bodies, room, out
+    n = size[0]
     nc = place.size
     (names, points, _), old = begin
     x, R = col.vectors(w, col.LOOKED_THERE, n), col.rotations(w, col.LOOKED_THERE + 3, n)

@@ -22,9 +22,9 @@ def too_wide(num, blocks):
 
 
 @in_place
-def rests(num, size, rows, met, flags, label, room):
+def rests(scene, rows, met, flags, label, room):
     """Whether a solve is all it takes, since nothing turns, nor slips otherwise than foreseen; then it is made."""
-    (blocks, _, scales), (out, w, own, a) = rows, room
+    (num, size), (blocks, _, scales), (out, w, own, a) = scene, rows, room
     nc, mu, h = scales.size, met[2][1], num[col.STEP]
     v, v_free, change = (
         col.velocity(w, col.V_THERE, size),
@@ -63,13 +63,13 @@ def rests(num, size, rows, met, flags, label, room):
 
 
 @kernel
-def respond(num, size, bodies, rows, met, flags, again, head, room):
+def respond(scene, bodies, rows, met, flags, again, head, room):
     """Impulses, and couples with which contacts that persist do no work; `DONE`, `SOLVE` or `OTHERWISE`.
 
     From the gaps that they are found to end with, if those were corrected; `again` where Python has solved the problem.
-    bodies = (inverse_J, arm).
+    scene = (numbers, size), bodies = (inverse_J, arm).
     """
-    (inverse_J, arm), (blocks, _, scales), (out, w, own, a) = bodies, rows, room
+    (num, size), (inverse_J, arm), (blocks, _, scales), (out, w, own, a) = scene, bodies, rows, room
     nc, none = scales.size, own[:0]
     n, mu, laws_of = size[0], met[2][1], met[2][2]
     v, v_free, turned = (
