@@ -19,6 +19,18 @@ def dense_pattern(offset, block):
 
 
 @in_place
+def used_of(H, begin, n):
+    """How many of n coordinates, the first ones, the three rows of a contact that begin there have."""
+    used = n
+    for i in range(n):
+        k = begin + n - 1 - i
+        if H[k] != 0.0 or H[k + n] != 0.0 or H[k + 2 * n] != 0.0:
+            break
+        used -= 1
+    return used
+
+
+@in_place
 def assemble(blocks, A, indptr, begin, slot, diagonal, data):
     """K = M + Σ H_c A_c H_cᵀ in such a layout, where block k begins at begin[k], into data."""
     offset, block, start, H, m_start, m, _ = blocks
@@ -44,19 +56,25 @@ def assemble(blocks, A, indptr, begin, slot, diagonal, data):
                 if l < 0:
                     continue
                 nl, hl, shift = offset[l + 1] - offset[l], start[c, t], slot[c, t, s]
+                used = nl
+                if nl > 6:  # a tree: what is beyond a link does not move it
+                    used = used_of(H, hl, nl)
                 # Views, so that no index may count from the end and loops along them become vectors.
-                h0, h1, h2 = H[hl : hl + nl], H[hl + nl : hl + 2 * nl], H[hl + 2 * nl : hl + 3 * nl]
+                h0, h1 = H[hl : hl + used], H[hl + nl : hl + nl + used]
+                h2 = H[hl + 2 * nl : hl + 2 * nl + used]
                 for i in range(nk):
                     at = indptr[ok + i] + shift
-                    row = data[at : at + nl]
+                    row = data[at : at + used]
                     if not rubs:
                         y0 = H[hk + i] * a[0, 0]
-                        for j in range(nl):
+                        for j in range(used):
                             row[j] += y0 * h0[j]
                         continue
                     x0, x1, x2 = H[hk + i], H[hk + nk + i], H[hk + 2 * nk + i]
+                    if x0 == 0.0 and x1 == 0.0 and x2 == 0.0:
+                        continue
                     y0 = x0 * a[0, 0] + x1 * a[1, 0] + x2 * a[2, 0]
                     y1 = x0 * a[0, 1] + x1 * a[1, 1] + x2 * a[2, 1]
                     y2 = x0 * a[0, 2] + x1 * a[1, 2] + x2 * a[2, 2]
-                    for j in range(nl):
+                    for j in range(used):
                         row[j] += y0 * h0[j] + y1 * h1[j] + y2 * h2[j]
