@@ -86,6 +86,12 @@ def robot(rng: Rng, floating: bool) -> Any:
 
 def random_run(seed: int) -> nd.Trajectory:
     """A random robot for some dozens of steps."""
+    scene, options = random_robot(seed)
+    return nd.simulate(scene, 0.15, **options)
+
+
+def random_robot(seed: int) -> tuple[nd.Scene, dict[str, Any]]:
+    """A random robot, and how to simulate it."""
     rng = np.random.default_rng([20261123, seed])
     floating = bool(rng.uniform() < 0.4)
     model = robot(rng, floating)
@@ -152,7 +158,7 @@ def random_run(seed: int) -> nd.Trajectory:
     wheels = [name for name in free if np.isinf(bound[model.joints[model.getJointId(name)].idx_q])]
     if len(wheels) > 1 and rng.uniform() < 0.5:
         scene.add_gear("robot", *map(str, rng.choice(wheels, 2, replace=False)), float(rng.choice([-1.0, 0.5, 2.0])))
-    return nd.simulate(scene, 0.15, dt, theta=theta, controller=control, external_force=push)
+    return scene, {"dt": dt, "theta": theta, "controller": control, "external_force": push}
 
 
 def main() -> int:

@@ -9,7 +9,7 @@ import pytest
 
 import nsdyn as nd
 from nsdyn.collision.contacts import ContactMemory, Poses
-from nsdyn.stepping import failures, mover, quiet, sight
+from nsdyn.stepping import failures, sight
 
 
 @pytest.mark.parametrize(
@@ -508,55 +508,6 @@ def test_choices_say_what_was_meant():
             nd.Stepper(scene, **{keyword: word})
 
 
-def check_lane(lanes, scene, steps, options, monkeypatch):
-    """Whether moves go straight lanes, (owner, name), more than 20 times, and end as without them, bit for bit."""
-    went = []
-
-    def counted(lane):
-        def call(*arguments):
-            went.append(lane(*arguments))
-            return went[-1]
-
-        return call
-
-    for owner, name in lanes:
-        monkeypatch.setattr(owner, name, counted(getattr(owner, name)))
-    straight = nd.simulate(scene, steps * options["dt"], **options)
-    assert sum(moves is not None for moves in went) > 20
-    for owner, name in lanes:
-        monkeypatch.setattr(owner, name, lambda *_: None)
-    general = nd.simulate(scene, steps * options["dt"], **options)
-    for column in straight.columns.keys() - {"wall_time", "solver/time"}:
-        assert straight.columns[column].tobytes() == general.columns[column].tobytes(), column
-
-
-KERNEL = (quiet.Quiet, "step"), (mover.Mover, "respond")
-
-
-@pytest.mark.parametrize(
-    ("name", "parameters", "options"),
-    [
-        ("slide", {}, {"dt": 5e-3}),
-        ("slide", {}, {"dt": 5e-3, "solver": "newton"}),
-        ("slide", {}, {"dt": 5e-3, "polish": True}),
-        ("stack", {"height": 3}, {"dt": 5e-3}),
-        ("rolling", {"balls": 2}, {"dt": 2e-3}),
-        ("tumble", {}, {"dt": 5e-3}),
-        ("bounce", {}, {"dt": 1e-2}),
-    ],
-)
-def test_quiet_steps_are_the_general_ones(name, parameters, options, monkeypatch):
-    """What one kernel does in a call ends with the bits of the way that asks what else might happen."""
-    check_lane(KERNEL, nd.scenes.load(name)(**parameters), 120, options, monkeypatch)
-
-
-@pytest.mark.parametrize(("name", "steps"), [("domino", 60), ("rattleback", 60), ("pile", 30), ("euler_disk", 60)])
-def test_moves_of_the_kernel_are_the_general_ones(name, steps, monkeypatch):
-    """The same of what rolls, turns on what it lies on, leans on others, is struck, and of islands by themselves."""
-    setup = nd.scenes.setup(name)
-    check_lane(KERNEL, setup.scene, steps, setup.options(), monkeypatch)
-
-
 def test_a_step_does_not_change():
     """What it did is made when it is asked for, once, and is of that step after others too."""
     stepper = nd.Stepper(nd.scenes.load("slide")(), dt=1e-3)
@@ -568,48 +519,6 @@ def test_a_step_does_not_change():
         step.t = 0.0
     with pytest.raises(AttributeError):
         _ = step.speed
-
-
-@pytest.mark.parametrize("name", ["quadruped", "arm_pushes_box", "double_pendulum"])
-def test_quiet_steps_of_trees_are_the_general_ones(name, monkeypatch):
-    """The same of robots under control, in contact and not, beside free bodies and alone."""
-    setup = nd.scenes.setup(name)
-    check_lane(KERNEL, setup.scene, 300 if name == "quadruped" else 120, setup.options(), monkeypatch)
-
-
-def test_quiet_steps_under_forces_of_the_velocity_are_the_general_ones(monkeypatch):
-    """Drag on a standing robot and on boxes that slide and rest beside it, every fourth step recorded."""
-    module = nd.scenes.module("quadruped")
-    scene = module.scene(count=2)
-    for k, speed in enumerate((0.0, 2.0)):
-        place = {"position": (0.0, 2.0 + k, 0.1), "linear_velocity": (speed, 0, 0)}
-        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, material=nd.Material(mu=0.4), **place)
-    first = next(iter(scene.articulations))
-    body = next(iter(nd.Stepper(scene).dynamics.trees[0].bodies))
-
-    def drag(t, q, v):
-        return {"box0": (0.1, 0, 0), "box1": -0.3 * v[6:9], f"{first}/{body}": (0.0, 5.0 * np.sin(20.0 * t), 0.0)}
-
-    options = {"dt": 5e-3, "controller": module.controller(scene, walk=False), "external_force": drag, "every": 4}
-    check_lane(KERNEL, scene, 120, options, monkeypatch)
-
-
-@pytest.mark.parametrize(
-    ("name", "parameters", "dt"),
-    [("slide", {}, 5e-3), ("rolling", {"balls": 2}, 2e-3), ("bounce", {}, 1e-2), ("tumble", {}, 5e-3)],
-)
-def test_quiet_steps_of_bodies_that_are_pushed_are_the_general_ones(name, parameters, dt, monkeypatch):
-    """A wind that turns with the time, drag of the velocity, and a torque of the spin, on bodies that touch and fly."""
-    scene = nd.scenes.load(name)(**parameters)
-
-    def wind(t, q, v):
-        push = {}
-        for k, body in enumerate(scene.free_bodies):
-            own = v[6 * k : 6 * k + 6]
-            push[body.name] = np.array([(0.5 * np.sin(9.0 * t), 0.3, 0.0) - 0.1 * own[:3], -1e-3 * own[3:]])
-        return push
-
-    check_lane(KERNEL, scene, 120, {"dt": dt, "external_force": wind}, monkeypatch)
 
 
 def test_what_is_squeezed_out_of_a_wedge_is_not_lifted_far():
