@@ -740,7 +740,7 @@ def values_stay(robots: int) -> Figures:
     stepper = nd.Stepper(setup.scene, **setup.options(dt=5e-3))
     for _ in range(20):
         step = stepper.step()
-    assert step.q.size  # what a quiet step did is looked up when it is asked for
+    assert step.q.size and step.u.size and step.problem.nc  # what it did is looked up when it is asked for
     told = {name: value for name, value in vars(step).items() if name != "untold"}
     before = dict(arrays(told))
     for _ in range(100):

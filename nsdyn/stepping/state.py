@@ -217,8 +217,8 @@ class Step:
         self.__dict__.update(what)
 
     def __getattr__(self, name: str) -> Any:
-        if self.untold is not None and "q" not in self.__dict__:
-            self.__dict__.update(self.untold.told())
+        if self.untold is not None:
+            self.__dict__.update(self.untold.told_with(name))
         if name not in self.__dict__:
             raise AttributeError(f"a step has no {name!r}")
         return self.__dict__[name]

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Untold"]
 
+CONTACTS = frozenset("contacts gap frame u r couple contact_status contact_time work_normal work_friction".split())
+"""What a step has of its contacts."""
+
 
 class Untold(NamedTuple):
     """What tells of a quiet step when it is asked for, alone or together with others.
@@ -48,9 +51,19 @@ class Untold(NamedTuple):
         """Number of contacts."""
         return self.flat.status.size
 
+    def told_with(self, name: str) -> dict[str, Any]:
+        """What is told of the step together with `name`: its contacts, its problem and solution, or all else."""
+        flat = self.flat
+        if name in CONTACTS:
+            floats, acted = flat.met.floats, flat.contact(0, _col.CONTACT)
+            return _contacts(flat.met.names, floats, acted, flat.status, self._time(self.nc))
+        if name in ("problem", "solution"):
+            return {"problem": flat.problem(self.dynamics), "solution": flat.solution(self.scheme[1])}
+        return self.told()
+
     def told(self) -> dict[str, Any]:
-        """What the step did, by the names of `Step`."""
-        flat, d, nc = self.flat, self.dynamics, self.nc
+        """What the step did but for its contacts and its problem, by the names of `Step`."""
+        flat, d = self.flat, self.dynamics
         x, quaternion = d.poses(flat.position, Placement(*flat.poses, ()))
         q, v = d.pinocchio_state(flat.position, flat.coordinate(_col.V))
         ledger, certificate = _sums(self.before, flat.floats[: _col.RESULTS].tolist(), 0.0)
@@ -65,10 +78,7 @@ class Untold(NamedTuple):
             "created": 0.0,
             "ledger": ledger,
             "gauss": certificate,
-            "problem": flat.problem(d),
-            "solution": flat.solution(self.scheme[1]),
             "twists": flat.twists,
-            **_contacts(flat.met.names, flat.met.floats, flat.contact(0, _col.CONTACT), flat.status, self._time(nc)),
         }
 
     def _time(self, *shape: int) -> Array:
