@@ -207,17 +207,16 @@ class Flat(NamedTuple):
         )
 
     def begin(self) -> Instant:
-        """Where the trees begin their motion: all but contacts, and what acted on them."""
+        """Where a motion begins: all but contacts, and what acted on them."""
         like, n, f = self.like, self.size[0], self.floats
         at = _col.RESULTS + _col.LOOKED * n
-        looked = (
-            f[at : at + 3 * n].reshape(n, 3),
-            f[at + 3 * n : at + 12 * n].reshape(n, 3, 3),
-            f[at + 12 * n : at + 13 * n],
-        )
-        v = self.coordinate(_col.V)
-        found = like.contacts, like.limits, like.memory
-        return Instant(like.position, v, like.placement, *found, Looked(*looked), like.warm, like.twists, like.energies)
+        x, R, reach = f[at : at + 3 * n], f[at + 3 * n : at + 12 * n], f[at + 12 * n : at + 13 * n]
+        looked = Looked(x.reshape(n, 3), R.reshape(n, 3, 3), reach)
+        position, place = like.position, like.placement
+        if not position.trees:  # of trees the last motion has left them
+            position, place = self.position, Placement(*self.poses, ())
+        found, v = (like.contacts, like.limits, like.memory), self.coordinate(_col.V)
+        return Instant(position, v, place, *found, looked, like.warm, like.twists, like.energies)
 
     @property
     def position(self) -> Position:

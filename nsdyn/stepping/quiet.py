@@ -84,7 +84,7 @@ class Quiet:
         if not s.dynamics.trees and callbacks is None:
             made = self._made(old, old.found, None)
             return None if made is None else self._told(old, made, old.like, old.acting, certify)
-        begin = old.begin() if s.dynamics.trees else old.instant()
+        begin = old.begin()
         motion = Motion(s, begin, old.found.contacts, first_half(s, begin, t, s.dt, callbacks))
         while True:
             # Rows of trees change whatever moves: those of the last step are still to be told.
