@@ -88,7 +88,7 @@ class Mover:
         n, nv = self._size
         self._acted = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv
         self._own = _col.FRAME_WORK * n + _col.COORDINATE_WORK * nv
-        self._work = self._for_work(0)
+        self._work, self._none = self._for_work(0), (self._room(0),) * 3
         self._given: tuple[Instant | None, tuple[Acted, Found] | None] = None, None
 
     def __call__(
@@ -248,7 +248,7 @@ class Mover:
         if step:
             self._work = work
         new = np.empty(self._acted + _col.CONTACT * nc), np.empty(2 * nc, np.int64), np.empty(nc, np.int8)
-        return new, (self._room(nc), self._room(nc), self._room(nc)) if moves else (self._room(0),) * 3, work
+        return new, (self._room(nc), self._room(nc), self._room(nc)) if moves else self._none, work
 
     def _room(self, nc: int) -> tuple[Array, Index]:
         """Room for what is found of so many contacts."""

@@ -242,3 +242,22 @@ def test_what_slides_to_rest_strikes_or_rolls_does_not_jam(material):
     assert not (trajectory.columns["contacts/status"] == 3).any()
     assert np.isin(trajectory.solver.status, [*TOLD, nd.Status.LOOSE]).all()
     assert not (trajectory.solver.status == nd.Status.JAM).any()
+
+
+def test_what_sticks_by_little_friction_has_one_solution():
+    """The rule by which a contact is not asked for others, beside all solutions of its law."""
+    rng, ruled, several = np.random.default_rng(5), 0, 0
+    for _ in range(4000):
+        A = rng.normal(size=(3, 3)) * np.exp(rng.normal(size=3))
+        W, mu = A @ A.T, np.exp(rng.normal())
+        normal, across = W[0, 0], mu * np.hypot(W[0, 1], W[0, 2])
+        r = np.array([1.0, *(mu * rng.uniform() ** 2 * rng.normal(size=2) / 2.0)])
+        friction = np.hypot(r[1], r[2])
+        if normal >= across or friction >= mu:
+            continue
+        found = len(paradox.all_of_one(W, -W @ r, mu))
+        several += found > 1
+        if mu * (W @ r)[0] >= friction * (normal + across):
+            ruled += 1
+            assert found == 1
+    assert ruled > 200 and several > 50

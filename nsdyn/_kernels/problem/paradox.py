@@ -40,7 +40,9 @@ ROUND_OFF = 1e-12
 def ambiguous(blocks, mu, u, r, out):
     """Contacts whose own law admits several solutions, the impulses of others given, into out; how many they are.
 
-    Only where W_NN < μ‖W_NT‖: friction presses the contact on faster than the normal impulse opens it.
+    Only where W_NN < μ‖W_NT‖: friction presses the contact on faster than the normal impulse opens it. And not where
+    it sticks under a load, q_N < 0, by little friction, μ |q_N| ≥ ‖r_T‖ (W_NN + μ‖W_NT‖). Then it does not open; where
+    it slips by r', (r' - r)ᵀ W (r' - r) > 0 asks for μ r'_N < ‖r_T‖, but r'_N ≥ |q_N| / (W_NN + μ‖W_NT‖).
     """
     most, some = widest(blocks[0]), 0
     x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
@@ -49,7 +51,13 @@ def ambiguous(blocks, mu, u, r, out):
         if mu[c] == 0.0:
             continue
         diagonal_block(blocks, c, 1, x, y, W)
-        if W[0, 0] >= mu[c] * math.sqrt(W[0, 1] ** 2 + W[0, 2] ** 2):
+        pressed, across = W[0, 0], mu[c] * math.sqrt(W[0, 1] ** 2 + W[0, 2] ** 2)
+        if pressed >= across:
+            continue
+        i = 3 * c
+        load = W[0, 0] * r[i] + W[0, 1] * r[i + 1] + W[0, 2] * r[i + 2] - u[i]
+        friction = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2)
+        if friction < mu[c] * r[i] and mu[c] * load >= friction * (pressed + across):
             continue
         diagonal_block(blocks, c, 3, x, y, W)
         for i in range(3):
