@@ -21,7 +21,6 @@ import numpy as np
 from nsdyn._kernels.compiled import clock
 from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn._kernels.stepping import workless as _workless
-from nsdyn.collision.contacts import ContactSet, Looked, Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.auto import LIMITS, Auto
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from nsdyn.stepping.half import Half
     from nsdyn.stepping.instant import System
 
-__all__ = ["NO_COUPLE", "Couple", "solve_workless", "unfinished"]
+__all__ = ["NO_COUPLE", "Couple", "solve_workless"]
 
 
 class Couple(NamedTuple):
@@ -58,63 +57,6 @@ NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0))
 
 
 NO_ROWS = np.empty(0, np.bool_)
-
-
-def unfinished(
-    s: System,
-    met: Encounter,
-    begun: Looked,
-    ended: Looked,
-    moved: ContactSet,
-    R: Array,
-    h: float,
-    mean: Array,
-    r: Array,
-    slides: Bools,
-) -> Bools | None:
-    """Which contacts that persist do work, or have gaps where a move without couples ends; None if none does.
-
-    Parameters
-    ----------
-    s : System
-    met : Encounter
-        What the impulses acted on.
-    begun, ended : Looked
-        Where contacts were looked for as the impulses act and at the end: what has not moved since rests.
-    moved : ContactSet
-        What was found at the end.
-    R : ndarray, shape (frames, 3, 3)
-        From the frames to the world.
-    h : float
-        The move, s.
-    mean : ndarray, shape (n,)
-        Mean of the velocities before and after the impulses.
-    r : ndarray, shape (3 nc,)
-        Impulses, N·s.
-    slides : ndarray of bool, shape (nc,)
-    """
-    if ended is begun or not met.stays.any():
-        return None
-    d, c = s.dynamics, met.contacts
-    gap = s.detector.gaps(c, moved, Poses(ended.x, ended.R))
-    out = met.off(gap, r, s.closed)
-    if d.free:
-        other = np.empty(c.gap.size, np.bool_)
-        found = np.zeros((gap.size, 3)), np.empty(d.n), np.full(gap.size, np.inf), other
-        _persistence.couples(
-            met.rows.full.arrays,
-            (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
-            mean,
-            (R, d.inverse_J, s.arm, h),
-            (r, met.mu),
-            (met.stays, met.sticks, slides),
-            found,
-        )
-        out = other if out is None else out | other
-    if out is not None:
-        went = np.append((begun.x != ended.x).any(axis=1) | (begun.R != ended.R).any(axis=(1, 2)), False)
-        out &= went[c.frame1] | went[c.frame2]
-    return out if out is not None and out.any() else None
 
 
 def solve_workless(
