@@ -236,14 +236,17 @@ def _moments(inertia: Any) -> tuple[float, float, float]:
 
 
 def _joints(a: Articulation) -> list[Joint]:
-    """The coordinates of revolute and prismatic joints, whose q are angles and lengths."""
+    """The coordinates of joints whose q are angles and lengths, numbered where a joint has several."""
     model, out = a.model, []
     for joint in range(1, model.njoints):
-        if model.nqs[joint] != 1:
+        count = model.nvs[joint]
+        if model.nqs[joint] != count:
             continue
-        at, row = model.idx_qs[joint], model.idx_vs[joint]
-        values = a.q[at], model.lowerPositionLimit[at], model.upperPositionLimit[at], a.effort[row]
-        out.append(Joint(f"{a.name}/{model.names[joint]}", *map(float, (*values, a.friction[row], a.damping[row]))))
+        for k in range(count):
+            at, row = model.idx_qs[joint] + k, model.idx_vs[joint] + k
+            values = a.q[at], model.lowerPositionLimit[at], model.upperPositionLimit[at], a.effort[row]
+            name = f"{a.name}/{model.names[joint]}" + (f" {k + 1}" if count > 1 else "")
+            out.append(Joint(name, *map(float, (*values, a.friction[row], a.damping[row]))))
     return out
 
 

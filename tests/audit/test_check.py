@@ -201,3 +201,17 @@ def test_masses_have_the_names_of_bodies(tmp_path):
     )
     found = nd.check(tmp_path / "r.xml").masses
     assert [(body.name, body.mass) for body in found] == [("robot/b", 1.0), ("robot/arm", 2.0), ("robot/hand", 1.0)]
+
+
+def test_joints_have_all_their_coordinates(tmp_path):
+    """Two hinges and a slide of one body are one joint of three coordinates, each in its own range."""
+    (tmp_path / "r.xml").write_text(
+        '<mujoco><worldbody><body name="arm"><joint name="j1" axis="1 0 0" range="-30 60" limited="true"/>'
+        '<joint name="j2" axis="0 1 0"/><joint name="j3" type="slide" range="-0.1 0.2" limited="true"/>'
+        '<geom size="0.05" mass="1"/></body></worldbody></mujoco>'
+    )
+    joints = nd.check(tmp_path / "r.xml").joints
+    assert len({joint.name.rpartition(" ")[0] for joint in joints}) == 1
+    assert [joint.name.rpartition(" ")[2] for joint in joints] == ["1", "2", "3"]
+    ranges = [(joint.lower, joint.upper) for joint in joints]
+    assert ranges == [pytest.approx((-np.pi / 6, np.pi / 3)), (-np.inf, np.inf), pytest.approx((-0.1, 0.2))]
