@@ -31,7 +31,9 @@ from nsdyn._kernels.compiled import kernel
 ) = range(19)
 BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 
-# The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`.
+# The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`; then how
+# many there are in the rows of W of a contact at most, in how many contacts other solutions are looked for, and whether
+# Python has made the first half of the move.
 (
     WEIGHT,
     STEP,
