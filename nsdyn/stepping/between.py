@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.booking import tree_works
@@ -16,7 +13,6 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.flat import Acting
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
 from nsdyn.stepping.instant import Instant, System
-from nsdyn.stepping.sight import approach
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Motion"]
@@ -30,8 +26,6 @@ class Motion:
     s : System
     begin : Instant
         As of `Flat.begin`.
-    contacts : callable
-        Gives those there.
     half : Half
         The first half of the step.
 
@@ -46,21 +40,16 @@ class Motion:
         Where the last `end` was, and what led there.
     """
 
-    def __init__(self, s: System, begin: Instant, contacts: Callable[[], ContactSet], half: Half) -> None:
-        self._s, self._begin, self._contacts, self.half = s, begin, contacts, half
+    def __init__(self, s: System, begin: Instant, half: Half) -> None:
+        self._s, self._begin, self.half = s, begin, half
         self.begun = begin.placement.links
         self._v = self.impulse = np.empty(0)
         self.ends: tuple[TreeEnd, ...] = ()
         self.position, self.placement = begin.position, begin.placement
 
     def meets_nothing(self) -> bool:
-        """Whether no joint is near its limits, none has dry friction, no actuator is at its limit, and none strikes."""
-        s, half, begin = self._s, self.half, self._begin
-        if _few.any_below(begin.limits, s.closed):
-            return False
-        if s.elastic and _bounces(s, begin, self._contacts(), half.rate):
-            return False
-        return not self.has_rows()
+        """Whether no joint is near its limits, none has dry friction, and no actuator is at its limit."""
+        return not (_few.any_below(self._begin.limits, self._s.closed) or self.has_rows())
 
     def has_rows(self) -> bool:
         """Whether any joint has a row, by its limits, its friction or its actuator."""
@@ -84,10 +73,10 @@ class Motion:
     def corrected(self, v: Array, callbacks: Callbacks) -> Motion | None:
         """The motion with what callbacks say at the mean velocity of this one, v⁺ = v; None where that is the same."""
         again = corrected(self._s, self._begin, self.half, v, callbacks)
-        return None if again is self.half else Motion(self._s, self._begin, self._contacts, again)
+        return None if again is self.half else Motion(self._s, self._begin, again)
 
     def told(self, results: Array) -> tuple[Instant, Acting] | None:
-        """The trees at the end, and what acted on them; their works and energies are added to the results of the step.
+        """The trees at the end, and what acted on them; their works and energies are added to its results (RESULTS,).
 
         None where joints are beyond their limits.
         """
@@ -114,12 +103,3 @@ class Motion:
         found = begin.contacts, limits, begin.memory, begin.looked
         like = Instant(position, begin.v, self.placement, *found, warm, begin.twists, energies)
         return like, Acting((half.forces.m, half.forces.minv), joints, links)
-
-
-def _bounces(s: System, begin: Instant, c: ContactSet, rate: Array) -> bool:
-    """Whether anything that may rebound strikes or parts faster than what rests at a free acceleration `rate` (n,)."""
-    if _few.most(c.restitution) == 0.0:
-        return False
-    u, e = approach(s.dynamics, c, begin.placement, begin.v), c.restitution
-    rests, resting = (of(c, None, e, begin.placement, rate) for of in (s.rests, s.resting))
-    return bool(((e > 0.0) & ((u > s.solver.tol + rests) | (u < -resting))).any())

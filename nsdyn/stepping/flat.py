@@ -22,7 +22,7 @@ from nsdyn.tools.arrays import Array, Index
 if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
 
-__all__ = ["Acted", "Acting", "Flat", "Found", "packed"]
+__all__ = ["Acted", "Acting", "Flat", "Found", "looked", "matrices", "packed", "vectors", "velocity"]
 
 
 Acted = tuple[Array, Index, NDArray[np.int8]]
@@ -183,9 +183,7 @@ class Flat(NamedTuple):
 
     def coordinate(self, column: tuple[int, int]) -> Array:
         """A column of the coordinates, (n,)."""
-        n, nv = self.size
-        begin = _col.RESULTS + column[0] * n + column[1] * nv
-        return self.floats[begin : begin + nv]
+        return velocity(self.floats[_col.RESULTS :], self.size, column)
 
     def contact(self, first: int, width: int = 1) -> Array:
         """So many columns of the contacts from one on, as one array."""
@@ -208,15 +206,13 @@ class Flat(NamedTuple):
 
     def begin(self) -> Instant:
         """Where a motion begins: all but contacts, and what acted on them."""
-        like, n, f = self.like, self.size[0], self.floats
-        at = _col.RESULTS + _col.LOOKED * n
-        x, R, reach = f[at : at + 3 * n], f[at + 3 * n : at + 12 * n], f[at + 12 * n : at + 13 * n]
-        looked = Looked(x.reshape(n, 3), R.reshape(n, 3, 3), reach)
+        like = self.like
         position, place = like.position, like.placement
         if not position.trees:  # of trees the last motion has left them
             position, place = self.position, Placement(*self.poses, ())
         found, v = (like.contacts, like.limits, like.memory), self.coordinate(_col.V)
-        return Instant(position, v, place, *found, looked, like.warm, like.twists, like.energies)
+        where = looked(self.floats[_col.RESULTS :], _col.LOOKED, self.size[0])
+        return Instant(position, v, place, *found, where, like.warm, like.twists, like.energies)
 
     @property
     def position(self) -> Position:
@@ -270,3 +266,24 @@ def packed(s: Instant, rate: Array, wide: int) -> tuple[Acted, Found] | None:
     room = np.empty(_col.RESULTS), *[column.ravel() for column in columns]
     more = np.empty((_col.CONTACT - _col.IMPULSE) * w.key.size)
     return (np.concatenate((*room, more)), acted, w.status), found
+
+
+def vectors(f: Array, k: int, n: int) -> Array:
+    """The columns from k on as (n, 3)."""
+    return f[k * n : (k + 3) * n].reshape(n, 3)
+
+
+def matrices(f: Array, k: int, n: int) -> Array:
+    """The columns from k on as (n, 3, 3)."""
+    return f[k * n : (k + 9) * n].reshape(n, 3, 3)
+
+
+def looked(f: Array, k: int, n: int) -> Looked:
+    """Where contacts are looked for, in the columns from k on."""
+    return Looked(vectors(f, k, n), matrices(f, k + 3, n), f[(k + 12) * n : (k + 13) * n])
+
+
+def velocity(f: Array, size: tuple[int, int], column: tuple[int, int]) -> Array:
+    """A column of the coordinates, (n,), of columns of a scene of size = (frames, coordinates)."""
+    begin = column[0] * size[0] + column[1] * size[1]
+    return f[begin : begin + size[1]]

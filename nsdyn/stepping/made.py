@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactMemory, Looked
+from nsdyn.collision.contacts import ContactMemory
 from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.between import Motion
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.flat import Found
+from nsdyn.stepping.flat import Found, looked, matrices, vectors, velocity
 from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
 from nsdyn.stepping.instant import Instant, System
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
@@ -26,7 +26,7 @@ from nsdyn.tools.arrays import Array, Bools, Index
 if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
 
-__all__ = ["Made", "looked", "matrices", "vectors"]
+__all__ = ["Made"]
 
 NOTHING = np.empty(0)
 
@@ -64,11 +64,6 @@ class Made(NamedTuple):
     end: Found
     next_key: int
     end_key: int
-
-    def velocity(self, f: Array, column: tuple[int, int]) -> Array:
-        """A column of the coordinates."""
-        begin = column[0] * self.size[0] + column[1] * self.size[1]
-        return f[begin : begin + self.size[1]]
 
     def values(
         self, s: System, begin: Instant, t: float, h: float, motion: Motion | None
@@ -108,7 +103,7 @@ class Made(NamedTuple):
         )
         couple = NO_COUPLE
         if self.head[_col.TURNED]:
-            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], self.velocity(w, _col.TURN)
+            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, self.size, _col.TURN)
             couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
         end, position = Placement(vectors(b, _col.X, n), matrices(b, _col.R, n), ()), p
         if motion is None or not d.trees:
@@ -119,7 +114,7 @@ class Made(NamedTuple):
         if goes:
             memory_there = ContactMemory(self.end.names, self.end.points, self.end_key)
             moved = moved._replace(contacts=self.end.contacts(), memory=memory_there, looked=looked(b, _col.LOOKED, n))
-        v_plus, v_end = self.velocity(w, _col.V_PLUS), self.velocity(b, _col.V)
+        v_plus, v_end = velocity(w, self.size, _col.V_PLUS), velocity(b, self.size, _col.V)
         twists = vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)
         acted = None, 0.0, slides, problem, solution, False, couple, v_plus
         impulse, ends = (NOTHING, ()) if motion is None else (motion.impulse, motion.ends)
@@ -131,24 +126,9 @@ class Made(NamedTuple):
         n, w = self.size[0], self.work
         x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
         there = Placement(x, matrices(w, _col.R_THERE, n), ())
-        middle = Middle(p.moved(x, quaternion), self.velocity(w, _col.V_THERE), there, ())
-        v_free, reach = self.velocity(w, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
+        middle = Middle(p.moved(x, quaternion), velocity(w, self.size, _col.V_THERE), there, ())
+        v_free, reach = velocity(w, self.size, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
         forces = Forces(v_free, v_free, d.no_load, d.no_load, *d.masses[3:], ())
-        rate, fast = self.velocity(self.floats[_col.RESULTS :], _col.RATE), bool(self.head[_col.FAST])
+        rate, fast = velocity(self.floats[_col.RESULTS :], self.size, _col.RATE), bool(self.head[_col.FAST])
         same = self.floats[_col.WENT] == 0.0
         return Half(h, theta * h, t + h, middle, forces, rate, reach, fast, same, STILL_SURFACES, SILENT)
-
-
-def vectors(f: Array, k: int, n: int) -> Array:
-    """The columns from k on as (n, 3)."""
-    return f[k * n : (k + 3) * n].reshape(n, 3)
-
-
-def matrices(f: Array, k: int, n: int) -> Array:
-    """The columns from k on as (n, 3, 3)."""
-    return f[k * n : (k + 9) * n].reshape(n, 3, 3)
-
-
-def looked(f: Array, k: int, n: int) -> Looked:
-    """Where contacts are looked for, in the columns from k on."""
-    return Looked(vectors(f, k, n), matrices(f, k + 3, n), f[(k + 12) * n : (k + 13) * n])

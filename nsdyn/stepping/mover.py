@@ -15,10 +15,10 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Acted, Acting, Found, packed
+from nsdyn.stepping.flat import Acted, Acting, Found, looked, matrices, packed, vectors, velocity
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
-from nsdyn.stepping.made import Made, looked, matrices, vectors
+from nsdyn.stepping.made import Made
 from nsdyn.stepping.response import Reach, Response
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -177,9 +177,9 @@ class Mover:
         (x, R, links), forces = half.middle.placement, half.forces
         vectors(work, _col.X, n)[:], matrices(work, _col.R_THERE, n)[:] = x, R
         work[_col.REACH * n : _col.LOOKED_THERE * n] = half.reach
-        self.velocity(work, _col.V_THERE)[:] = half.middle.v
-        self.velocity(work, _col.V_FREE)[:] = forces.v
-        self.velocity(floats[_col.RESULTS :], _col.RATE)[:] = half.rate
+        velocity(work, self._size, _col.V_THERE)[:] = half.middle.v
+        velocity(work, self._size, _col.V_FREE)[:] = forces.v
+        velocity(floats[_col.RESULTS :], self._size, _col.RATE)[:] = half.rate
         views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
         if self._dynamics.free:
             views[_col.PUSH][:], views[_col.TWIST][:] = forces.force, forces.torque
@@ -194,7 +194,9 @@ class Mover:
     def _move(self, motion: Motion, floats: Array, work: Array) -> bool:
         """Bring the scene to the end of its step; whether it goes there."""
         n, b = self._size[0], floats[_col.RESULTS :]
-        found = motion.end(self.velocity(work, _col.V_PLUS).copy(), self.velocity(work, _col.PUSHED).copy())
+        found = motion.end(
+            velocity(work, self._size, _col.V_PLUS).copy(), velocity(work, self._size, _col.PUSHED).copy()
+        )
         if found is None:
             return False
         position, v, (x, R, _), (linear, angular) = found
@@ -202,7 +204,7 @@ class Mover:
         b[3 * n : 3 * n + turns.size] = turns
         vectors(b, _col.X, n)[:], matrices(b, _col.R, n)[:] = x, R
         vectors(b, _col.LINEAR, n)[:], vectors(b, _col.ANGULAR, n)[:] = linear, angular
-        self.velocity(b, _col.V)[:] = v
+        velocity(b, self._size, _col.V)[:] = v
         return True
 
     def respond(
@@ -214,7 +216,7 @@ class Mover:
         """
         if not Mover.ready:
             return None
-        motion = None if half is None else Motion(s, begin, lambda: begin.contacts, half)
+        motion = None if half is None else Motion(s, begin, half)
         if motion is not None and motion.has_rows():
             return None
         if self._given[0] is not begin:
@@ -258,12 +260,6 @@ class Mover:
         """Room to work in, for so many contacts."""
         own = np.empty(self._own + _col.CONTACT_WORK * nc)
         return own, np.empty(_col.HEAD + 2 * nc, np.int64), np.empty((_col.FLAGS, nc), np.bool_)
-
-    def velocity(self, f: Array, column: tuple[int, int]) -> Array:
-        """A column of the coordinates."""
-        n, nv = self._size
-        begin = column[0] * n + column[1] * nv
-        return f[begin : begin + nv]
 
     def _made(
         self,

@@ -14,7 +14,7 @@ from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Acting, Flat, Found
+from nsdyn.stepping.flat import Acting, Flat, Found, velocity
 from nsdyn.stepping.half import Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
@@ -85,13 +85,13 @@ class Quiet:
             made = self._made(old, old.found, None)
             return None if made is None else self._told(old, made, old.like, old.acting, certify)
         begin = old.begin()
-        motion = Motion(s, begin, old.found.contacts, first_half(s, begin, t, s.dt, callbacks))
+        motion = Motion(s, begin, first_half(s, begin, t, s.dt, callbacks))
         while True:
             # Rows of trees change whatever moves: those of the last step are still to be told.
             found = old.found.anew() if s.dynamics.trees else old.found
             if not motion.meets_nothing() or (made := self._made(old, found, motion)) is None:
                 return None
-            v = made.velocity(made.work, _col.V_PLUS)
+            v = velocity(made.work, made.size, _col.V_PLUS)
             if (again := motion.corrected(v, callbacks)) is None:
                 break
             motion, callbacks = again, None

@@ -133,7 +133,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         if step and strikes_at_once(num, first, warm, b_old, n):
             return OTHERWISE
         far, same = depart(num, size, bodies, (gravity, force, num[col.WEIGHT]), arm, b_old, b, w)
-        if step and num[col.GIVEN] == 0.0 and num[col.ELASTIC] > 0.0 and rebounds(num, size, first, b_old, w):
+        if step and num[col.ELASTIC] > 0.0 and rebounds(scene, movers_begun, first, b_old, w):
             return OTHERWISE
         out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
         head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]

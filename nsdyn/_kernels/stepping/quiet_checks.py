@@ -11,7 +11,7 @@ from nsdyn._kernels.problem.gauss import certificate_of
 from nsdyn._kernels.reductions import least
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import law, reversal, touching
+from nsdyn._kernels.stepping import free, law, reversal, touching
 
 GAIN = 1e-5
 """Of the kinetic energy with which it begins, most that contacts that persist and projections may add in a step."""
@@ -50,20 +50,19 @@ def strikes_at_once(num, met, last, old, n):
 
 
 @kernel
-def rebounds(num, size, met, old, w):
-    """Whether any free body strikes where the step begins, or parts, faster than what rests, of what may rebound."""
-    n = size[0]
-    v, v_free, change, rates = (
-        col.velocity(old, col.V, size),
-        col.velocity(w, col.V_FREE, size),
-        np.empty(6 * n),
-        np.empty((2, n, 3)),
-    )
+def rebounds(scene, movers, met, old, w):
+    """Whether anything strikes where the step begins, or parts, faster than what rests, of what may rebound.
+
+    scene = (numbers, size), movers as of `free.meet` where it begins.
+    """
+    (num, size), n, rates = scene, scene[1][0], np.empty((2, scene[1][0], 3))
+    v, v_free, x = col.velocity(old, col.V, size), col.velocity(w, col.V_FREE, size), col.vectors(old, col.X, n)
+    change = np.empty(v.size)
     for i in range(change.size):
         change[i] = (v_free[i] - v[i]) / num[col.STEP]
-    motion.twists(col.rotations(old, col.R, n), change, n, rates[0], rates[1])
+    free.moving(movers, x, col.rotations(old, col.R, n), change, rates[0], rates[1])
     twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
-    return bounces(num, met, col.vectors(old, col.X, n), twists, (rates[0], rates[1]))
+    return bounces(num, met, x, twists, (rates[0], rates[1]))
 
 
 @kernel
