@@ -89,6 +89,8 @@ class Dynamics(Kinematics):
 
         The forces themselves where none is beyond.
         """
+        if not any(free.loads.limit is not None for free in forces.trees):
+            return forces
         motions = [
             tree.within_limits(half, free, v[tree.coordinates])
             for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True)

@@ -86,6 +86,8 @@ class JointLaws:
         Disks of ball joints: the next slot is the clutch about the third axis.
     turning : ndarray of bool, shape (slots,)
         Of joints whose slip is along axes that turn with them.
+    no_impulses : ndarray, shape (slots, 3)
+        Zero.
     """
 
     def __init__(self, trees: Sequence[Tree], first: int) -> None:
@@ -118,7 +120,7 @@ class JointLaws:
         self.ball[balls] = True
         self.turning = (self.other >= 0) | np.roll(self.ball, 1)
         self.size = len(table)
-        self.limits, self._no_impulses = np.flatnonzero(self.sign), np.zeros((self.size, 3))
+        self.limits, self.no_impulses = np.flatnonzero(self.sign), np.zeros((self.size, 3))
         self._table = self.coordinate, self.sign, self.bound, self.near
 
     def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
@@ -174,7 +176,7 @@ class JointLaws:
         """Impulses r (nj, 3) by slot, (slots, 3); of actuators, limits and friction in rows 0, 1 and 2 of (7, n)."""
         on_coordinates = np.zeros((7, n))
         if rows is None:
-            return self._no_impulses, on_coordinates
+            return self.no_impulses, on_coordinates
         by_slot, j = np.zeros((self.size, 3)), self.coordinate[rows.slot]
         by_slot[rows.slot] = r
         np.add.at(on_coordinates[1], j, self.sign[rows.slot] * r[:, 0])

@@ -99,7 +99,7 @@ class Linkage:
         out.frames = slice(first, first + len(self.joints))
         return out
 
-    def _scalar_coordinates(self) -> tuple[Index, Index, list[tuple[int, int]]]:
+    def _scalar_coordinates(self) -> tuple[Index | slice, Index | slice, list[tuple[int, int]]]:
         """Coordinates whose rate is the velocity, their places in q, and (v, q) places of joints given by cos, sin."""
         v: list[int] = []
         q: list[int] = []
@@ -110,7 +110,7 @@ class Linkage:
                 q += range(joint.idx_q, joint.idx_q + joint.nq)
             elif joint.nv == 1:
                 turning.append((joint.idx_v, joint.idx_q))
-        return np.array(v, dtype=np.int64), np.array(q, dtype=np.int64), turning
+        return _run(v), _run(q), turning
 
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper limits of the joint coordinates, (nv,) each, infinite where there are none."""
@@ -196,6 +196,12 @@ class Linkage:
         B = np.concatenate((loops, self._driven_rows))
         Z, P = admissible(B, F)
         return Constraints(B, P, Z)
+
+
+def _run(indices: list[int]) -> Index | slice:
+    """Indices as a slice if they follow one another, which is read several times as fast."""
+    out = np.array(indices, dtype=np.int64)
+    return slice(indices[0], indices[0] + len(indices)) if indices and (np.diff(out) == 1).all() else out
 
 
 def _radii(articulation: Articulation, joints: list[int]) -> Array:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from functools import cached_property
+
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn._kernels.stepping import columns as _col
 from nsdyn.dynamics.tree_values import TreeEnd
-from nsdyn.dynamics.values import Placement, Position
+from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.stepping.booking import tree_works
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.flat import Acting
 from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
-from nsdyn.stepping.instant import Instant, System
+from nsdyn.stepping.instant import Instant
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Motion"]
@@ -23,7 +24,6 @@ class Motion:
 
     Parameters
     ----------
-    s : System
     begin : Instant
         As of `Flat.begin`.
     half : Half
@@ -40,8 +40,8 @@ class Motion:
         Where the last `end` was, and what led there.
     """
 
-    def __init__(self, s: System, begin: Instant, half: Half) -> None:
-        self._s, self._begin, self.half = s, begin, half
+    def __init__(self, begin: Instant, half: Half) -> None:
+        self._s, self._begin, self.half = half.s, begin, half
         self.begun = begin.placement.links
         self._v = self.impulse = np.empty(0)
         self.ends: tuple[TreeEnd, ...] = ()
@@ -60,46 +60,48 @@ class Motion:
     def end(self, v: Array, impulse: Array) -> tuple[Position, Array, Placement, tuple[Array, Array]] | None:
         """Where the step ends whose forces leave v (n,), with the impulses H r (n,): (position, v, frames, twists).
 
-        None where actuators are brought beyond their limits.
+        None where actuators are brought beyond their limits, and where numbers are.
         """
         d, half = self._s.dynamics, self.half
         if d.within_limits(half.middle, half.forces, v) is not half.forces:
             return None
         self._v, self.impulse = v, impulse
         position, v_end, place, self.ends = d.end(half.middle, half.forces, v, impulse, half.ahead, STILL_SURFACES[2])
+        speed = _few.largest(v_end)
+        if not speed * speed < math.inf:
+            return None
         self.position, self.placement = position, place
         return position, v_end, place, d.twists(place, v_end)
 
     def corrected(self, v: Array, callbacks: Callbacks) -> Motion | None:
         """The motion with what callbacks say at the mean velocity of this one, v⁺ = v; None where that is the same."""
         again = corrected(self._s, self._begin, self.half, v, callbacks)
-        return None if again is self.half else Motion(self._s, self._begin, again)
+        return None if again is self.half else Motion(self._begin, again)
 
-    def told(self, results: Array) -> tuple[Instant, Acting] | None:
-        """The trees at the end, and what acted on them; their works and energies are added to its results (RESULTS,).
-
-        None where joints are beyond their limits.
-        """
-        s, d, half, begin = self._s, self._s.dynamics, self.half, self._begin
+    def ended(self) -> Instant | None:
+        """The trees at the end; None where joints are beyond their limits."""
+        d, begin = self._s.dynamics, self._begin
         if not d.trees:
-            return begin, Acting((half.forces.m, half.forces.minv), d.no_impulses[1], d.no_push)
+            return begin
         limits = d.limits(self.placement)
-        if _few.least(limits) < -s.closed:
+        if limits.size and _few.least(limits) < -self._s.closed:
             return None
-        slots, joints = d.joints.impulses(None, np.empty((0, 3)), d.n)
-        links, position, ends = np.zeros((d.links, 6)), self.position, self.ends
-        external, numerics = float(results[_col.EXTERNAL]), float(results[_col.NUMERICS])
-        own = Works(external=external, integration=numerics)
-        own, energies = tree_works(s, begin, half, self._v, ends, self.impulse, position, (joints, links), own)
-        results[_col.EXTERNAL], results[_col.DAMPING], results[_col.NUMERICS] = (
-            own.external,
-            own.damping,
-            own.integration,
-        )
-        for kinetic, potential in energies:
-            results[_col.KINETIC] += kinetic
-            results[_col.POTENTIAL] += potential
-        warm = begin.warm if begin.warm.joints is slots else begin.warm._replace(joints=slots)
+        warm = begin.warm._replace(joints=d.joints.no_impulses)
         found = begin.contacts, limits, begin.memory, begin.looked
-        like = Instant(position, begin.v, self.placement, *found, warm, begin.twists, energies)
-        return like, Acting((half.forces.m, half.forces.minv), joints, links)
+        return Instant(self.position, begin.v, self.placement, *found, warm, begin.twists, ())
+
+    def told(self, before: Energies, own: Works) -> tuple[Works, Array, Array]:
+        """Works of the trees and `own` ones, J, and `joints` and `links` as of `Impulses`.
+
+        From the energies of the trees where it begins.
+        """
+        s, joints, links = self._s, np.zeros((7, self._v.size)), np.zeros((self._s.dynamics.links, 6))
+        acted = self._v, self.ends, self.impulse
+        own, self.energies = tree_works(s, before, self.half, *acted, self.position, (joints, links), own)
+        return own, joints, links
+
+    @cached_property
+    def energies(self) -> Energies:
+        """Energies of the trees at the end, J."""
+        at = zip(self._s.dynamics.trees, self.ends, strict=True)
+        return tuple([t.energies(end.q, end.v) for t, end in at])

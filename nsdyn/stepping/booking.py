@@ -78,7 +78,8 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
     energies: Energies = ()
     if d.trees:
         acted = impulses.joints, impulses.links
-        own, energies = tree_works(s, begin, half, a.v, a.trees, a.impulse, placed.position, acted, own, left)
+        trees = begin.energies, half, a.v, a.trees, a.impulse, placed.position
+        own, energies = tree_works(s, *trees, acted, own, left)
         if a.impact is not None:
             works.append(_struck(s, half, a, a.impact, a.impulse))
     end = Instant(
@@ -98,7 +99,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
 
 def tree_works(
     s: System,
-    begin: Instant,
+    before: Energies,
     half: Half,
     v: Array,
     ends: tuple[TreeEnd, ...],
@@ -110,7 +111,7 @@ def tree_works(
 ) -> tuple[Works, Energies]:
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
-    Trees that are not among the nodes `left` are passed over.
+    From their energies `before`. Trees that are not among the nodes `left` are passed over.
 
     The forces leave v, with the impulses H r of contacts and joint rows; acted = (joints, links), as of `Impulses`:
     those of actuation, of external wrenches and the most that actuators may give go into rows 0, 3 and 5 of the joints,
@@ -118,19 +119,17 @@ def tree_works(
     """
     external, normal, friction, damping, constraint, integration, projection = own
     energies, (joints, links), link = [], acted, 0
-    of_trees = zip(
-        s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, begin.energies, strict=True
-    )
-    for node, (t, before, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
+    of_trees = zip(s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, before, strict=True)
+    for node, (t, there, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
         k, first = t.coordinates, link
         link += t.model.njoints - 1
         if left is not None and not left[node]:
             energies.append(energy)
             continue
-        w = t.works(before, free, v[k], end, q, impulse[k], energy, joints)
+        w = t.works(there, free, v[k], end, q, impulse[k], energy, joints)
         if free.loads.wrenches is not None:
             links[first:link] = half.h * free.loads.wrenches
-        joints[6, k] = t.speeding(before.begin_v, free.loads.rates)
+        joints[6, k] = t.speeding(there.begin_v, free.loads.rates)
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection

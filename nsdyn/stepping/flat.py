@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
-from nsdyn.dynamics.values import Placement, Position
+from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Opening
@@ -21,8 +21,9 @@ from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
+    from nsdyn.stepping.between import Motion
 
-__all__ = ["Acted", "Acting", "Flat", "Found", "looked", "matrices", "packed", "vectors", "velocity"]
+__all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "vectors", "velocity"]
 
 
 Acted = tuple[Array, Index, NDArray[np.int8]]
@@ -96,22 +97,6 @@ class Found(NamedTuple):
         return Blocks(d.offset, block, start, H, d.m_start, *masses)
 
 
-class Acting(NamedTuple):
-    """What acts in a step besides contacts, and is no column of its arrays.
-
-    Attributes
-    ----------
-    masses : two ndarrays
-        M̃ and its inverse, as of `Forces`.
-    joints, links : ndarray
-        As of `Impulses`.
-    """
-
-    masses: tuple[Array, Array]
-    joints: Array
-    links: Array
-
-
 class Flat(NamedTuple):
     """A state, and what the step did that led to it.
 
@@ -130,7 +115,10 @@ class Flat(NamedTuple):
     opening : Opening, optional
     like : Instant
         What is no column is that of this one: all of the trees but their velocities.
-    acting : Acting
+    masses : two ndarrays
+        M̃ and its inverse, as of `Forces`.
+    motion : Motion, optional
+        Of the trees in the step.
     """
 
     origin: float
@@ -144,7 +132,8 @@ class Flat(NamedTuple):
     next_key: int
     opening: Opening | None
     like: Instant
-    acting: Acting
+    masses: tuple[Array, Array]
+    motion: Motion | None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -157,12 +146,20 @@ class Flat(NamedTuple):
         return self.origin + self.count * self.dt
 
     @property
+    def of_trees(self) -> Energies:
+        """Energies of the trees, J."""
+        return self.like.energies if self.motion is None else self.motion.energies
+
+    @property
     def energies(self) -> tuple[float, float]:
         """Kinetic and potential, J."""
-        return float(self.floats[_col.KINETIC]), float(self.floats[_col.POTENTIAL])
+        kinetic, potential = self.floats[_col.KINETIC : _col.EXTERNAL].tolist()
+        for more in () if self.motion is None else self.motion.energies:
+            kinetic, potential = kinetic + more[0], potential + more[1]
+        return kinetic, potential
 
     @classmethod
-    def of(cls, state: State, acting: Acting, wide: int) -> Flat | None:
+    def of(cls, state: State, masses: tuple[Array, Array], wide: int) -> Flat | None:
         """The same as arrays; None where contacts are remembered that are not there. Rows of W have `wide` numbers."""
         s = state.instant
         if (given := packed(s, state.rate, wide)) is None:
@@ -171,9 +168,8 @@ class Flat(NamedTuple):
         floats[: _col.BOUND] = 0.0
         floats[_col.KINETIC], floats[_col.POTENTIAL] = state.energies
         key = s.memory.next_key
-        return cls(
-            state.origin, state.dt, state.count, floats, acted, status, found, found, key, state.opening, s, acting
-        )
+        own = floats, acted, status, found, found, key, state.opening, s, masses, None
+        return cls(state.origin, state.dt, state.count, *own)
 
     def frame(self, first: int, width: int) -> Array:
         """So many columns of the frames from one on, (frames, width)."""
@@ -202,17 +198,18 @@ class Flat(NamedTuple):
             memory=ContactMemory(self.found.names, self.found.points, self.next_key),
             warm=Warm(self.acted[:nc], self.acted[nc:], force, self.status, self.like.warm.joints),
             twists=self.twists,
+            energies=self.of_trees,
         )
 
     def begin(self) -> Instant:
-        """Where a motion begins: all but contacts, and what acted on them."""
+        """Where a motion begins: all but contacts, what acted on them, and energies."""
         like = self.like
         position, place = like.position, like.placement
         if not position.trees:  # of trees the last motion has left them
             position, place = self.position, Placement(*self.poses, ())
         found, v = (like.contacts, like.limits, like.memory), self.coordinate(_col.V)
         where = looked(self.floats[_col.RESULTS :], _col.LOOKED, self.size[0])
-        return Instant(position, v, place, *found, where, like.warm, like.twists, like.energies)
+        return Instant(position, v, place, *found, where, like.warm, like.twists, ())
 
     @property
     def position(self) -> Position:
@@ -233,7 +230,7 @@ class Flat(NamedTuple):
     def problem(self, d: Dynamics) -> FC3D:
         """The problem of the step."""
         b, norm = self.contact(_col.FREE, 3), float(self.floats[_col.NORM])
-        return FC3D.prepared(self.met.blocks(d, self.acting.masses), b, self.met.scalars[1], self.met.scales, norm)
+        return FC3D.prepared(self.met.blocks(d, self.masses), b, self.met.scalars[1], self.met.scales, norm)
 
     def solution(self, tol: float) -> Solution:
         """Its solution, to a solver's tolerance or accepted all the same."""

@@ -9,11 +9,13 @@ of forces are those on the mean velocity, too: a force that is perpendicular to 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
+from nsdyn.collision.contacts import Looked
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Forces, Middle, Position
 from nsdyn.stepping.instant import FAST, Instant, System
@@ -35,11 +37,29 @@ Loads = Callable[[float], Callbacks]
 """What they say at a time, s."""
 
 
-class Half(NamedTuple):
+class _Half(NamedTuple):
+    """What a `Half` is given."""
+
+    s: System
+    looked: Looked
+    h: float
+    ahead: float
+    end: float
+    middle: Middle
+    forces: Forces
+    foreseen: Array
+    surfaces: tuple[Array, Array, Array]
+    given: Given
+
+
+class Half(_Half):
     """The first half of a move.
 
     Attributes
     ----------
+    s : System
+    looked : Looked
+        Where contacts were looked for that were found where the move begins.
     h, ahead : float
         The move and its second half, s.
     end : float
@@ -47,31 +67,41 @@ class Half(NamedTuple):
     middle : Middle
         Where the forces and impulses act.
     forces : Forces
-    rate : ndarray, shape (n,)
-        Free acceleration M̃⁻¹ f̃, m/s² and rad/s².
-    reach : ndarray, shape (frames,)
-        How far points of the frames may move in the second half, m.
-    fast : bool
-        Whether that is so far that it might go unseen.
-    same : bool
-        Whether the contacts found where the move begins are those of there.
+    foreseen : ndarray, shape (n,)
+        The velocity that they are first thought to leave.
     surfaces : three ndarrays of shape (surfaces, 2, 3)
         Twists of what moves as prescribed: at the beginning, when the impulses act, at the end.
     given : (Wrenches or None, Controls)
         What the callbacks say.
     """
 
-    h: float
-    ahead: float
-    end: float
-    middle: Middle
-    forces: Forces
-    rate: Array
-    reach: Array
-    fast: bool
-    same: bool
-    surfaces: tuple[Array, Array, Array]
-    given: Given
+    @cached_property
+    def rate(self) -> Array:
+        """Free acceleration M̃⁻¹ f̃, shape (n,), m/s² and rad/s²."""
+        out = self.foreseen - self.middle.v
+        out /= self.h
+        return out
+
+    @cached_property
+    def reach(self) -> Array:
+        """How far points of the frames may move in the second half, shape (frames,), m."""
+        return self.s.dynamics.reach(self.middle.placement, self.foreseen, self.ahead, self.h, self.surfaces[2])
+
+    @cached_property
+    def fast(self) -> bool:
+        """Whether that is so far that it might go unseen."""
+        fast: bool = _few.most(self.reach) > FAST * self.s.smallest
+        return fast
+
+    @cached_property
+    def same(self) -> bool:
+        """Whether the contacts found where the move begins are those of there."""
+        return self.s.unmoved(self.looked, self.middle.placement, self.reach)
+
+    def known(self, rate: Array, reach: Array, fast: bool, same: bool) -> Half:
+        """The same with what has been found."""
+        self.__dict__.update(rate=rate, reach=reach, fast=fast, same=same)
+        return self
 
 
 def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
@@ -99,14 +129,8 @@ def _under(
     s: System, begin: Instant, h: float, end: float, middle: Middle, surfaces: tuple[Array, Array, Array], given: Given
 ) -> Half:
     """The first half of a move of h s until the time `end` under the forces given."""
-    d, ahead = s.dynamics, s.theta * h
-    forces = d.forces(middle, end, h, *given, begin.warm.joints)
-    reach = d.reach(middle.placement, forces.foreseen, ahead, h, surfaces[2])
-    fast = _few.most(reach) > FAST * s.smallest
-    same = s.unmoved(begin.looked, middle.placement, reach)
-    rate = forces.foreseen - middle.v
-    rate /= h
-    return Half(h, ahead, end, middle, forces, rate, reach, fast, same, surfaces, given)
+    forces = s.dynamics.forces(middle, end, h, *given, begin.warm.joints)
+    return Half(s, begin.looked, h, s.theta * h, end, middle, forces, forces.foreseen, surfaces, given)
 
 
 def _same(one: Any, other: Any) -> bool:

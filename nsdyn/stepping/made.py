@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactMemory
 from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
-from nsdyn.dynamics.values import Forces, Middle, Placement, Position
+from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.between import Motion
@@ -24,7 +24,7 @@ from nsdyn.stepping.response import Reach, Response
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
-    from nsdyn.dynamics.dynamics import Dynamics
+    pass
 
 __all__ = ["Made"]
 
@@ -75,7 +75,9 @@ class Made(NamedTuple):
         went, goes = f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = self.found.contacts() if went else begin.contacts
         memory = ContactMemory(self.found.names, self.found.points, self.next_key) if went else begin.memory
-        half = self._half(d, t, h, s.theta, p) if motion is None else motion.half
+        half = self._half(s, begin, t, h) if motion is None else motion.half
+        reach, fast = w[_col.REACH * n : _col.LOOKED_THERE * n], bool(self.head[_col.FAST])
+        half = half.known(velocity(b, self.size, _col.RATE), reach, fast, not went)
         where = looked(w, _col.LOOKED_THERE, n) if went else begin.looked
         met = self.met.contacts() if self.head[_col.SOME] else found
         rows = Rows(self.met.blocks(d, (half.forces.m, half.forces.minv)), {}, *NO_CLUTCHES)
@@ -121,14 +123,12 @@ class Made(NamedTuple):
         response = Response(encounter, *acted, impulse, v_end, ends, twists, moved)
         return half, Reach(met, None, found, memory, where), response
 
-    def _half(self, d: Dynamics, t: float, h: float, theta: float, p: Position) -> Half:
-        """The first half of a move of h s of free bodies from the time t, and the position p."""
-        n, w = self.size[0], self.work
+    def _half(self, s: System, begin: Instant, t: float, h: float) -> Half:
+        """The first half of a move of h s of free bodies from the time t."""
+        d, n, w = s.dynamics, self.size[0], self.work
         x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
         there = Placement(x, matrices(w, _col.R_THERE, n), ())
-        middle = Middle(p.moved(x, quaternion), velocity(w, self.size, _col.V_THERE), there, ())
-        v_free, reach = velocity(w, self.size, _col.V_FREE), w[_col.REACH * n : _col.LOOKED_THERE * n]
+        middle = Middle(begin.position.moved(x, quaternion), velocity(w, self.size, _col.V_THERE), there, ())
+        v_free = velocity(w, self.size, _col.V_FREE)
         forces = Forces(v_free, v_free, d.no_load, d.no_load, *d.masses[3:], ())
-        rate, fast = velocity(self.floats[_col.RESULTS :], self.size, _col.RATE), bool(self.head[_col.FAST])
-        same = self.floats[_col.WENT] == 0.0
-        return Half(h, theta * h, t + h, middle, forces, rate, reach, fast, same, STILL_SURFACES, SILENT)
+        return Half(s, begin.looked, h, s.theta * h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)

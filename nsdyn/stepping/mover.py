@@ -15,7 +15,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Acted, Acting, Found, looked, matrices, packed, vectors, velocity
+from nsdyn.stepping.flat import Acted, Found, looked, matrices, packed, vectors, velocity
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.made import Made
@@ -44,6 +44,7 @@ class Mover:
     def __init__(self, s: System) -> None:
         d, solver, closing, own = s.dynamics, s.solver, s.closing(s.dt, False), isinstance(s.solver, Auto)
         moments, axes, inverse_mass, inverse_J, radius = d.bodies
+        radii = np.concatenate((radius, *[t.radius for t in d.trees]))
         block_of_frame, offset, m_start, m, minv = d.masses
         self.wide = 6 * int(np.diff(offset).max())
         numbers = (
@@ -72,7 +73,7 @@ class Mover:
         full = int(np.square(np.diff(offset)).sum())
         trees = [(t.frames.start, len(t.joints), t.coordinates.start, t.model.nv) for t in d.trees]
         supports = [t.support.astype(np.int64).ravel() for t in d.trees]
-        floats = [moments, axes, inverse_mass, inverse_J, radius, d.mass, d.J, np.empty(full), np.empty(full)]
+        floats = [moments, axes, inverse_mass, inverse_J, radii, d.mass, d.J, np.empty(full), np.empty(full)]
         fields = np.empty((d.n - 6 * d.free, 6))
         floats += [d.gravity, d.no_load, d.no_load, s.arm, d.nowhere, s.inscribed, fields, fields]
         floats.append(np.array(numbers, dtype=float))
@@ -83,7 +84,7 @@ class Mover:
         for view, given in zip(views[_col.M : _col.MINV + 1], (m, minv), strict=True):
             view[: given.size] = given
         self._dynamics, self._solver, self._detector, self._size = d, solver, s.detector, (d.frames, d.n)
-        self.still = Acting((m, minv), d.no_impulses[1], d.no_push)
+        self.still = m, minv
         self._smallest, self._dt, self._length, self._most = s.smallest, s.dt, (s.dt, s.depth), 0
         n, nv = self._size
         self._acted = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv
@@ -130,7 +131,7 @@ class Mover:
         self._most = max(self._most, begun.nc)
         new, rooms, work = self._rooms(moves, step)
         if motion is not None:
-            self._load(motion, new[0], work[0])
+            self._load(motion, work[0])
         stage, ready, head = _meeting.DONE, False, work[1]
         while True:
             code = _quiet.quiet(
@@ -157,7 +158,7 @@ class Mover:
                 self._most = max(self._most, int(head[_col.NEEDED]))
                 new, rooms, work = self._rooms(True, step)
                 if motion is not None:
-                    self._load(motion, new[0], work[0])
+                    self._load(motion, work[0])
                 stage, ready, head = _meeting.DONE, False, work[1]
                 continue
             if code == _meeting.MOVE:
@@ -171,15 +172,13 @@ class Mover:
                 return None
             stage, ready = code, True
 
-    def _load(self, motion: Motion, floats: Array, work: Array) -> None:
+    def _load(self, motion: Motion, work: Array) -> None:
         """Where a step has come to halfway, and what acts there."""
         half, n, views = motion.half, self._size[0], self._views
         (x, R, links), forces = half.middle.placement, half.forces
         vectors(work, _col.X, n)[:], matrices(work, _col.R_THERE, n)[:] = x, R
-        work[_col.REACH * n : _col.LOOKED_THERE * n] = half.reach
         velocity(work, self._size, _col.V_THERE)[:] = half.middle.v
         velocity(work, self._size, _col.V_FREE)[:] = forces.v
-        velocity(floats[_col.RESULTS :], self._size, _col.RATE)[:] = half.rate
         views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
         if self._dynamics.free:
             views[_col.PUSH][:], views[_col.TWIST][:] = forces.force, forces.torque
@@ -216,7 +215,7 @@ class Mover:
         """
         if not Mover.ready:
             return None
-        motion = None if half is None else Motion(s, begin, half)
+        motion = None if half is None else Motion(begin, half)
         if motion is not None and motion.has_rows():
             return None
         if self._given[0] is not begin:

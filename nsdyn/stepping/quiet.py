@@ -14,7 +14,7 @@ from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Acting, Flat, Found, velocity
+from nsdyn.stepping.flat import Flat, Found, velocity
 from nsdyn.stepping.half import Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
@@ -83,9 +83,9 @@ class Quiet:
         callbacks = self._loads(t + (1.0 - s.theta) * s.dt)
         if not s.dynamics.trees and callbacks is None:
             made = self._made(old, old.found, None)
-            return None if made is None else self._told(old, made, old.like, old.acting, certify)
+            return None if made is None else self._told(old, made, old.like, old.masses, None, certify)
         begin = old.begin()
-        motion = Motion(s, begin, first_half(s, begin, t, s.dt, callbacks))
+        motion = Motion(begin, first_half(s, begin, t, s.dt, callbacks))
         while True:
             # Rows of trees change whatever moves: those of the last step are still to be told.
             found = old.found.anew() if s.dynamics.trees else old.found
@@ -95,9 +95,10 @@ class Quiet:
             if (again := motion.corrected(v, callbacks)) is None:
                 break
             motion, callbacks = again, None
-        if (told := motion.told(made.floats)) is None:
+        if (like := motion.ended()) is None:
             return None
-        return self._told(old, made, *told, certify)
+        forces = motion.half.forces
+        return self._told(old, made, like, (forces.m, forces.minv), motion, certify)
 
     def _made(self, old: Flat, found: Found, motion: Motion | None) -> Made | None:
         """What the kernel has made."""
@@ -109,12 +110,20 @@ class Quiet:
             self._moves = bool(some)
         return made
 
-    def _told(self, old: Flat, made: Made, like: Instant, acting: Acting, certify: Certify) -> Flat | None:
+    def _told(
+        self,
+        old: Flat,
+        made: Made,
+        like: Instant,
+        masses: tuple[Array, Array],
+        motion: Motion | None,
+        certify: Certify,
+    ) -> Flat | None:
         """What was made as a state, with its certificate; None where it passes through something."""
         floats = made.floats
         if not math.isfinite(floats[_col.KINETIC] + floats[_col.POTENTIAL]):
             return None
-        state = floats, made.acted, made.status, made.met, made.end, made.end_key, old.opening, like, acting
+        state = floats, made.acted, made.status, made.met, made.end, made.end_key, old.opening, like, masses, motion
         out = Flat(old.origin, old.dt, old.count + 1, *state)
         if made.head[_col.FAST] and self._passes(old, out, made):
             return None

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.values import Energies
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -56,6 +57,11 @@ class State(NamedTuple):
     def t(self) -> float:
         """Time in s."""
         return self.origin + self.count * self.dt
+
+    @property
+    def of_trees(self) -> Energies:
+        """Energies of the trees, J."""
+        return self.instant.energies
 
     def __repr__(self) -> str:
         return f"<State at t = {self.t:.6g} s, {self.instant.v.size} velocities>"

@@ -362,7 +362,7 @@ class Stepper:
         if (found := quiet.step(self._now, self._certificate)) is None:
             return None
         before, after = found
-        untold = Untold(after, before.energies, (self.theta, self.system.solver.tol), self.dynamics)
+        untold = Untold(after, before, (self.theta, self.system.solver.tol), self.dynamics)
         step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
         self._now = after
         return step

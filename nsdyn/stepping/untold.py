@@ -15,7 +15,7 @@ from nsdyn.problem.gauss import Certificate
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.flat import Flat
-from nsdyn.stepping.state import Step
+from nsdyn.stepping.state import State, Step
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -30,19 +30,21 @@ CONTACTS = frozenset("contacts gap frame u r couple contact_status contact_time 
 class Untold(NamedTuple):
     """What tells of a quiet step when it is asked for, alone or together with others.
 
+    So are works and energies of trees found, which the motion does not need.
+
     Attributes
     ----------
     flat : Flat
         Where it ended.
-    before : (float, float)
-        Energies where it began, J.
+    before : State or Flat
+        Where it began.
     scheme : (float, float)
         θ and the solver's tolerance.
     dynamics : Dynamics
     """
 
     flat: Flat
-    before: tuple[float, float]
+    before: State | Flat
     scheme: tuple[float, float]
     dynamics: Dynamics
 
@@ -59,27 +61,39 @@ class Untold(NamedTuple):
             return _contacts(flat.met.names, floats, acted, flat.status, self._time(self.nc))
         if name in ("problem", "solution"):
             return {"problem": flat.problem(self.dynamics), "solution": flat.solution(self.scheme[1])}
+        if name in ("ledger", "joints", "links"):
+            results, joints, links = self._booked()
+            ledger, _ = _sums(self.before.energies, results, 0.0)
+            return {"ledger": ledger, "joints": joints if self.dynamics.trees else None, "links": links}
         return self.told()
 
     def told(self) -> dict[str, Any]:
-        """What the step did but for its contacts and its problem, by the names of `Step`."""
+        """Where the step led, by the names of `Step`."""
         flat, d = self.flat, self.dynamics
         x, quaternion = d.poses(flat.position, Placement(*flat.poses, ()))
         q, v = d.pinocchio_state(flat.position, flat.coordinate(_col.V))
-        ledger, certificate = _sums(self.before, flat.floats[: _col.RESULTS].tolist(), 0.0)
         return {
             "q": q,
             "v": v,
             "frames_x": x,
             "frames_quat": quaternion,
-            "joints": flat.acting.joints[:, 6 * d.free :] if d.trees else None,
-            "links": flat.acting.links,
             "pieces": None,
             "created": 0.0,
-            "ledger": ledger,
-            "gauss": certificate,
+            "gauss": Certificate(*flat.floats[_col.GAP : _col.WENT].tolist()),
             "twists": flat.twists,
         }
+
+    def _booked(self) -> tuple[list[float], Array, Array]:
+        """The results, with what trees did, and `joints` and `links` as of `Step`."""
+        flat, d = self.flat, self.dynamics
+        out: list[float] = flat.floats[: _col.RESULTS].tolist()
+        if flat.motion is None or not d.trees:
+            return out, d.no_impulses[1], d.no_push
+        own = Works(external=out[_col.EXTERNAL], integration=out[_col.NUMERICS])
+        own, joints, links = flat.motion.told(self.before.of_trees, own)
+        out[_col.EXTERNAL], out[_col.DAMPING], out[_col.NUMERICS] = own.external, own.damping, own.integration
+        out[_col.KINETIC], out[_col.POTENTIAL] = flat.energies
+        return out, joints[:, 6 * d.free :], links
 
     def _time(self, *shape: int) -> Array:
         """When the impulses of as many contacts acted, s after the beginning of the step."""
@@ -92,20 +106,23 @@ class Untold(NamedTuple):
         """What m steps of a scene did but for their contacts, arrays with a leading axis of m, of joints (7, m)."""
         first, d, m, nothing = some[0].flat, some[0].dynamics, len(some), np.zeros(len(some))
         x = quaternion = joints = links = pieces = None
+        booked = [one._booked() for one in some]
         if d.trees:
             told = [one.told() for one in some]
-            q, v, links = (np.stack([t[name] for t in told]) for name in ("q", "v", "links"))
+            q, v = (np.stack([t[name] for t in told]) for name in ("q", "v"))
             if d.frames > d.free:
                 x, quaternion = (np.stack([t[name] for t in told]) for name in ("frames_x", "frames_quat"))
-            joints, pieces = np.stack([t["joints"] for t in told], axis=1), (None,) * m
+            joints, pieces = np.stack([joints for _, joints, _ in booked], axis=1), (None,) * m
+            links = np.stack([links for *_, links in booked])
         else:
             columns = [
                 np.concatenate([one.flat.frame(*of) for one in some]) for of in ((_col.X, 3), (_col.QUATERNION, 4))
             ]
             v = np.concatenate([one.flat.coordinate(_col.V) for one in some])
             q, v = (a.reshape(m, -1) for a in d.pinocchio_state(first.position.moved(*columns), v))
-        results: Any = np.array([one.flat.floats[: _col.RESULTS] for one in some]).T
-        ledger, certificate = _sums(np.array([one.before for one in some]).T, results, nothing)
+        results: Any = np.array([results for results, *_ in booked]).T
+        before = np.array([one.before.energies for one in some]).T
+        ledger, certificate = _sums(before, results, nothing)
         error, residual, count, time = results[_col.ERROR : _col.CERTIFIED]
         good = np.maximum(error, residual) <= some[0].scheme[1]
         status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)

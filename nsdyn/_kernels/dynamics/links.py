@@ -130,6 +130,19 @@ def reach(x, support, J, v, h, radius, fall, out):
 
 
 @in_place
+def reach_of_all(trees, x, v, h, radius, fall, out):
+    """`reach` of the frames of all trees of a scene, as of `rows_of_all`, where all frames are at x (n, 3)."""
+    table, support, J = trees
+    at, field = 0, 0
+    for t in range(table.size // 4):
+        first, count, begin, nv = table[4 * t], table[4 * t + 1], table[4 * t + 2], table[4 * t + 3]
+        moves, own = support[at : at + count * nv].reshape((count, nv)), J[field : field + 6 * nv].reshape((nv, 6)).T
+        last = first + count
+        reach(x[first:last], moves, own, v[begin : begin + nv], h, radius[first:last], fall, out[first:last])
+        at, field = at + count * nv, field + 6 * nv
+
+
+@in_place
 def closures(x, R, J, support, joints, points, rows, phi, G):
     """Add to phi how far the points of two joints each are apart, and to G the rows of closed loops.
 

@@ -46,22 +46,29 @@ def inverse_factor(A, F):
 
 @in_place
 def factor(m, F, minv):
-    """F = L⁻¹ for the Cholesky factor L of m, and minv = m⁻¹ = Fᵀ F, all (n, n); False if not positive definite."""
+    """F and minv = m⁻¹ = Fᵀ F, all (n, n); False if m is not positive definite.
+
+    The rows of F are L⁻¹ of the Cholesky factor of m from its last coordinate to its first: from the tips of a tree, so
+    that the zeros of its branches stay.
+    """
     n = m.shape[0]
     for i in range(n):
-        for j in range(n):
-            minv[i, j] = m[i, j]
+        for j in range(i, n):
+            minv[i, j] = m[n - 1 - i, n - 1 - j]
     if not inverse_factor(minv, F):
         return False
     minv[:] = 0.0
     for k in range(n):
-        for i in range(k + 1):
+        for j in range(n // 2):
+            F[k, j], F[k, n - 1 - j] = F[k, n - 1 - j], F[k, j]
+        for i in range(n - 1 - k, n):
             x = F[k, i]
-            for j in range(i + 1):
-                minv[i, j] += x * F[k, j]
+            if x != 0.0:
+                for j in range(i, n):
+                    minv[i, j] += x * F[k, j]
     for i in range(n):
         for j in range(i):
-            minv[j, i] = minv[i, j]
+            minv[i, j] = minv[j, i]
     return True
 
 
@@ -126,7 +133,7 @@ def linear_laws(M, springs, control, angle, turning, h, theta, laws):
 def implicit(M, laws, h, F, m, minv):
     """The effective mass matrix m = M + h (β d + h α² k) of all `linear_laws` and minv = Fᵀ F, its inverse, all (n, n).
 
-    F = L⁻¹ for its Cholesky factor L. False when m is not positive definite.
+    False when m is not positive definite.
     """
     n = M.shape[0]
     for i in range(n):

@@ -34,6 +34,21 @@ def half(bodies, loads, position, h, theta, looked, near, out):
 
 
 @in_place
+def given(movers, loads, position, h, theta, looked, near, out):
+    """What `half` finds beyond it, of a first half that is made: rate, reach; the longest, and whether contacts stay.
+
+    Loads are (radius, how fast bodies fall), the position is (x, R, v, v_free), movers as of `meet`.
+    """
+    (radius, fall), (x, R, v, v_free), (free, trees), (rate, reach) = loads, position, movers, out
+    for i in range(v_free.size):
+        rate[i] = (v_free[i] - v[i]) / h
+    ahead, fallen = theta * h, theta * h * h * fall
+    motion.reach(v_free, ahead, fallen, radius[:free], reach)
+    links.reach_of_all(trees, x, v_free, ahead, radius, fallen, reach)
+    return most(reach), touching.unmoved(looked, (x, R, reach), *near)
+
+
+@in_place
 def meet(masses, movers, here, begin, velocities, warm, laws, rows, out):
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 

@@ -8,7 +8,7 @@ from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.paradox import suspect
-from nsdyn._kernels.reductions import copy, most
+from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, touching
 from nsdyn._kernels.stepping.quiet_checks import book, eventless, gains, may_gain, rebounds, strikes_at_once
@@ -31,10 +31,10 @@ from nsdyn._kernels.stepping.quiet_response import arrive, corrects, end_gaps, p
 
 
 @in_place
-def depart(num, size, bodies, forces, arm, old, f, w):
+def depart(num, size, bodies, movers, forces, arm, old, f, w):
     """The first half of a move: how far it reaches, and whether contacts are those where it begins.
 
-    It may be given: Python makes it where there are trees, and under the forces of the user.
+    It may be given: Python makes its motion where there are trees, and under the forces of the user.
     """
     n, reach = size[0], col.column(w, col.REACH, size[0])
     there = (
@@ -43,17 +43,29 @@ def depart(num, size, bodies, forces, arm, old, f, w):
         col.velocity(w, col.V_THERE, size),
         col.rotations(w, col.R_THERE, n),
     )
+    rate, v_free, looked = (
+        col.velocity(f, col.RATE, size),
+        col.velocity(w, col.V_FREE, size),
+        col.placed(old, col.LOOKED, n),
+    )
     if num[col.GIVEN] > 0.0:
-        looked = col.placed(old, col.LOOKED, n)
-        return most(reach), touching.unmoved(looked, (there[0], there[3], reach), arm, num[col.STILL])
-    rate, v_free = col.velocity(f, col.RATE, size), col.velocity(w, col.V_FREE, size)
+        return free.given(
+            movers,
+            (bodies[4], num[col.WEIGHT]),
+            (there[0], there[3], there[2], v_free),
+            num[col.STEP],
+            num[col.THETA],
+            looked,
+            (arm, num[col.STILL]),
+            (rate, reach),
+        )
     return free.half(
         bodies,
         forces,
         (col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, size)),
         num[col.STEP],
         num[col.THETA],
-        col.placed(old, col.LOOKED, n),
+        looked,
         (arm, num[col.STILL]),
         (*there, v_free, rate, reach),
     )
@@ -132,7 +144,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     if stage == DONE:
         if step and strikes_at_once(num, first, warm, b_old, n):
             return OTHERWISE
-        far, same = depart(num, size, bodies, (gravity, force, num[col.WEIGHT]), arm, b_old, b, w)
+        far, same = depart(num, size, bodies, movers, (gravity, force, num[col.WEIGHT]), arm, b_old, b, w)
         if step and num[col.ELASTIC] > 0.0 and rebounds(scene, movers_begun, first, b_old, w):
             return OTHERWISE
         out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
