@@ -142,7 +142,8 @@ class Detector(Candidates):
         pairs, motion = np.empty(len(self._first), dtype=np.int64), (begin.x, end.x, turn)
         candidates, placed = (self._first, self._second, codes), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least
-        count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, pairs)
+        before = memory.names, memory.points
+        count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, before, pairs)
         touching = []
         for p in pairs[:count].tolist():
             touch = self._first_touch(p, begin, end, turn)

@@ -24,10 +24,10 @@ from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import striking
 from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System
-from nsdyn.stepping.move import attempt
+from nsdyn.stepping.move import NEW, attempt
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import through, turns_far
-from nsdyn.stepping.response import Trial
+from nsdyn.stepping.response import Begun, Trial
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State
@@ -57,7 +57,7 @@ class Islands:
         self._node = np.where(frame >= 0, d.node[frame], -1)
         self._parts: dict[tuple[int, ...], Part] = {}
 
-    def step(self, state: State, loads: Loads) -> Passage:
+    def step(self, state: State, loads: Loads, begun: Begun = NEW) -> Passage:
         """Everything dt later.
 
         Parameters
@@ -66,8 +66,9 @@ class Islands:
         loads : callable
             What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it. An island that is made by
             itself asks in each of its moves; all others are then where the step begins.
+        begun : Begun
         """
-        out, begin = self._step(state, loads), state.instant.position
+        out, begin = self._step(state, loads, begun), state.instant.position
         if not begin.driven_x.size:
             return out
         d = self.whole.dynamics.during(state.next_t - state.dt, state.dt)
@@ -75,20 +76,20 @@ class Islands:
         x, quaternion = d.surfaces.ahead(begin.driven_x, begin.driven_quaternion, self.whole.theta)
         return out._replace(end=driven(out.end, x, quaternion))
 
-    def _step(self, state: State, loads: Loads) -> Passage:
+    def _step(self, state: State, loads: Loads, begun: Begun) -> Passage:
         if self.count < 2:
-            return through(self.whole, state, loads)
+            return through(self.whole, state, loads, begun)
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
         s = self.whole.during(t, h)
         callbacks = loads(t + (1.0 - s.theta) * h)
-        half = first_half(s, begin, t, h, callbacks)
+        half = begun.half or first_half(s, begin, t, h, callbacks)
         label, count = self._foreseen(begin, half)
         if count < 2:
-            return through(self.whole, state, loads, half)
+            return through(self.whole, state, loads, Begun(half, begun.move))
         opened, tried = np.zeros(count, np.bool_), None
         opened[label[self._struck(begin, half)]] = True
         if not opened.all():
-            tried = attempt(s, begin, half, callbacks, label, opened[label])
+            tried = attempt(s, begin, half, callbacks, label, opened[label], begun)
             self._open(begin, tried, label, opened)
             if not opened.any():
                 done = finish(s, begin, tried)

@@ -50,6 +50,8 @@ class Made(NamedTuple):
     next_key : int
         That after `found`; at the end it is of `end_key`.
     end_key : int
+    whole : bool
+        Whether it is all that was asked for: if not, a move as long as the step, which meets an event.
     """
 
     size: tuple[int, int]
@@ -64,6 +66,7 @@ class Made(NamedTuple):
     end: Found
     next_key: int
     end_key: int
+    whole: bool
 
     def values(
         self, s: System, begin: Instant, t: float, h: float, motion: Motion | None
@@ -85,7 +88,8 @@ class Made(NamedTuple):
         r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
         problem = FC3D.prepared(rows.full, q, met.mu, self.met.scales, float(f[_col.NORM]))
         error, residual, count, time = f[_col.ERROR : _col.CERTIFIED].tolist()
-        solution = Solution(r, u, Status.CONVERGED, error, residual, int(count), time)
+        status = Status.CONVERGED if max(error, residual) <= s.solver.tol else Status.LOOSE
+        solution = Solution(r, u, status, error, residual, int(count), time)
         encounter = Encounter(
             met,
             None,

@@ -18,22 +18,28 @@ from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
 from nsdyn.stepping.instant import Instant, System, among, take
 from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
 from nsdyn.stepping.projection import Placed, place
-from nsdyn.stepping.response import Reach, Response, Trial
+from nsdyn.stepping.response import Begun, Reach, Response, Trial
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.stepping.solving import Way
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["attempt", "trial"]
+__all__ = ["NEW", "attempt", "trial"]
 
-NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+NOTHING, NO_SLOTS, NEW = np.empty(0), np.empty(0, np.int64), Begun()
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
 
 
 def trial(
-    s: System, begin: Instant, t: float, h: float, callbacks: Callbacks, barred: Index | None, half: Half | None = None
+    s: System,
+    begin: Instant,
+    t: float,
+    h: float,
+    callbacks: Callbacks,
+    barred: Index | None,
+    begun: Begun = NEW,
 ) -> Trial:
     """Move for h seconds from the time t.
 
@@ -55,17 +61,20 @@ def trial(
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
-    half : Half, optional
-        Where it is known.
+    begun : Begun
     """
-    if s.dynamics.trees or callbacks is not None:
-        half = half or first_half(s, begin, t, h, callbacks)
-    made = None if s.mover is None or barred is None else s.mover.respond(s, begin, t, h, barred, half)
+    half, made = begun.half, None
+    if half is None and (s.dynamics.trees or callbacks is not None):
+        half = first_half(s, begin, t, h, callbacks)
+    if begun.move is not None and barred is not None:
+        made = begun.move
+    elif s.mover is not None and barred is not None:
+        made = s.mover.respond(s, begin, t, h, barred, half)
     if made is None:
         made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
     half, _, response = made
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
-        return trial(s, begin, t, h, None, barred, again)
+        return trial(s, begin, t, h, None, barred, Begun(again))
     return _met(s, begin, made, barred)
 
 
@@ -109,14 +118,18 @@ def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: 
     return Trial(half, reach, response, unmet, until)
 
 
-def attempt(s: System, begin: Instant, half: Half, callbacks: Callbacks, label: Index, skip: Bools) -> Trial:
+def attempt(
+    s: System, begin: Instant, half: Half, callbacks: Callbacks, label: Index, skip: Bools, begun: Begun = NEW
+) -> Trial:
     """A move of all islands that leaves alone what may strike, as a `trial` with nothing barred.
 
     Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
     nodes `skip`, whose contacts are passed over.
     """
     made = None
-    if s.mover is not None and not skip.any():
+    if begun.move is not None and not skip.any():
+        made = begun.move
+    elif s.mover is not None and not skip.any():
         made = s.mover.respond(s, begin, half.end - half.h, half.h, NO_SLOTS, half)
     if made is None:
         reach = _reachable(s, begin, half, NO_SLOTS)

@@ -36,6 +36,11 @@ class Mover:
     Parameters
     ----------
     s : System
+
+    Attributes
+    ----------
+    given : (Instant, (Acted, Found))
+        Where a move last began, and that as the kernel takes it.
     """
 
     ready: ClassVar[bool] = False
@@ -90,7 +95,7 @@ class Mover:
         self._acted = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv
         self._own = _col.FRAME_WORK * n + _col.COORDINATE_WORK * nv
         self._work, self._none = self._for_work(0), (self._room(0),) * 3
-        self._given: tuple[Instant | None, tuple[Acted, Found] | None] = None, None
+        self.given: tuple[Instant | None, tuple[Acted, Found] | None] = None, None
 
     def __call__(
         self,
@@ -150,8 +155,10 @@ class Mover:
                 detector.asks,
                 step,
             )
-            if code == _meeting.DONE:
-                return self._made(new, rooms, work, begun)
+            if code in (_meeting.DONE, _meeting.EVENT):
+                if code == _meeting.EVENT:  # whose values are views of it
+                    self._work = self._for_work(0)
+                return self._made(new, rooms, work, begun, code == _meeting.DONE)
             if code == _meeting.OTHERWISE:
                 return None
             if code == _meeting.MORE:
@@ -168,7 +175,7 @@ class Mover:
                 ahead = code == _meeting.LOOK_AHEAD
                 columns = new[0][_col.RESULTS :] if ahead else work[0]
                 detector.ask(*looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, self._size[0]))
-            elif not self._solve(self._made(new, rooms, work, begun)):
+            elif not self._solve(self._made(new, rooms, work, begun, False)):
                 return None
             stage, ready = code, True
 
@@ -218,9 +225,9 @@ class Mover:
         motion = None if half is None else Motion(begin, half)
         if motion is not None and motion.has_rows():
             return None
-        if self._given[0] is not begin:
-            self._given = begin, packed(begin, begin.v, self.wide)
-        if (given := self._given[1]) is None:
+        if self.given[0] is not begin:
+            self.given = begin, packed(begin, begin.v, self.wide)
+        if (given := self.given[1]) is None:
             return None
         old, begun = given
         begun = begun.anew() if self._dynamics.trees else begun
@@ -266,6 +273,7 @@ class Mover:
         rooms: Rooms,
         work: tuple[Array, Index, Bools],
         begun: Found,
+        whole: bool,
     ) -> Made:
         """What is made so far, as large as it is."""
         (floats, acted, status), (own, head, flags) = new, work
@@ -286,6 +294,7 @@ class Mover:
             Found(*rooms[2]).of(int(head[_col.END])) if goes else found,
             int(head[_col.KEY_MIDDLE]),
             int(head[_col.KEY_END if goes else _col.KEY_MIDDLE]),
+            whole,
         )
 
     def _solve(self, made: Made) -> bool:

@@ -18,11 +18,11 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.half import Half, Loads
+from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System
-from nsdyn.stepping.move import trial
-from nsdyn.stepping.response import Trial
+from nsdyn.stepping.move import NEW, trial
+from nsdyn.stepping.response import Begun, Trial
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import moved_by
 from nsdyn.stepping.state import State
@@ -75,7 +75,7 @@ def _contacts(begin: Instant) -> int:
     return max(1, begin.contacts.gap.size)
 
 
-def through(system: System, state: State, loads: Loads, half: Half | None = None) -> Passage:
+def through(system: System, state: State, loads: Loads, begun: Begun = NEW) -> Passage:
     """Moves and impacts of a step, in one piece, or in several where that is too coarse (`_pass`).
 
     Parameters
@@ -85,12 +85,12 @@ def through(system: System, state: State, loads: Loads, half: Half | None = None
         Where the step begins.
     loads : callable
         What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
-    half : Half, optional
-        That of the step in one move, where it is known.
+    begun : Begun
+        With the step in one move.
     """
     begin, system = state.instant, system.during(state.next_t - state.dt, state.dt)
     effort = Effort()
-    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort, half)
+    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort, begun)
     return _in_pieces(system, state, loads, effort) if coarse and _contacts(begin) <= WORK else whole
 
 
@@ -119,7 +119,7 @@ def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Pa
 
 
 def _pass(
-    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, effort: Effort, half: Half | None = None
+    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, effort: Effort, begun: Begun = NEW
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
@@ -127,7 +127,7 @@ def _pass(
     and where contacts that persist, or what is lifted, add energy.
     """
     path = [begin.placement]
-    out, sunk = _moves(s, loads, begin, end, h, rate, path, effort, half)
+    out, sunk = _moves(s, loads, begin, end, h, rate, path, effort, begun)
     sunk = sunk or any(turns_far(s, h, a, begin, out.end).any() for a in out.done)
     now, solved, works = out.end, out.solved, out.works
     d, gained = s.dynamics, sum(w.integration for w in works)
@@ -159,11 +159,11 @@ def _moves(
     rate: Array,
     path: list[Placement],
     effort: Effort,
-    half: Half | None,
+    begun: Begun,
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
-    Where they were goes into the path. The first half of a move all the way without impacts before it may be known.
+    Where they were goes into the path. Of a move all the way, without impacts before it, something may be known.
     """
     now, left, clear, sunk = begin, h, True, False
     done: list[Impulses] = []
@@ -172,13 +172,13 @@ def _moves(
     for cut in count():
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
-            (now, impulses, more, pair), half = struck, None
+            (now, impulses, more, pair), begun = struck, NEW
             done.append(_later(impulses, h - left))
             solved.append(pair)
             works.append(more)
         soon = left * (AGAIN if cut and struck is None else SOON)
-        length, tried = _until_event(s, loads, now, t, left, soon, effort, half)
-        half = None
+        length, tried = _until_event(s, loads, now, t, left, soon, effort, begun)
+        begun = NEW
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
         done.append(_later(m.done[0], h - left))
@@ -210,11 +210,11 @@ def _until_event(
     h: float,
     soon: float,
     effort: Effort,
-    half: Half | None = None,
+    begun: Begun = NEW,
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
-    Or to where a slip turns round, but not `soon`, s. The first half of a move of h seconds may be known. Too long take
+    Or to where a slip turns round, but not `soon`, s. Of the move of h seconds something may be known. Too long take
     so many moves as would be too much to try.
     """
 
@@ -225,7 +225,7 @@ def _until_event(
     if not (affords := effort.affords(begin, EVENT)) and effort.left < WORK:
         return capture()
     effort.spend(begin)
-    m = _try(s, loads, begin, t, h, NONE, half)
+    m = _try(s, loads, begin, t, h, NONE, begun)
     met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
     a = m.response
     if _jammed(a.solution) or (not affords and (met or m.touched < h)):
@@ -356,7 +356,7 @@ def _where(c: ContactSet, there: Placement) -> tuple[Index, Index, Array, Array,
 
 
 def _try(
-    s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, half: Half | None = None
+    s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, begun: Begun = NEW
 ) -> Trial:
-    """A move of h seconds, with what the user has to say where its impulses act; its first half may be known."""
-    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, half)
+    """A move of h seconds, with what the user has to say where its impulses act; something of it may be known."""
+    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, begun)

@@ -15,16 +15,19 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
 from nsdyn.stepping.flat import Flat, Found, velocity
-from nsdyn.stepping.half import Loads, first_half
+from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.made import Made
 from nsdyn.stepping.mover import NO_PAIRS, Mover
+from nsdyn.stepping.response import Begun
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Quiet"]
+
+NOTHING_TRIED = None, None, None, None
 
 Certify = Callable[[FC3D, Array, Array, Opening | None], tuple[Certificate, Opening | None]]
 
@@ -57,12 +60,14 @@ class Quiet:
         self._loads, self._paradoxes = loads, paradoxes
         mover.numbers[_col.FEWEST] = FEW if paradoxes.possible else -1.0
         self._length = system.dt, system.depth
+        self._tried: tuple[Flat | None, Half | None, Made | None, Motion | None] = NOTHING_TRIED
         self._pause = self._left = 0
         if polish:
             mover.numbers[_col.WEAK] = math.nan
 
     def step(self, now: State | Flat, certify: Certify) -> tuple[Flat, Flat] | None:
         """The state and the next one; None where more may happen, or is likely to, as it did in the steps before."""
+        self._tried = NOTHING_TRIED
         if self._left > 0:
             self._left -= 1
             return None
@@ -70,11 +75,22 @@ class Quiet:
         if old is not None:
             if not (Mover.ready or self._is_ready(old)):
                 return None
-            if (new := self._next(old, certify)) is not None:
+            new = self._next(old, certify)
+            if new is not None or self._tried[2] is not None:
                 self._pause = 0
-                return old, new
+                return None if new is None else (old, new)
         self._left, self._pause = self._pause, min(2 * self._pause + 1, PAUSE)
         return None
+
+    def begun(self, state: State) -> Begun:
+        """What the last attempt at a step from a state has found of it."""
+        s, (old, half, made, motion) = self._system, self._tried
+        if old is not None:
+            self._mover.given = state.instant, ((old.floats, old.acted, old.status), old.found)
+        if made is None:
+            return Begun(half)
+        move = made.values(s, state.instant, state.next_t - s.dt, s.dt, motion)
+        return Begun(move[0], move)
 
     def _next(self, old: Flat, certify: Certify) -> Flat | None:
         """The next state, None where more may happen."""
@@ -82,10 +98,12 @@ class Quiet:
         t = old.origin + (old.count + 1) * old.dt - s.dt
         callbacks = self._loads(t + (1.0 - s.theta) * s.dt)
         if not s.dynamics.trees and callbacks is None:
-            made = self._made(old, old.found, None)
-            return None if made is None else self._told(old, made, old.like, old.masses, None, certify)
+            if (made := self._made(old, old.found, None)) is None:
+                return None
+            return self._told(old, made, old.like, old.masses, None, certify)
         begin = old.begin()
-        motion = Motion(begin, first_half(s, begin, t, s.dt, callbacks))
+        half = first_half(s, begin, t, s.dt, callbacks)
+        motion, self._tried = Motion(begin, half), (old, half, None, None)
         while True:
             # Rows of trees change whatever moves: those of the last step are still to be told.
             found = old.found.anew() if s.dynamics.trees else old.found
@@ -101,13 +119,18 @@ class Quiet:
         return self._told(old, made, like, (forces.m, forces.minv), motion, certify)
 
     def _made(self, old: Flat, found: Found, motion: Motion | None) -> Made | None:
-        """What the kernel has made."""
+        """A step that the kernel has made; what it has made of one that meets an event is kept."""
         direction = old.opening.d if old.opening else NOTHING
         begun = old.floats, old.acted, old.status
         made = self._mover(begun, found, old.next_key, self._length, direction, NO_PAIRS, True, self._moves, motion)
         if made is not None:
             some = made.floats[_col.WENT] or made.floats[_col.GOES] or made.head[_col.SOME]
             self._moves = bool(some)
+            if not made.whole:
+                half = None if motion is None else motion.half
+                if half is self._tried[1]:  # not with what callbacks say of the motion itself
+                    self._tried = old, half, made, motion
+                return None
         return made
 
     def _told(

@@ -17,7 +17,7 @@ from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["Reach", "Response", "Trial"]
+__all__ = ["Begun", "Reach", "Response", "Trial"]
 
 
 class Reach(NamedTuple):
@@ -111,3 +111,18 @@ class Trial(NamedTuple):
     response: Response
     unmet: Unmet | None
     touched: float
+
+
+class Begun(NamedTuple):
+    """What is known of a step before it is made.
+
+    Attributes
+    ----------
+    half : Half, optional
+        Its first half, in one move.
+    move : (Half, Reach, Response), optional
+        All of that move, with nothing barred.
+    """
+
+    half: Half | None = None
+    move: tuple[Half, Reach, Response] | None = None

@@ -34,6 +34,7 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
+from nsdyn.stepping.move import NEW
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
 from nsdyn.stepping.state import Pieces, Start, State, Step
@@ -319,8 +320,9 @@ class Stepper:
         if self._quiet is not None and (step := self._quietly(self._quiet)) is not None:
             return step
         s = self._now = self.get_state()
+        begun = NEW if self._quiet is None else self._quiet.begun(s)
         now, rate, clear, done, solved, works, _ = self._islands.step(
-            s, lambda t: self.functions.at(t, self.dynamics, s.last)
+            s, lambda t: self.functions.at(t, self.dynamics, s.last), begun
         )
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.placement, now.placement, s.t + s.dt)

@@ -2,10 +2,13 @@
 
 import math
 
+import numpy as np
+
 from nsdyn._kernels.collision.broadphase import at_least_apart, contains
 from nsdyn._kernels.collision.geometry import Placed, place
 from nsdyn._kernels.collision.separation import gap_along
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
 
@@ -73,28 +76,6 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
             p, q = minus(v, cross(other, begin)), minus(v, cross(other, end))
             least = min(least, math.sqrt(max(dot(p, p), dot(q, q))) + spin * arm)
     return least
-
-
-@in_place
-def may_touch(fields, arm, least, pairs, motion, placed, out):
-    """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
-
-    Left out are pairs of the sorted codes `known`, and those whose relative motion is no longer than the smaller of
-    their `least`. `fields` are those of `Geometry`, `pairs` (first, second, known), `motion` (x0, x1, turn) as in
-    `motions`, `placed` (R, t, lower, upper), poses and bounds of the geoms at the beginning.
-    """
-    (first, second, known), (x0, x1, turn), (R, t, lower, upper) = pairs, motion, placed
-    geometry = Placed(*fields, R, t)
-    count = 0
-    for p in range(first.size):
-        i, j = first[p], second[p]
-        if contains(known, i * geometry.kind.size + j):
-            continue
-        way = relative_motion(geometry.frame[i], geometry.frame[j], arm[i], arm[j], x0, x1, turn)
-        if way > min(least[i], least[j]) and way > at_least_apart(geometry, i, j, lower, upper):
-            out[count] = p
-            count += 1
-    return count
 
 
 @in_place
@@ -197,3 +178,46 @@ def approach(frame, arm, motion, s, geoms, normal, points):
     i, j = geoms
     whole = relative_motion(frame[i], frame[j], arm[i], arm[j], x0, x1, turn)
     return min(max(forward, 0.0) + turning, whole), speed
+
+
+@in_place
+def stays_apart(geometry, arm, i, j, motion, codes, points):
+    """Whether two geoms cannot touch on their way, by their separation along the normal of a contact of theirs.
+
+    motion = (x0, x1, turn) as in `motions`; the contacts have sorted codes, and points as of `ContactMemory`.
+    """
+    code = i * geometry.kind.size + j
+    c = place_of(codes, code)
+    while c < codes.size and codes[c] == code:
+        n = row(points[1], c)
+        bound, _ = approach(geometry.frame, arm, motion, 0.0, (i, j), n, (n, n))
+        if bound <= gap_along(geometry, i, j, n):
+            return True
+        c += 1
+    return False
+
+
+@kernel
+def may_touch(fields, arm, least, pairs, motion, placed, memory, out):
+    """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
+
+    Left out are pairs of the sorted codes `known`, those whose relative motion is no longer than the smaller of their
+    `least`, and what `stays_apart` by its `memory`. `fields` are those of `Geometry`, `pairs` (first, second, known),
+    `motion` (x0, x1, turn) as in `motions`, `placed` (R, t, lower, upper), poses and bounds of the geoms at the
+    beginning.
+    """
+    (first, second, known), (x0, x1, turn), (R, t, lower, upper) = pairs, motion, placed
+    geometry, (names, points), count = Placed(*fields, R, t), memory, 0
+    codes = np.empty(names.shape[1], np.int64)
+    for c in range(codes.size):
+        codes[c] = names[0, c] * geometry.kind.size + names[1, c]
+    for p in range(first.size):
+        i, j = first[p], second[p]
+        if contains(known, i * geometry.kind.size + j):
+            continue
+        way = relative_motion(geometry.frame[i], geometry.frame[j], arm[i], arm[j], x0, x1, turn)
+        if way > min(least[i], least[j]) and way > at_least_apart(geometry, i, j, lower, upper):
+            if not stays_apart(geometry, arm, i, j, motion, codes, points):
+                out[count] = p
+                count += 1
+    return count

@@ -14,6 +14,7 @@ from nsdyn._kernels.stepping import free, law, touching
 from nsdyn._kernels.stepping.quiet_checks import book, eventless, gains, may_gain, rebounds, strikes_at_once
 from nsdyn._kernels.stepping.quiet_meeting import (
     DONE,
+    EVENT,
     LOOK,
     LOOK_AHEAD,
     MORE,
@@ -108,7 +109,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     Returns
     -------
     int
-        `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD`, `MORE` or `MOVE`.
+        `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD`, `MORE`, `MOVE` or `EVENT`.
     """
     (sf, si), (f, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = system, new, old, work
     num, arm, nowhere = numbers(sf, si, col.NUMBERS), numbers(sf, si, col.ARM), numbers(sf, si, col.NOWHERE)
@@ -250,7 +251,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         return DONE
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
     if not eventless(num, inscribed, met, now, flags, status, spins, work_room):
-        return OTHERWISE
+        return EVENT
     inertia = mass, J, gravity, force, torque, nowhere[:0]
     book(scene, inertia, of_rows, met, flags, direction, head, status, work_room)
     out[col.SUSPECT] = 0.0

@@ -75,7 +75,7 @@ def turns_round(r, u, b, mu, local, was):
 def eventless(num, inscribed, met, now, flags, was, spins, room):
     """Whether nothing has turned round, got deep, arrived or turned far on the way, as `passage` asks.
 
-    spins: angular velocities of the bodies, (n, 3), at both ends. What was is overwritten by what presses.
+    spins: angular velocities of the bodies, (n, 3), at both ends.
     """
     nc, (names, _, scalars), (_, _, own, a) = was.size, met, room
     local, stays = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
@@ -92,18 +92,18 @@ def eventless(num, inscribed, met, now, flags, was, spins, room):
             more -= r[3 * c] > 0.0 and gap[c] < -deep
         if more > 0:
             return False
-    end_gap, far, fastest = col.column(own, col.FORESEEN, nc), flags[col.OFF, :nc], 0.0
+    end_gap, presses, far, fastest = col.column(own, col.FORESEEN, nc), flags[col.OTHER, :nc], flags[col.OFF, :nc], 0.0
     for c in range(nc):
         radius = min(inscribed[names[0, c]], inscribed[names[1, c]])
-        if not stays[c] and end_gap[c] > num[col.THETA] * num[col.DEPTH] * radius:
+        presses[c] = r[3 * c] > 0.0
+        if presses[c] and not stays[c] and end_gap[c] > num[col.THETA] * num[col.DEPTH] * radius:
             return False
-        was[c] = r[3 * c] > 0.0
     most = law.TURNS / (num[col.THETA] * num[col.STEP])
     for spin in spins:
         for k in range(spin.shape[0]):
             fastest = max(fastest, spin[k, 0] ** 2 + spin[k, 1] ** 2 + spin[k, 2] ** 2)
     if fastest > most * most:
-        touching.turns_far((names[2], names[3], scalars[0], was, num[col.CLOSED]), spins, most, far)
+        touching.turns_far((names[2], names[3], scalars[0], presses, num[col.CLOSED]), spins, most, far)
         for c in range(nc):
             if far[c]:
                 return False

@@ -8,10 +8,11 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, persistence, sight, touching
 
-DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD, MORE, MOVE = range(7)
+DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD, MORE, MOVE, EVENT = range(8)
 """How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
 the problem is to be solved; the geoms where it ends; there is no room for so many contacts; trees are to be moved to
-the end. After LOOK, SOLVE, LOOK_AHEAD and MOVE it goes on with what Python has done."""
+the end; the move is made, but is no whole step. After LOOK, SOLVE, LOOK_AHEAD and MOVE it goes on with what Python has
+done."""
 
 
 @in_place
