@@ -40,6 +40,7 @@ def trial(
     callbacks: Callbacks,
     barred: Index | None,
     begun: Begun = NEW,
+    rough: bool = False,
 ) -> Trial:
     """Move for h seconds from the time t.
 
@@ -62,6 +63,8 @@ def trial(
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
     begun : Begun
+    rough : bool
+        Whether it is only to show whether it meets anything: impulses are rough, persistent contacts do some work.
     """
     half, made = begun.half, None
     if half is None and (s.dynamics.trees or callbacks is not None):
@@ -71,18 +74,18 @@ def trial(
     elif s.mover is not None and barred is not None:
         made = s.mover.respond(s, begin, t, h, barred, half)
     if made is None:
-        made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
+        made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred, rough)
     half, _, response = made
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
-        return trial(s, begin, t, h, None, barred, Begun(again))
+        return trial(s, begin, t, h, None, barred, Begun(again), rough)
     return _met(s, begin, made, barred)
 
 
-def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple[Half, Reach, Response]:
+def _moved(s: System, begin: Instant, half: Half, barred: Index | None, rough: bool) -> tuple[Half, Reach, Response]:
     """The move from its first half, stage by stage."""
     reach = _reachable(s, begin, half, barred)
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
-    rough = barred is None
+    rough = rough or barred is None
     half, response = _respond(s, begin, half, reach, barred, None, rough)
     missed = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
@@ -92,7 +95,7 @@ def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple
             s, response.met, response.solution.r, found, reach.memory, places, half.fast, missed
         )
         same = real is response.met.contacts and not response.otherwise
-        if same and (response.solution.converged or not rough):
+        if same and not rough:
             break
         rough = not same and left > 0
         reach = reach._replace(contacts=real, memory=memory)
@@ -203,7 +206,7 @@ def _respond(
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     alone, couple = met, NO_COUPLE
     off: Bools | None = None
-    for left in reversed(range(_law.GAPS + 1 if barred is not None else 1)):
+    for left in reversed(range(1 if rough or barred is None else _law.GAPS + 1)):
         met, problem, solution, otherwise, couple = solve_workless(s, alone, half, known, slides, way, couple, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick

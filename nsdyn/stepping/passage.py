@@ -218,29 +218,31 @@ def _until_event(
     so many moves as would be too much to try.
     """
 
-    def capture() -> tuple[float, Trial]:
-        return h, _try(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None)
+    def capture(begun: Begun) -> tuple[float, Trial]:
+        return h, _try(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most meet no event.
     if not (affords := effort.affords(begin, EVENT)) and effort.left < WORK:
-        return capture()
+        return capture(begun)
     effort.spend(begin)
-    m = _try(s, loads, begin, t, h, NONE, begun)
-    met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
-    a = m.response
-    if _jammed(a.solution) or (not affords and (met or m.touched < h)):
-        return capture()
+    # Where it could not be cut it is made roughly first, which shows whether it meets one.
+    for rough in (False,) if affords or begun.move is not None else (True, False):
+        m = _try(s, loads, begin, t, h, NONE, begun, rough)
+        a, begun = m.response, Begun(m.half)
+        met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
+        if _jammed(a.solution) or (not affords and (met or m.touched < h)):
+            return capture(begun)
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)
     # Where slip has been cut nothing is asked about it again.
     turned = h * reversal(a.met, s.solver, a.problem, a.solution) if soon < h else h
     if soon < turned < (1.0 - SOON) * h:
-        return _until_event(s, loads, begin, t, turned, h, effort) if affords else capture()
+        return _until_event(s, loads, begin, t, turned, h, effort) if affords else capture(begun)
     if m.unmet is None or not met:
         return h, m
     hit = m.unmet.gap < -m.unmet.limit
     barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
-    return _located(s, loads, begin, t, {h: m}, barred, limit, effort) or capture()
+    return _located(s, loads, begin, t, {h: m}, barred, limit, effort) or capture(begun)
 
 
 def _located(
@@ -356,7 +358,14 @@ def _where(c: ContactSet, there: Placement) -> tuple[Index, Index, Array, Array,
 
 
 def _try(
-    s: System, loads: Loads, begin: Instant, t: float, h: float, barred: Index | None, begun: Begun = NEW
+    s: System,
+    loads: Loads,
+    begin: Instant,
+    t: float,
+    h: float,
+    barred: Index | None,
+    begun: Begun = NEW,
+    rough: bool = False,
 ) -> Trial:
     """A move of h seconds, with what the user has to say where its impulses act; something of it may be known."""
-    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, begun)
+    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, begun, rough)

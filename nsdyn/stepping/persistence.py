@@ -79,7 +79,7 @@ def solve_workless(
     if made:
         met = alone.turned(start.dv, alone.local[4])
     passes, problem, solution = (
-        _workless.PASSES if d.free and met.stays.any() else 0,
+        _workless.PASSES if d.free and met.stays.any() and not way.rough else 0,
         pose(met, slides, way.closing),
         last,
     )
@@ -118,7 +118,9 @@ def solve_workless(
         own = way if first else way._replace(back=True)
         met, problem, again, changed = solve(met, s.solver, solution, slides, own, which, before)
         otherwise = otherwise or changed
-        solution, passes, first = again, left if again.accepted else 0, False
+        # Of what is solved loosely one more couple is as exact.
+        most = left if again.converged else min(left, int(again.accepted))
+        solution, passes, first = again, most, False
         r[:], u[:], change[:] = again.r, again.u, rows.velocity_change(again.r)
     if made:
         start, R = Couple(couple, np.empty(nc), dv), half.middle.placement.R

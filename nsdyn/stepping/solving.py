@@ -29,7 +29,7 @@ class Way(NamedTuple):
     most : int
         Most solves more for them.
     rough : bool
-        Whether what `Graded.roughly` gives is enough.
+        Whether what `Graded.roughly` gives is enough, and persistent contacts may do work.
     shares : int
         Most solves more for the friction of ball joints.
     """
