@@ -3,6 +3,8 @@
 A slice that is set to an array makes numba compile the text of an error message, which takes two seconds.
 """
 
+import math
+
 from nsdyn._kernels.compiled import in_place
 
 
@@ -35,11 +37,13 @@ def most(x):
 
 @in_place
 def largest(x):
-    """The largest magnitude, or nan."""
+    """The largest magnitude, or nan if there is one."""
     out = 0.0
     for i in range(x.size):
         if not abs(x[i]) <= out:
             out = abs(x[i])
+            if math.isnan(out):
+                return out
     return out
 
 

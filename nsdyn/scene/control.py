@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nsdyn._kernels import reductions as _few
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.naming import choice
 
@@ -141,26 +142,26 @@ class PD:
     limit: ArrayLike | Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            given = getattr(self, field.name)
-            if field.name == "limit" and given is None:
+        for name in PARAMETERS:
+            given = getattr(self, name)
+            if name == "limit" and given is None:
                 continue
             named = isinstance(given, Mapping)
             try:
                 value = np.array(list(given.values()) if named else given, dtype=float)
             except (TypeError, ValueError):
                 value = np.array(np.nan)
-            unlimited = field.name == "limit" and (value > 0.0).all()
-            if value.ndim > 1 or not (unlimited or np.isfinite(value).all()):
+            flat = value.reshape(-1)
+            unlimited = name == "limit" and bool((value > 0.0).all())
+            if value.ndim > 1 or not (unlimited or _few.largest(flat) < np.inf):
                 wanted = "a finite number, one for each joint, or {joint: number}"
-                raise ValueError(f"{field.name} of a PD control must be {wanted}, got {given!r}")
-            if field.name in ("kp", "kd") and (value < 0.0).any():
-                raise ValueError(f"{field.name} of a PD control must not be negative, got {given!r}")
-            if field.name == "limit" and not unlimited:
+                raise ValueError(f"{name} of a PD control must be {wanted}, got {given!r}")
+            if name in ("kp", "kd") and _few.least(flat) < 0.0:
+                raise ValueError(f"{name} of a PD control must not be negative, got {given!r}")
+            if name == "limit" and not unlimited:
                 raise ValueError(f"limit of a PD control must be positive, got {given!r}")
             value.flags.writeable = False
-            kept = dict(zip(given, value.tolist(), strict=True)) if named else value
-            object.__setattr__(self, field.name, kept)
+            self.__dict__[name] = dict(zip(given, value.tolist(), strict=True)) if named else value
 
     def on(self, axes: Axes, effort: Array) -> Array:
         """kp, kd, target, target_velocity, feedforward and limit of an articulation, shape (6, nv).
@@ -172,11 +173,15 @@ class PD:
             The limit where none is given.
         """
         out = np.empty((6, axes.scalar.size))
-        for row, field in zip(out, fields(self), strict=True):
-            given, what = getattr(self, field.name), f"{field.name} of the PD control"
-            row[:] = effort if given is None else axes.spread(given, np.inf if field.name == "limit" else 0.0, what)
-            if field.name in ("kp", "kd") and row[~axes.scalar].any():
-                raise ValueError(f"{what} of {axes.owner!r} must be 0 on free, ball and planar joints")
+        for row, name in zip(out, PARAMETERS, strict=True):
+            given, what = getattr(self, name), f"{name} of the PD control"
+            row[:] = effort if given is None else axes.spread(given, np.inf if name == "limit" else 0.0, what)
+        if len(axes.joints) < axes.scalar.size and (others := out[:2, ~axes.scalar].any(axis=1)).any():
+            what = f"{PARAMETERS[int(others.argmax())]} of the PD control of {axes.owner!r}"
+            raise ValueError(f"{what} must be 0 on free, ball and planar joints")
         if isinstance(self.target, Mapping):
             out[:2, axes.spread(dict.fromkeys(self.target, 1.0), 0.0, "target of the PD control") == 0.0] = 0.0
         return out
+
+
+PARAMETERS = tuple(field.name for field in fields(PD))

@@ -49,14 +49,14 @@ class Functions:
                     f"as `lambda t, q, v: {returned}`; got {given!r}"
                 )
         self._seeing = {what for what, given in self._given.items() if given and callbacks.takes(given, "last")}
-        self.take_last = bool(self._seeing)
+        self.take_last, self._some = bool(self._seeing), any(self._given.values())
 
     def __getitem__(self, what: str) -> Callback | None:
         return self._given[what]
 
     def at(self, t: float, dynamics: Dynamics, last: Step | None) -> Callbacks:
         """What they say at a time, after the last step; None without any."""
-        if not any(self._given.values()):
+        if not self._some:
             return None
 
         def said(middle: Position, v: Array) -> tuple[Wrenches | None, Controls]:

@@ -183,6 +183,7 @@ def test_wrong_control_is_refused(given, message):
     [
         ((-1.0, 0.0, 0.0), "kp of a PD control must not be negative"),
         ((1.0, np.inf, 0.0), "kd of a PD control must be a finite number, one"),
+        (([np.nan, 1.0], 0.0, 0.0), "kp of a PD control must be a finite number, one .*, got .nan, 1"),
         ((1.0, 1.0, "up"), "target of a PD control must be a finite number, one .*, got 'up'"),
         ((1.0, 1.0, np.zeros((2, 2))), "target of a PD control"),
         ((1.0, 1.0, 0.0, 0.0, 0.0, 0.0), "limit of a PD control must be positive, got 0.0"),

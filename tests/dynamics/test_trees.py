@@ -6,6 +6,7 @@ import pytest
 from mechanisms import add, at, bricard, four_bars, pendulum, rod
 
 import nsdyn as nd
+from nsdyn._kernels import reductions
 from nsdyn.dynamics.actuators import Actuators
 from nsdyn.dynamics.runge_kutta import runge_kutta
 from nsdyn.dynamics.trees import Tree
@@ -270,6 +271,7 @@ def test_a_motion_that_cannot_be_followed_is_named():
     t = tree(pendulum(3))
     with pytest.raises(ArithmeticError, match=r"in 'a' joint 'j1' moves at 1e\+200 rad/s or m/s, too wildly to follow"):
         t.flow(np.array((0.1, 0.2, 0.3)), np.array((0.0, 1e200, 0.0)), 1e-2)
+    assert np.isnan(reductions.largest(np.array((0.0, np.nan, 1.0))))  # wherever it stands
     with pytest.raises(ArithmeticError, match="in 'a' joint 'j2' moves at nan"):
         t.flow(np.zeros(3), np.array((0.0, 1.0, np.nan)), 1e-2)
 
