@@ -89,7 +89,10 @@ class Solver(Protocol):
 
 @runtime_checkable
 class Graded(Solver, Protocol):
-    """A solver that may be asked for less than its tolerance, as `Auto` may."""
+    """A solver that may be asked for less than its tolerance, or for more, as `Auto` may."""
+
+    def balanced(self, problem: FC3D, r0: Array, before: Array) -> Solution:
+        """Solve the problem from r0, which is no solution where contacts that hold change their velocity by it."""
 
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
         """Solve the problem, what is dear to the loose tolerance only."""

@@ -59,6 +59,8 @@ TUNING = Tuning()
 FLOOR = 1e-14
 """Round-off in m/s, below which `Tuning.polish` does not go."""
 
+UNKNOWN = np.empty(0)
+
 LIMITS = (DENSE, *TUNING.small)
 """What `_start.by_factors` takes."""
 
@@ -216,6 +218,15 @@ class Auto:
         solution = self._solved(problem, r0, self.tol)
         return solution if solution.status in ACCEPTED else self._explained(problem, solution)
 
+    def balanced(self, problem: FC3D, r0: Array, before: Array) -> Solution:
+        """Solve the problem from r0, which is no solution where it changes velocities of contacts that hold by much.
+
+        As little as the tolerance allows, in every step, adds up; from `before` (3 nc,), the relative velocities before
+        the impulses, m/s.
+        """
+        solution = self._solved(problem, r0, self.tol, before)
+        return solution if solution.status in ACCEPTED else self._explained(problem, solution)
+
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
         """Solve the problem from r0 (3 nc,), N·s, large islands to the loose tolerance only, as those of a collision.
 
@@ -240,7 +251,7 @@ class Auto:
             return None
         return self._solved(problem, r0, enough)
 
-    def _solved(self, problem: FC3D, r0: Array | None, large: float) -> Solution:
+    def _solved(self, problem: FC3D, r0: Array | None, large: float, before: Array = UNKNOWN) -> Solution:
         """Solve the problem from r0, islands that take more than a kernel call to the tolerance `large`."""
         start, nc, blocks = clock(), problem.nc, problem.blocks
         r, u = np.zeros(3 * nc) if r0 is None else problem.impulse(r0).copy(), np.empty(3 * nc)
@@ -254,7 +265,7 @@ class Auto:
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))
             found, left, count, error, residual = _start.by_factors(
-                blocks.arrays, *given, r, u, label, islands, enough, good, LIMITS
+                blocks.arrays, *given, r, u, before, label, islands, enough, good, LIMITS
             )
             error /= problem.q_norm
         if not left:
@@ -263,7 +274,7 @@ class Auto:
             label = problem.islands()
             found = int(label.max()) + 1
         for k in range(found):
-            if blocks is None or not islands[0, k] <= good:
+            if blocks is None or not islands[0, k] == 0.0:
                 i, own = part(problem, label, k)
                 x = r[i]
                 small = own.blocks is not None and own.blocks.n <= DENSE

@@ -13,6 +13,7 @@ from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn._kernels.stepping import quiet_meeting as _meeting
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
+from nsdyn.solvers import Graded
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.between import Motion
 from nsdyn.stepping.flat import Acted, Found, looked, matrices, packed, vectors, velocity
@@ -303,7 +304,9 @@ class Mover:
         own, a = made.work[self._own :], floats[self._acted :]
         b, norm = a[_col.FREE * nc : _col.U_END * nc], float(floats[_col.NORM])
         problem = FC3D.prepared(met.blocks(self._dynamics, (masses[0], masses[1])), b, met.scalars[1], met.scales, norm)
-        solution = self._solver(problem, own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc])
+        start, before = own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc], own[: 3 * nc]
+        solver = self._solver
+        solution = solver.balanced(problem, start, before) if isinstance(solver, Graded) else solver(problem, start)
         if not solution.accepted:
             return False
         a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u

@@ -20,11 +20,11 @@ from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System
+from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among
 from nsdyn.stepping.move import NEW, trial
 from nsdyn.stepping.response import Begun, Trial
 from nsdyn.stepping.reversal import reversal
-from nsdyn.stepping.sight import moved_by
+from nsdyn.stepping.sight import moved_by, parting
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -293,6 +293,8 @@ def _located(
     for _ in range(LOOKS):
         # Newton's method as long as it gains, else halves: in free flight it is exact.
         time = _next([*aims.items()][-2:])
+        if len(aims) == 1 and not low < time < high:
+            time = _foreseen(s, begin, barred, t)
         aimed = gains and low < time < high
         time = time if aimed else 0.5 * (low + high)
         found = gap(time)
@@ -307,6 +309,14 @@ def _located(
         if nearest <= none or high - low <= JUMP * h or (misses > 1 and -limit <= gap(length) <= s.closed):
             break
     return (length, moves[length]) if -limit <= gap(length) <= s.closed else None
+
+
+def _foreseen(s: System, begin: Instant, barred: Index, t: float) -> float:
+    """When contacts that are barred close at the speeds that they have at the time t, where a move begins, s."""
+    c, d = begin.contacts, s.dynamics
+    u = parting(d, c, begin.placement, begin.v, begin.position.driven_x, d.surfaces.twists(t))
+    approach = among(s.detector.codes(c), barred) & (c.gap > s.closed) & (u < 0.0)
+    return float((c.gap[approach] / -u[approach]).min(initial=math.inf))
 
 
 def _next(aims: list[tuple[float, float]]) -> float:

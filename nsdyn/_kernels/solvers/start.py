@@ -1,5 +1,7 @@
 """What a solve begins with, in one call: judge the start, solve whole what is small, judge again."""
 
+import math
+
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
@@ -16,6 +18,9 @@ MORE = 7
 
 CHECK = 5
 """Sweeps between two measurements of a W that is given."""
+
+BALANCED = 0.1
+"""Of what is good, the most of the measure of a large island by which it may change in every step."""
 
 NEARLY, CLOSE = 2.0, 0.9
 """What nearly is enough, and what is left of it, both in `enough`."""
@@ -74,11 +79,11 @@ def only_contact(problem, c, r):
 
 @kernel
 def part(problem, label, k, r, measure, aims, limits):
-    """`small` for island k of several, whose norm of q is that of the problem."""
+    """`small` for island k of several, whose norm of q is that of the problem; -1 factorisations if it is too large."""
     blocks, q, mu, scales, q_norm = problem
     contacts, own = newton.extract(blocks, label, k)
     if own[0][-1] > limits[0]:
-        return 0, measure
+        return -1, measure
     impulses = r.reshape((-1, 3))
     x, own_q = impulses[contacts], q.reshape((-1, 3))[contacts].reshape(-1)
     given = own, own_q, mu[contacts], scales[contacts], q_norm
@@ -89,12 +94,26 @@ def part(problem, label, k, r, measure, aims, limits):
 
 
 @in_place
-def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits):
+def change(label, k, r, u, mu, before):
+    """Change of the velocities of contacts of island k that hold, from before to u (3 nc,), over these: the largest."""
+    most, size = 0.0, 0.0
+    for c in range(mu.size):
+        i = 3 * c
+        if label[c] == k and r[i] > 0.0:
+            holds = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu[c] * r[i]
+            for j in range(i, i + (3 if holds else 1)):
+                most, size = max(most, abs(u[j] - before[j])), max(size, abs(u[j]))
+    return most / size if size > 0.0 else 0.0
+
+
+@in_place
+def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good, limits):
     """Solve every island of few coordinates in place of r, where r is not good `enough`.
 
     One contact in closed form, more by `small`. (So is one whose W_cc is singular, as at the tip of an arm of two
     joints, where the closed form may miss.) Every island is a problem of its own, with its own norm of q: what one gets
-    does not depend on the others, and all together are as good as the worst.
+    does not depend on the others, and all together are as good as the worst. A larger one is left as it is where r is
+    good, and `balanced`: what changes the velocities of contacts that hold adds up from step to step.
 
     Parameters
     ----------
@@ -102,6 +121,8 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits
     q, r, u : ndarray, shape (3 nc,)
         Free velocity, m/s, impulse, N s, and room for W r + q.
     mu, scales : ndarray, shape (nc,)
+    before : ndarray, shape (3 nc,)
+        Relative velocities before the impulses, m/s; empty if they are not known.
     label : ndarray of int, shape (nc,)
         Room for the islands of the contacts.
     islands : ndarray, shape (3, nc)
@@ -137,13 +158,16 @@ def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits
             count += 1
             changed = True
         if not measures[k] <= wanted:
+            used = -1
             if found > 1 or offset.size > 2:
                 used, measures[k] = part(problem, label, k, r, measures[k], (enough, good), limits)
-                count += used
             elif offset[-1] <= limits[0]:  # one body, nothing to extract
                 used, measures[k] = small(problem, r, measures[k], (enough, good), limits)
-                count += used
-            changed = True
+            count += max(used, 0)
+            changed = changed or used >= 0
+            if used < 0 and before.size > 0 and measures[k] * change(label, k, r, u, mu, before) > BALANCED * good:
+                left = True
+                continue
         if measures[k] <= good:
             measures[k] = 0.0
         left = left or not measures[k] <= enough

@@ -25,8 +25,8 @@ the first. Beyond it is of first order, which never makes energy; needles that s
 GAPS = 3
 """Most times that the gaps which persistent contacts are found to end with are closed."""
 
-NO_SLIP = 1e-14
-"""Slip, m/s, that is round-off: what rests on the edge of its cone slips on by less for good."""
+NO_SLIP = 1e-9
+"""Slip, m/s, that is none: what rests on the edge of its cone creeps, by less than a tenth of the solver's tolerance."""
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""

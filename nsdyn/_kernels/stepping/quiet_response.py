@@ -46,7 +46,7 @@ def rests(scene, rows, met, flags, label, room):
     copy(local[4], r)
     limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
     islands = own[col.ISLANDS * nc : (col.ISLANDS + 3) * nc].reshape((3, nc))
-    given = blocks, b, mu, scales, r, u, label, islands, num[col.ENOUGH], num[col.GOOD], limits
+    given = blocks, b, mu, scales, r, u, local[0], label, islands, num[col.ENOUGH], num[col.GOOD], limits
     _, left, count, top, residual = by_factors(*given)
     error, before = top / out[col.NORM], flags[col.OTHER, :nc]
     copy(slides, before)

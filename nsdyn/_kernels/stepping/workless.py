@@ -124,7 +124,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
         for k in range(most + 1):
             norm, _ = _blocks.size_of(b, mu)
             _, missed, count, error, residual = by_factors(
-                blocks, b, mu, scales, r, u, names, measures, enough, good, limits
+                blocks, b, mu, scales, r, u, local[0], names, measures, enough, good, limits
             )
             error /= norm or 1.0
             if missed or not (error <= tol and residual <= tol):
