@@ -296,7 +296,7 @@ class Islands:
         if turned.dv.size:
             of_contacts = kept[: a.met.contacts.gap.size]
             turned = turned._replace(impulse=turned.impulse[of_contacts], work=turned.work[of_contacts])
-        response = a._replace(
+        response = a.but(
             couple=turned,
             met=a.met.take(kept),
             impact=None,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.contacts import ContactMemory, ContactSet
 from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
@@ -72,10 +73,8 @@ class Made(NamedTuple):
         self, s: System, begin: Instant, t: float, h: float, motion: Motion | None
     ) -> tuple[Half, Reach, Response]:
         """The move of h s from the time t as values; its motion where Python knows of it."""
-        d, (n, nv), nc, f, w, p = s.dynamics, self.size, self.status.size, self.floats, self.work, begin.position
-        b, a = f[_col.RESULTS :], f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :]
-        own = w[_col.FRAME_WORK * n + _col.COORDINATE_WORK * nv :]
-        went, goes = f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
+        d, (n, nv), f, w, p = s.dynamics, self.size, self.floats, self.work, begin.position
+        b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = self.found.contacts() if went else begin.contacts
         memory = ContactMemory(self.found.names, self.found.points, self.next_key) if went else begin.memory
         half = self._half(s, begin, t, h) if motion is None else motion.half
@@ -83,13 +82,39 @@ class Made(NamedTuple):
         half = half.known(velocity(b, self.size, _col.RATE), reach, fast, not went)
         where = looked(w, _col.LOOKED_THERE, n) if went else begin.looked
         met = self.met.contacts() if self.head[_col.SOME] else found
-        rows = Rows(self.met.blocks(d, (half.forces.m, half.forces.minv)), {}, *NO_CLUTCHES)
+        end, position = Placement(vectors(b, _col.X, n), matrices(b, _col.R, n), ()), p
+        if motion is None or not d.trees:
+            position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
+        else:
+            end, position = motion.placement, motion.position
+        moved = Placed(position, end, found, d.limits(end), memory, where, True)
+        if goes:
+            memory_there = ContactMemory(self.end.names, self.end.points, self.end_key)
+            moved = moved._replace(contacts=self.end.contacts(), memory=memory_there, looked=looked(b, _col.LOOKED, n))
+        first = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv + _col.IMPULSE * self.status.size
+        response = Response(
+            partial(self._answer, s, begin, met, (half.forces.m, half.forces.minv)),
+            v=velocity(w, self.size, _col.V_PLUS),
+            impulse=NOTHING if motion is None else motion.impulse,
+            v_end=velocity(b, self.size, _col.V),
+            trees=() if motion is None else motion.ends,
+            twists=(vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)),
+            moved=moved,
+            normal=f[first : first + 3 * self.status.size : 3],
+        )
+        return half, Reach(met, None, found, memory, where), response
+
+    def _answer(self, s: System, begin: Instant, met: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:
+        """What is met, its problem, and the impulses, by the names of `Response`."""
+        (n, nv), nc, f, w = self.size, self.status.size, self.floats, self.work
+        a, own = f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :], w[_col.FRAME_WORK * n :]
+        own = own[_col.COORDINATE_WORK * nv :]
+        rows = Rows(self.met.blocks(s.dynamics, masses), {}, *NO_CLUTCHES)
         slides, stays, sticks = self.flags[:3, :nc]
         r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
         problem = FC3D.prepared(rows.full, q, met.mu, self.met.scales, float(f[_col.NORM]))
         error, residual, count, time = f[_col.ERROR : _col.CERTIFIED].tolist()
         status = Status.CONVERGED if max(error, residual) <= s.solver.tol else Status.LOOSE
-        solution = Solution(r, u, status, error, residual, int(count), time)
         encounter = Encounter(
             met,
             None,
@@ -111,21 +136,16 @@ class Made(NamedTuple):
         if self.head[_col.TURNED]:
             works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, self.size, _col.TURN)
             couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
-        end, position = Placement(vectors(b, _col.X, n), matrices(b, _col.R, n), ()), p
-        if motion is None or not d.trees:
-            position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
-        else:
-            end, position = motion.placement, motion.position
-        moved = Placed(position, end, found, d.limits(end), memory, where, True)
-        if goes:
-            memory_there = ContactMemory(self.end.names, self.end.points, self.end_key)
-            moved = moved._replace(contacts=self.end.contacts(), memory=memory_there, looked=looked(b, _col.LOOKED, n))
-        v_plus, v_end = velocity(w, self.size, _col.V_PLUS), velocity(b, self.size, _col.V)
-        twists = vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)
-        acted = None, 0.0, slides, problem, solution, False, couple, v_plus
-        impulse, ends = (NOTHING, ()) if motion is None else (motion.impulse, motion.ends)
-        response = Response(encounter, *acted, impulse, v_end, ends, twists, moved)
-        return half, Reach(met, None, found, memory, where), response
+        return {
+            "met": encounter,
+            "impact": None,
+            "kick": 0.0,
+            "slides": slides,
+            "problem": problem,
+            "solution": Solution(r, u, status, error, residual, int(count), time),
+            "otherwise": False,
+            "couple": couple,
+        }
 
     def _half(self, s: System, begin: Instant, t: float, h: float) -> Half:
         """The first half of a move of h s of free bodies from the time t."""

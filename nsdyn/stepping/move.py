@@ -113,7 +113,7 @@ def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: 
         if limits.size and not barred.size and _few.least(limits) >= -s.closed:
             limits = NOTHING
         r, slots = response.normal, NO_SLOTS if reach.joints is None else reach.joints.slot
-        unmet = others(s, moved.contacts, response.met.contacts, r, limits, slots)
+        unmet = others(s, moved.contacts, reach.contacts, r, limits, slots)
         if half.fast and not barred.size:
             first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
             own = begin.contacts, moved.contacts, (first, second, third), reach.memory
@@ -237,7 +237,21 @@ def _respond(
             break
         alone, known = further, solution
     return half, Response(
-        met, impact, kick, slides, problem, solution, otherwise, couple, v, impulse, v_end, trees, twists, moved
+        met=met,
+        impact=impact,
+        kick=kick,
+        slides=slides,
+        problem=problem,
+        solution=solution,
+        otherwise=otherwise,
+        couple=couple,
+        v=v,
+        impulse=impulse,
+        v_end=v_end,
+        trees=trees,
+        twists=twists,
+        moved=moved,
+        normal=solution.r[0 : 3 * contacts.gap.size : 3],
     )
 
 

@@ -353,7 +353,7 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
     time, least = _sight.first_touch(
         ((c.key, s.detector.codes(c), c.gap), _where(c, there), a.twists, carried[0], rates),
         (before.key, _where(before, begin.placement), begin.twists, carried[1]),
-        (a.met.contacts.key, a.normal),
+        (m.reach.contacts.key, a.normal),
         limits,
         barred,
         (s.closed, s.solver.tol, s.theta, m.half.h),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.joints import JointRows
@@ -40,8 +41,15 @@ class Reach(NamedTuple):
     looked: Looked
 
 
-class Response(NamedTuple):
+class Response:
     """What the contacts of a move do, and where it then ends.
+
+    Of most moves that look for an impact only the end is asked for: the `rest` is made when it is.
+
+    Parameters
+    ----------
+    rest : callable, optional
+        What gives the attributes that are not among the `known`.
 
     Attributes
     ----------
@@ -67,6 +75,8 @@ class Response(NamedTuple):
         Of the frames, where the motion ends.
     moved : Placed
         Where the motion ends, whatever overlaps there.
+    normal : ndarray, shape (nc,)
+        Normal impulses of the contacts met, N·s.
     """
 
     met: Encounter
@@ -84,11 +94,22 @@ class Response(NamedTuple):
     twists: tuple[Array, Array]
     moved: Placed
 
-    @property
-    def normal(self) -> Array:
-        """Normal impulses of the contacts met, shape (nc,), N·s."""
-        out: Array = self.solution.r[0 : 3 * self.met.contacts.gap.size : 3]
-        return out
+    normal: Array
+
+    def __init__(self, rest: Callable[[], dict[str, Any]] | None = None, **known: Any) -> None:
+        self.__dict__.update(known, _rest=rest)
+
+    def __getattr__(self, name: str) -> Any:
+        rest = self.__dict__.pop("_rest", None)
+        if rest is None:
+            raise AttributeError(f"a response has no {name!r}")
+        self.__dict__.update(rest())
+        return getattr(self, name)
+
+    def but(self, **what: Any) -> Response:
+        """The same with other values."""
+        rest = self.__dict__.get("_rest")
+        return Response(**{**self.__dict__, **(rest() if rest else {}), "_rest": None, **what})
 
 
 class Trial(NamedTuple):

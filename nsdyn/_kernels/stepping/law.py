@@ -26,7 +26,7 @@ GAPS = 3
 """Most times that the gaps which persistent contacts are found to end with are closed."""
 
 NO_SLIP = 1e-9
-"""Slip, m/s, that is none: what rests on the edge of its cone creeps, by less than a tenth of the solver's tolerance."""
+"""Slip, m/s, that is none: what rests on the edge of its cone creeps by a tenth of the solver's tolerance."""
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
