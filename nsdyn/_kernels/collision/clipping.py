@@ -86,7 +86,7 @@ def on_border(geometry, g, face, p, tol):
     q = to_local(geometry.R, g, minus(p, row(geometry.t, g)))
     radius = disk_radius(geometry, g)
     if radius > 0.0:
-        return math.hypot(q[0], q[1]) >= radius - tol
+        return np.hypot(q[0], q[1]) >= radius - tol
     if geometry.kind[g] != POLYTOPE:
         return False
     f, n = geometry.face_ptr[g] + face, face_normal(geometry, g, face)
@@ -113,7 +113,7 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
     kept = 0
     for k in range(count):
         u = row(flat, k)
-        if math.hypot(u[0], u[1]) <= radius + tol:
+        if np.hypot(u[0], u[1]) <= radius + tol:
             put(other, kept, row(poly, k))
             kept += 1
         if count == 1 or (count == 2 and k == 1):

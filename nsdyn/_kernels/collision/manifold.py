@@ -31,7 +31,7 @@ from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, crossing, edge, ends, segments, touch
 from nsdyn._kernels.collision.separation import SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.vectors import along, dot, minus, put, row, times, to_world, unit
+from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_world, unit
 
 MORE = -2
 """Instead of a number of contacts: features beside faces and balls touch, or may."""
@@ -202,7 +202,7 @@ def ball_contact(geometry, i, j, out, at):
     radius1, radius2, a, b = geometry.size[i, 0], geometry.size[j, 0], row(geometry.t, i), row(geometry.t, j)
     if kind1 == SPHERE and kind2 == SPHERE:
         d = minus(b, a)
-        if dot(d, d) <= (SAME * min(radius1, radius2)) ** 2:
+        if dot(d, d) <= square(SAME * min(radius1, radius2)):
             return False
         touch(a, radius1, b, radius2, d, out, at)
         return True

@@ -7,6 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.cones import project, projection_jacobian, solve_one
 from nsdyn._kernels.problem.given import velocity_of
+from nsdyn._kernels.vectors import square
 
 PROJECTION, ITERATED, EXACT, ALART_CURNIER, JEAN_MOREAU, NATURAL, FISCHER_BURMEISTER = range(7)
 
@@ -42,7 +43,7 @@ def iterate(W, q, mu, rho, goal, most, r):
             v[0], v[1], v[2] = x0, x1, x2
             _product(W, q, v, u)
             _shifted(u, mu, G)
-            turn = math.sqrt((F[0] - G[0]) ** 2 + (F[1] - G[1]) ** 2 + (F[2] - G[2]) ** 2)
+            turn = math.sqrt(square(F[0] - G[0]) + square(F[1] - G[1]) + square(F[2] - G[2]))
             ratio = rho * turn / moved
             if ratio <= 0.9:
                 break
