@@ -88,7 +88,7 @@ def part(problem, label, k, r, measure, aims, limits):
     return count, measure
 
 
-@in_place
+@in_place(rounds=10)
 def by_factors(blocks, q, mu, scales, r, u, label, islands, enough, good, limits):
     """Solve every island of few coordinates in place of r, where r is not good `enough`.
 
@@ -167,7 +167,7 @@ def widest(blocks, label):
     return out, found
 
 
-@kernel
+@kernel(rounds=1000)
 def by_matrix(problem, r, u, tol, most):
     """Solve (W, q, mu, scales, q_norm) in place of r: lone contacts in closed form, others by sweeps.
 

@@ -216,7 +216,7 @@ def newton(kind, W, q, mu, rho, goal, most, r):
     return size, most
 
 
-@kernel
+@kernel(rounds=1000)
 def solve(kind, W, q, mu, rho, goal, most, r):
     """One-contact problem u = W r + q by the local solver of that kind, from r and in place of it.
 

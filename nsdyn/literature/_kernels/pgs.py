@@ -193,7 +193,7 @@ def _velocity_of(W, q, r, u):
     return by_factors
 
 
-@kernel
+@kernel(rounds=1000)
 def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, patience):
     """Anderson-accelerated sweeps (type II) in place of r; memory 0 is plain Gauss–Seidel.
 
