@@ -135,16 +135,6 @@ def scalars(x: Any) -> Any:
     return tuple(map(scalars, x)) if type(x) is tuple else x.item() if isinstance(x, np.generic) else x
 
 
-class Options(Flags):
-    """numba's options of a kernel, which it compares a hundred thousand times: here without a look at all defaults."""
-
-    def __hash__(self) -> int:
-        return len(self._values)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Flags) and self._values == other._values
-
-
 class Kernel(CPUDispatcher):
     """Compiled function, compiled for variables where it is given constants."""
 
@@ -155,7 +145,6 @@ class Kernel(CPUDispatcher):
         super().__init__(function, *others, **options)
         # The text is read now, since it may be edited before the first call
         self._cache, self._callees, self._content = self, {}, content(function.__module__)
-        self._compiler._customize_flags = Options
 
     @cache  # noqa: B019 (kernels stay)
     def file(self, types: Any, form: str = "machine code") -> Path:
@@ -196,7 +185,7 @@ class Kernel(CPUDispatcher):
 
     def _lower(self, types: Any) -> tuple[Any, ...]:
         """LLVM's code for these types, simplified function by function: its callers are optimised with it."""
-        flags = Options()
+        flags = Flags()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         result = compile_extra(self.typingctx, self.targetctx, self.py_func, types, None, flags, {})
