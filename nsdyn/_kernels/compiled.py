@@ -48,8 +48,8 @@ KEEP, LINGER, PATIENCE = 60 * 86400.0, 5.0, 2.0
 """s after its last use that a file is kept, in which a process that compiles looks for more to do, and of loading and
 compiling about which nothing is said."""
 
-LARGE = 1 << 20
-"""Numbers gone through in a call, about two seconds of the interpreter, from which on machine code is waited for."""
+LARGE = 100_000
+"""Numbers gone through in a call, a tenth of a second of the interpreter, above which machine code is waited for."""
 
 VERSIONS = sys.implementation.cache_tag, numba.__version__, np.__version__
 
@@ -116,10 +116,9 @@ def plain(module: str) -> dict[str, Any]:
     """What a module of kernels has, with the functions that they are in their places."""
     names = dict(vars(sys.modules[module]))
     for name, value in list(names.items()):
-        if isinstance(value, Kernel) and value.__module__ != module:
-            names[name] = plain(value.__module__)[value.__name__]
-        elif isinstance(value, Kernel):
-            names[name] = FunctionType(value.py_func.__code__, names, name, value.py_func.__defaults__)
+        if isinstance(value, Kernel):
+            own = names if value.__module__ == module else plain(value.__module__)
+            names[name] = FunctionType(value.py_func.__code__, own)
         elif isinstance(value, ModuleType) and value.__name__.startswith("nsdyn."):
             names[name] = SimpleNamespace(**plain(value.__name__))
     return names
@@ -207,10 +206,18 @@ class Kernel(CPUDispatcher):
         """What numba knows the function by that another kernel calls."""
         return self.callee(tuple(types))[1]
 
+    def types(self, args: Any) -> Any:
+        """What numba compiles for."""
+        return tuple(map(self.typeof_pyval, args))
+
+    def is_quick(self, args: Any) -> bool:
+        """Whether the interpreter is quick enough."""
+        return not _waits.get() and self.rounds * size(args) <= LARGE
+
     def _compile_for_args(self, *args: Any) -> Any:
         """What to call instead, at a call from Python with new types."""
-        types = tuple(map(self.typeof_pyval, args))
-        if not (self.file(types).exists() or _waits.get() or self.rounds * size(args) > LARGE) and ask(self, types):
+        types = self.types(args)
+        if self.is_quick(args) and not self.file(types).exists() and ask(self, types):
             return self._as_python
         begin, collects = time.perf_counter(), gc.isenabled()
         gc.disable()  # the search for cycles takes a fifth of a compilation, since it makes millions of objects
@@ -235,12 +242,19 @@ def ask(kernel: Kernel, types: Any) -> bool:
     announce()
     save(kernel.file(types).with_suffix(".ask"), (kernel.__module__, kernel.__name__, types))
     code = f"import sys; sys.path[:] = {sys.path}; from nsdyn._kernels.compiled import work; work()"
-    options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    command, none = [sys.executable, "-c", code], dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     with suppress(OSError), open(place / "lock", "w") as lock:  # it is locked while the process has it open
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        options |= {"start_new_session": True, "pass_fds": [lock.fileno()]}
-        subprocess.Popen([sys.executable, "-c", code], env=os.environ | {PROCESSES: "1"}, **options)
+        subprocess.Popen(command, start_new_session=True, pass_fds=[lock.fileno()], **none)  # type: ignore[call-overload]
     return True
+
+
+def is_ready(function: Callable[..., Any], *args: Any) -> bool:
+    """Whether a kernel can be called now without a wait for what is compiled by another process, or will be."""
+    if not isinstance(function, Kernel) or function.is_quick(args):
+        return True
+    types = function.types(args)
+    return function.file(types).exists() or not ask(function, types)
 
 
 def asked() -> list[Path]:
@@ -265,9 +279,8 @@ def work() -> None:
     gc.disable()
     last = time.monotonic()
     while time.monotonic() < last + LINGER:
-        if files := asked():
-            with suppress(Exception):  # who waits for it is told
-                answer(files[-1])
+        with suppress(Exception):  # there is none; what cannot be compiled is told to who waits for it
+            answer(asked()[-1])
             last = time.monotonic()
         time.sleep(0.1)
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
+from nsdyn._kernels.compiled import is_ready
 from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn._kernels.stepping import quiet as _quiet
@@ -34,6 +37,9 @@ class Mover:
     ----------
     s : System
     """
+
+    ready: ClassVar[bool] = False
+    """Whether the kernel is compiled: that takes half a minute, in which general moves do the same."""
 
     def __init__(self, s: System) -> None:
         d, solver, closing, own = s.dynamics, s.solver, s.closing(s.dt, False), isinstance(s.solver, Auto)
@@ -208,6 +214,8 @@ class Mover:
 
         Its first `half` is known where there are trees, or forces of the user.
         """
+        if not Mover.ready:
+            return None
         motion = None if half is None else Motion(s, begin, half)
         if motion is not None and motion.has_rows():
             return None
@@ -225,6 +233,14 @@ class Mover:
         (h, depth), num, self._length = length, self.numbers, length
         num[_col.STEP], num[_col.DEPTH], num[_col.SLOW] = h, depth, depth * self._smallest
         num[_col.UNTIL] = num[_col.THETA] * h + (1.0 - num[_col.THETA]) * self._dt
+
+    def is_ready(self, old: Acted, begun: Found) -> bool:
+        """Whether the kernel is compiled; if not, another process does that."""
+        found, detector = tuple(begun), self._detector
+        given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
+        work = self._rooms(False, False)[2]
+        Mover.ready = is_ready(_quiet.quiet, *given, work, 0, False, detector.asks, False)
+        return Mover.ready
 
     def _rooms(self, moves: bool, step: bool) -> tuple[Acted, Rooms, tuple[Array, Index, Bools]]:
         """Room for a state, for what is found on the way there, if anything moves, and to work in."""

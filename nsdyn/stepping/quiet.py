@@ -31,6 +31,9 @@ Certify = Callable[[FC3D, Array, Array, Opening | None], tuple[Certificate, Open
 PAUSE = 16
 """Most steps that are made by stages after some that were not quiet, before the kernel is asked again."""
 
+ASKS = 50
+"""Steps after which it is asked again whether the kernel of quiet steps is compiled."""
+
 
 class Quiet:
     """Steps by a kernel as long as they meet no event.
@@ -50,7 +53,7 @@ class Quiet:
     """
 
     def __init__(self, system: System, mover: Mover, polish: bool, loads: Loads, paradoxes: Paradoxes) -> None:
-        self._system, self._mover, self._moves = system, mover, False
+        self._system, self._mover, self._moves, self._asked = system, mover, False, 0
         self._loads, self._paradoxes = loads, paradoxes
         mover.numbers[_col.FEWEST] = FEW if paradoxes.possible else -1.0
         self._length = system.dt, system.depth
@@ -65,6 +68,8 @@ class Quiet:
             return None
         old = now if isinstance(now, Flat) else Flat.of(now, self._mover.still, self._mover.wide)
         if old is not None:
+            if not (Mover.ready or self._is_ready(old)):
+                return None
             if (new := self._next(old, certify)) is not None:
                 self._pause = 0
                 return old, new
@@ -132,3 +137,10 @@ class Quiet:
         memory = ContactMemory(made.found.names, made.found.points, made.next_key)
         own = old.found.contacts(), new.found.contacts(), places, memory
         return touched(s, *own, s.dt, reach / (s.theta * s.dt)) < s.dt
+
+    def _is_ready(self, old: Flat) -> bool:
+        """Whether the kernel is compiled: that takes half a minute, in which general steps do the same."""
+        self._asked += 1
+        if self._asked % ASKS != 1:
+            return False
+        return self._mover.is_ready((old.floats, old.acted, old.status), old.found)
