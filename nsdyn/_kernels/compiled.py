@@ -57,6 +57,7 @@ _IMPORT = re.compile(r"^(?:from|import) +(nsdyn[\w.]*)(?: +import +(\([^)]*\)|.*
 
 _loading = ContextVar("seconds", default=0.0)  # of a thread
 _waits = ContextVar("waits", default=False)
+_processes: list[subprocess.Popen[bytes]] = []  # that compile; else Python would tell that they still run
 
 
 def loading() -> float:
@@ -245,7 +246,7 @@ def ask(kernel: Kernel, types: Any) -> bool:
     command, none = [sys.executable, "-c", code], dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     with suppress(OSError), open(place / "lock", "w") as lock:  # it is locked while the process has it open
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        subprocess.Popen(command, start_new_session=True, pass_fds=[lock.fileno()], **none)  # type: ignore[call-overload]
+        _processes.append(subprocess.Popen(command, start_new_session=True, pass_fds=[lock.fileno()], **none))
     return True
 
 
