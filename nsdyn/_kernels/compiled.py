@@ -207,18 +207,18 @@ class Kernel(CPUDispatcher):
         """What numba knows the function by that another kernel calls."""
         return self.callee(tuple(types))[1]
 
-    def types(self, args: Any) -> Any:
-        """What numba compiles for."""
-        return tuple(map(self.typeof_pyval, args))
-
     def is_quick(self, args: Any) -> bool:
         """Whether the interpreter is quick enough."""
         return not _waits.get() and self.rounds * size(args) <= LARGE
 
+    def is_missing(self, args: Any) -> bool:
+        """Whether there is no machine code yet, and another process makes it."""
+        types = tuple(map(self.typeof_pyval, args))
+        return not self.file(types).exists() and ask(self, types)
+
     def _compile_for_args(self, *args: Any) -> Any:
         """What to call instead, at a call from Python with new types."""
-        types = self.types(args)
-        if self.is_quick(args) and not self.file(types).exists() and ask(self, types):
+        if self.is_quick(args) and self.is_missing(args):
             return self._as_python
         begin, collects = time.perf_counter(), gc.isenabled()
         gc.disable()  # the search for cycles takes a fifth of a compilation, since it makes millions of objects
@@ -251,11 +251,8 @@ def ask(kernel: Kernel, types: Any) -> bool:
 
 
 def is_ready(function: Callable[..., Any], *args: Any) -> bool:
-    """Whether a kernel can be called now without a wait for what is compiled by another process, or will be."""
-    if not isinstance(function, Kernel) or function.is_quick(args):
-        return True
-    types = function.types(args)
-    return function.file(types).exists() or not ask(function, types)
+    """Whether a call need not wait for what another process compiles."""
+    return not isinstance(function, Kernel) or function.is_quick(args) or not function.is_missing(args)
 
 
 def asked() -> list[Path]:
