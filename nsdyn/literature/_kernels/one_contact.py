@@ -185,7 +185,7 @@ def _newton_step(W, A, B, F, r):
     c1 = J[1, 2] * J[2, 0] - J[1, 0] * J[2, 2]
     c2 = J[1, 0] * J[2, 1] - J[1, 1] * J[2, 0]
     det = J[0, 0] * c0 + J[0, 1] * c1 + J[0, 2] * c2
-    if not abs(det) > 1e-14 * top**3:
+    if not abs(det) > 1e-14 * (square(top) * top):
         return False
     d1 = J[0, 2] * J[2, 1] - J[0, 1] * J[2, 2]
     d2 = J[0, 1] * J[1, 2] - J[0, 2] * J[1, 1]
