@@ -12,7 +12,7 @@ import pytest
 import nsdyn as nd
 from nsdyn.view import browser
 
-# What is tested is the kernel of quiet steps, not the general steps until it is compiled.
+# What is tested is machine code, not the interpreter until there is some.
 os.environ.setdefault("NSDYN_COMPILE_PROCESSES", "1")
 
 SOLVERS = {name: nd.solvers.by_name(name, 1e-8) for name in nd.solvers.SOLVERS}

@@ -46,7 +46,9 @@ def serve() -> None:
 
 def start(checkout: Path) -> subprocess.Popen[str]:
     """A process that serves with the package of a checkout."""
-    environment = os.environ | {"PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1"}
+    environment = (
+        os.environ | {"PYTHONPATH": str(checkout)} | dict.fromkeys(("OMP_NUM_THREADS", "NSDYN_COMPILE_PROCESSES"), "1")
+    )
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "bufsize": 1}
     return subprocess.Popen([sys.executable, __file__, "--serve"], env=environment, **pipes)
 

@@ -1,4 +1,7 @@
-"""The decorator of all kernels, and the files in which they are kept.
+"""The decorator of all kernels, and the files in which they are kept: nothing waits for the compiler.
+
+A kernel that has no machine code yet is run by the interpreter, with the same bits, while another process compiles it.
+Only what takes long there is waited for.
 
 numba makes machine code of every function that it compiles, with entries from Python and from C, and optimises it with
 all that it calls, again for each caller: half as long again as here, where only what Python calls becomes machine code,
@@ -20,12 +23,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar
+from types import FunctionType, ModuleType, SimpleNamespace
+from typing import Any
 
 import llvmlite.binding as llvm
 import numba
@@ -37,18 +42,22 @@ from numba.core.serialize import dumps
 from numba.core.types import unliteral
 
 FOLDER, PROCESSES = "NSDYN_CACHE_DIR", "NSDYN_COMPILE_PROCESSES"
-"""Environment variables: the folder of the files, and how many processes compile, by default one per core,
-but two on one: while the kernel of quiet steps is compiled, general steps do the same."""
+"""Environment variables: the folder of the files, and 1 if no process compiles but the one that calls, which waits."""
 
-KEEP, PATIENCE = 60 * 86400.0, 2.0
-"""s after its last use that a file is kept, and of loading and compiling in a process about which nothing is said."""
+KEEP, LINGER, PATIENCE = 60 * 86400.0, 5.0, 2.0
+"""s after its last use that a file is kept, in which a process that compiles looks for more to do, and of loading and
+compiling about which nothing is said."""
+
+LARGE = 100_000
+"""Numbers gone through in a call, a tenth of a second of the interpreter, above which machine code is waited for."""
 
 VERSIONS = sys.implementation.cache_tag, numba.__version__, np.__version__
 
 _IMPORT = re.compile(r"^(?:from|import) +(nsdyn[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
-
 _loading = ContextVar("seconds", default=0.0)  # of a thread
+_waits = ContextVar("waits", default=False)
+_processes: list[subprocess.Popen[bytes]] = []  # that compile; else Python would tell that they still run
 
 
 def loading() -> float:
@@ -61,10 +70,20 @@ def clock() -> float:
     return time.perf_counter() - loading()
 
 
+@contextmanager
+def waiting() -> Iterator[None]:
+    """Where kernels are waited for, as by what tells times."""
+    token = _waits.set(True)
+    try:
+        yield
+    finally:
+        _waits.reset(token)
+
+
 @cache
 def announce() -> None:
     """Tell, once in a process, that kernels are compiled."""
-    logging.getLogger("nsdyn").warning("compiling kernels that are new to this machine: half a minute or more")
+    logging.getLogger("nsdyn").warning("kernels that are new to this machine are compiled: a slow minute or two")
 
 
 @cache
@@ -94,52 +113,40 @@ def content(module: str) -> str:
 
 
 @cache
-def helpers(few: bool) -> list[subprocess.Popen[bytes]]:
-    """Processes on the other cores that do a part of the `work` of `nsdyn.compilation`, and outlive this one.
-
-    None where another process of the user has some: of many that begin at once only one does.
-    """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = int(os.environ.get(PROCESSES) or max(cores, 2)) - 1
-    one = os.environ | dict.fromkeys((PROCESSES, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    options: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    code = f"import sys; sys.path[:] = {sys.path}; from nsdyn.compilation import work; work({few}, %d, {count})"
-    command, out = [sys.executable, "-c"], []
-    with suppress(OSError):  # where no process can be started, or another has some, this one compiles
-        if count > 0 and (place := folder()):
-            fcntl.flock(os.open(place / "helpers", os.O_WRONLY | os.O_CREAT, 0o600), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            for k in range(count):
-                out.append(subprocess.Popen([*command, code % k], env=one, start_new_session=True, **options))
-    return out
+def plain(module: str) -> dict[str, Any]:
+    """What a module of kernels has, with the functions that they are in their places."""
+    names = dict(vars(sys.modules[module]))
+    for name, value in list(names.items()):
+        if isinstance(value, Kernel):
+            own = names if value.__module__ == module else plain(value.__module__)
+            names[name] = FunctionType(value.py_func.__code__, own)
+        elif isinstance(value, ModuleType) and value.__name__.startswith("nsdyn."):
+            names[name] = SimpleNamespace(**plain(value.__name__))
+    return names
 
 
-class Options(Flags):
-    """numba's options of a kernel, which it compares a hundred thousand times: here without a look at all defaults."""
+def size(x: Any) -> int:
+    """How many numbers a kernel is given."""
+    return sum(map(size, x)) if isinstance(x, tuple) else getattr(x, "size", 1)
 
-    def __hash__(self) -> int:
-        return len(self._values)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Flags) and self._values == other._values
+def scalars(x: Any) -> Any:
+    """What a kernel returns, with Python's numbers for those of NumPy, as of a compiled one."""
+    return tuple(map(scalars, x)) if type(x) is tuple else x.item() if isinstance(x, np.generic) else x
 
 
 class Kernel(CPUDispatcher):
     """Compiled function, compiled for variables where it is given constants."""
 
-    notes: ClassVar[dict[tuple[Kernel, Any], None] | None] = None
-    """Where not None, kernels run as Python, and what Python calls or is going to is noted with types of arguments."""
-
-    inside: ClassVar[bool] = False
-    """Whether one does, whose calls are none of Python's."""
-
     cache_path = None  # of what `stats` tells of a cache
+    rounds = 1
 
     def __init__(self, function: Callable[..., Any], *others: Any, **options: Any) -> None:
         super().__init__(function, *others, **options)
         # The text is read now, since it may be edited before the first call
         self._cache, self._callees, self._content = self, {}, content(function.__module__)
-        self._compiler._customize_flags = Options
 
+    @cache  # noqa: B019 (kernels stay)
     def file(self, types: Any, form: str = "machine code") -> Path:
         """File of this kernel for these types; where there is no folder, one that cannot be read or written."""
         self.targetctx.refresh()
@@ -152,8 +159,6 @@ class Kernel(CPUDispatcher):
         """What numba asks of a cache."""
         if kept := load(self.file(types)):
             return CompileResult._rebuild(context, *kept)
-        if "nsdyn.stepping.stepper" in sys.modules:
-            helpers(few=True)
         if loading() > PATIENCE:
             announce()
         return None
@@ -180,7 +185,7 @@ class Kernel(CPUDispatcher):
 
     def _lower(self, types: Any) -> tuple[Any, ...]:
         """LLVM's code for these types, simplified function by function: its callers are optimised with it."""
-        flags = Options()
+        flags = Flags()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         result = compile_extra(self.typingctx, self.targetctx, self.py_func, types, None, flags, {})
@@ -202,10 +207,19 @@ class Kernel(CPUDispatcher):
         """What numba knows the function by that another kernel calls."""
         return self.callee(tuple(types))[1]
 
+    def is_quick(self, args: Any) -> bool:
+        """Whether the interpreter is quick enough."""
+        return not _waits.get() and self.rounds * size(args) <= LARGE
+
+    def is_missing(self, args: Any) -> bool:
+        """Whether there is no machine code yet, and another process makes it."""
+        types = tuple(map(self.typeof_pyval, args))
+        return not self.file(types).exists() and ask(self, types)
+
     def _compile_for_args(self, *args: Any) -> Any:
         """What to call instead, at a call from Python with new types."""
-        if Kernel.notes is not None:
-            return self._noted
+        if self.is_quick(args) and self.is_missing(args):
+            return self._as_python
         begin, collects = time.perf_counter(), gc.isenabled()
         gc.disable()  # the search for cycles takes a fifth of a compilation, since it makes millions of objects
         try:
@@ -215,23 +229,58 @@ class Kernel(CPUDispatcher):
             if collects:
                 gc.enable()
 
-    def _noted(self, *args: Any) -> Any:
-        """Run as Python."""
-        inside, Kernel.inside = Kernel.inside, True
-        try:
-            if not inside:
-                self.is_ready(args)
-            return self.py_func(*args)
-        finally:
-            Kernel.inside = inside
+    def _as_python(self, *args: Any) -> Any:
+        """The result of the interpreter."""
+        with np.errstate(all="ignore"):
+            return scalars(plain(self.__module__)[self.__name__](*args))
 
-    def is_ready(self, args: Any) -> bool:
-        """As of the function; noted, and to be called later, where kernels run as Python."""
-        types = tuple(map(self.typeof_pyval, args))
-        if Kernel.notes is not None:
-            Kernel.notes[self, types] = None
-            return False
-        return self.file(types).exists() or all(helper.poll() is not None for helper in helpers(few=True))
+
+@cache
+def ask(kernel: Kernel, types: Any) -> bool:
+    """Have a process compile it, one of the user's, which goes on when this one ends; False where none can."""
+    if os.environ.get(PROCESSES) == "1" or not (place := folder()):
+        return False
+    announce()
+    save(kernel.file(types).with_suffix(".ask"), (kernel.__module__, kernel.__name__, types))
+    code = f"import sys; sys.path[:] = {sys.path}; from nsdyn._kernels.compiled import work; work()"
+    command, none = [sys.executable, "-c", code], dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    with suppress(OSError), open(place / "lock", "w") as lock:  # it is locked while the process has it open
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _processes.append(subprocess.Popen(command, start_new_session=True, pass_fds=[lock.fileno()], **none))
+    return True
+
+
+def is_ready(function: Callable[..., Any], *args: Any) -> bool:
+    """Whether a call need not wait for what another process compiles."""
+    return not isinstance(function, Kernel) or function.is_quick(args) or not function.is_missing(args)
+
+
+def asked() -> list[Path]:
+    """What is still to be compiled, as it was asked for."""
+    return sorted((folder() or Path()).glob("*.ask"), key=lambda file: file.stat().st_mtime)
+
+
+def answer(file: Path) -> None:
+    """Compile what was asked for."""
+    if request := load(file):
+        module, name, types = request
+        try:
+            kernel = getattr(import_module(module), name)
+            if not kernel.file(types).exists():
+                kernel.compile(types)
+        finally:
+            file.unlink(missing_ok=True)
+
+
+def work() -> None:
+    """Compile what is asked for, the last first: what a run calls all the time is called after what begins it."""
+    gc.disable()
+    last = time.monotonic()
+    while time.monotonic() < last + LINGER:
+        with suppress(Exception):  # there is none; what cannot be compiled is told to who waits for it
+            answer(asked()[-1])
+            last = time.monotonic()
+        time.sleep(0.1)
 
 
 def load(file: Path) -> Any:
@@ -248,20 +297,17 @@ def save(file: Path, kept: Any) -> None:
         os.replace(Path(part, file.name), file)
 
 
-def is_ready(function: Callable[..., Any], *args: Any) -> bool:
-    """Whether a kernel can be called with such arguments now: no other process compiles it, or will."""
-    return not isinstance(function, Kernel) or function.is_ready(args)
-
-
-def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Decorator of a kernel; options as of `numba.njit`."""
+def kernel(function: Callable[..., Any] | None = None, rounds: int = 1, **options: Any) -> Any:
+    """Decorator of a kernel; how often about it goes through what it is given, and options as of `numba.njit`."""
     if function is None:
-        return partial(kernel, **options)
+        return partial(kernel, rounds=rounds, **options)
     if config.DISABLE_JIT:
         return function
     # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
     always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True}
-    return Kernel(function, targetoptions=always | options)
+    out = Kernel(function, targetoptions=always | options)
+    out.rounds = rounds
+    return out
 
 
 def in_place(function: Callable[..., Any] | None = None, **options: Any) -> Any:

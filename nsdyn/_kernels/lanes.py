@@ -1,7 +1,8 @@
 """Products of rows of eight numbers in vector instructions: numba makes scalar ones of loops so short, 4 times slower.
 
 The functions say in Python what they do, and do that where kernels run as Python; compiled ones have LLVM's vectors
-instead, which fit every processor. Rows lie in flat arrays, and are named by the index of their first number, unsigned.
+instead, which fit every processor, and add in the same order. Rows lie in flat arrays, and are named by the index of
+their first number, unsigned.
 """
 
 from typing import Any
@@ -14,20 +15,23 @@ WIDTH = 8
 """Numbers in a row."""
 
 _ROW = ir.VectorType(ir.DoubleType(), WIDTH)
-_FUSED = ("contract",)  # products and sums in one instruction
 
 
 def dot(a, i, b, j, k):
     """a[i:] · b[j:] + a[i + 8:] · b[k:]: two rows that follow each other and two that need not."""
-    first = sum(a[i + l] * b[j + l] for l in range(WIDTH))
-    return first + sum(a[i + WIDTH + l] * b[k + l] for l in range(WIDTH))
+    row = [a[i + l] * b[j + l] + a[i + WIDTH + l] * b[k + l] for l in range(WIDTH)]
+    while len(row) > 1:
+        half = len(row) // 2
+        row = [row[l] + row[half + l] for l in range(half)]
+    return row[0]
 
 
 def add(z, a, i, b, j, k):
     """b[j:] += Σ z[m] a[i + 16 m:] and b[k:] += Σ z[m] a[i + 8 + 16 m:]: pairs of rows that follow each other."""
-    for l in range(WIDTH):
-        b[j + l] += sum(z[m] * a[i + 2 * WIDTH * m + l] for m in range(len(z)))
-        b[k + l] += sum(z[m] * a[i + 2 * WIDTH * m + WIDTH + l] for m in range(len(z)))
+    for begin, at in ((j, i), (k, i + WIDTH)):
+        for l in range(WIDTH):
+            for m in range(len(z)):
+                b[begin + l] += z[m] * a[at + 2 * WIDTH * m + l]
 
 
 def _row(builder: Any, data: Any, index: Any, offset: int = 0) -> Any:
@@ -60,8 +64,8 @@ def _dot(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     a, i, b, j, k = arguments
     a, b = (context.make_array(signature.args[n])(context, builder, x).data for n, x in ((0, a), (2, b)))
     pairs = (_row(builder, a, i), _row(builder, b, j)), (_row(builder, a, i, WIDTH), _row(builder, b, k))
-    products = [builder.fmul(*(builder.load(row, align=8) for row in pair), flags=_FUSED) for pair in pairs]
-    return _sum(builder, builder.fadd(*products, flags=_FUSED))
+    products = [builder.fmul(*(builder.load(row, align=8) for row in pair)) for pair in pairs]
+    return _sum(builder, builder.fadd(*products))
 
 
 @type_callable(add)
@@ -80,6 +84,6 @@ def _add(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         row = builder.load(_row(builder, b, index), align=8)
         for m, factor in enumerate(factors):
             given = builder.load(_row(builder, a, i, 2 * WIDTH * m + side), align=8)
-            row = builder.fadd(row, builder.fmul(factor, given, flags=_FUSED), flags=_FUSED)
+            row = builder.fadd(row, builder.fmul(factor, given))
         builder.store(row, _row(builder, b, index), align=8)
     return context.get_dummy_value()

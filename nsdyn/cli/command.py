@@ -156,7 +156,7 @@ def _add_simulations(command: Command) -> None:
     add_json(p)
 
     p = command("doctor", diagnose, "Show versions and places of what nsdyn depends on, and check that it works.")
-    p.add_argument("--compile", action="store_true", help="first compile all kernels, in as many processes as cores")
+    p.add_argument("--compile", action="store_true", help="first compile all kernels")
     add_json(p)
 
     p = command("new", begin_scene, "Write a commented scene file to begin with; one that exists is left alone.")

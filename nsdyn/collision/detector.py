@@ -37,8 +37,6 @@ class Detector(Candidates):
     A function of its arguments: what it keeps between calls (candidate pairs, models of Coal) changes no result.
     """
 
-    _features: bool | None = search.FACES  # of the kernel, until others are met; compiled in half the time
-
     def find(self, x: Array, R: Array, reach: Array, memory: ContactMemory) -> tuple[ContactSet, ContactMemory]:
         """Contacts of a configuration.
 
@@ -63,15 +61,12 @@ class Detector(Candidates):
             self.ask(*poses)
         # Mostly there are as many contacts as before.
         out, before = _room(memory.names.shape[1]), (memory.names, memory.points)
-        count, next_key = search.search(*self._search, placed, poses, before, memory.next_key, out, self._features)
+        count, next_key = search.search(*self._search, placed, poses, before, memory.next_key, out)
         if count == search.LEFT:
             self.ask(*poses)
-            count, next_key = search.search(*self._search, True, poses, before, memory.next_key, out, self._features)
+            count, next_key = search.search(*self._search, True, poses, before, memory.next_key, out)
         elif not placed:
             self._served += 1
-        if count == manifold.MORE:
-            self._features = search.WHOLE
-            count, next_key = search.search(*self._search, True, poses, before, memory.next_key, out, self._features)
         names, points, scalars = out
         if count != names.shape[1]:
             names, points, scalars = _room(count)
@@ -187,7 +182,7 @@ class Detector(Candidates):
         placed = self.fields, all_R, all_t, np.zeros(len(all_R)), self._slack
         pairs = self._first[one], self._second[one], slot, asked, self._pair_base[one]
         room = self._max_points, *self._scratch
-        count = manifold.manifolds(placed, pairs, room, (*found, pair), search.WHOLE)
+        count = manifold.manifolds(placed, pairs, room, (*found, pair))
         return found[0][:count], found[1][:count], found[2][:count]
 
     def _remember(self, touching: list[tuple[int, float, Array, Array]], end: Poses, memory: ContactMemory) -> Touches:

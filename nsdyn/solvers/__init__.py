@@ -19,7 +19,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from nsdyn._kernels.compiled import loading
+from nsdyn._kernels.compiled import loading, waiting
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
@@ -207,8 +207,9 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     ('CONVERGED', [1.0, -0.2])
     """
     solver, before = as_solver(solver, tol), loading()
-    solution = solver(problem, r0)
-    if loading() > before and solution.time < QUICK:
-        for _ in range(2):
-            solution = solver(problem, r0)
+    with waiting():
+        solution = solver(problem, r0)
+        if loading() > before and solution.time < QUICK:
+            for _ in range(2):
+                solution = solver(problem, r0)
     return solution

@@ -36,9 +36,13 @@ class Worker:
     def ask(self, request: dict[str, Any], limit: float) -> dict[str, Any]:
         """Reply to a request, or the reason why there is none."""
         if self._process is None:
-            threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+            ones = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NSDYN_COMPILE_PROCESSES"
+            environment = os.environ | dict.fromkeys(ones, "1")
             pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-            self._process, self._buffer = subprocess.Popen(self._command, env=os.environ | threads, **pipes), b""
+            self._process, self._buffer = (
+                subprocess.Popen(self._command, env=environment, **pipes),
+                b"",
+            )
         process = self._process
         assert process.stdin is not None
         try:

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from nsdyn._kernels.collision import broadphase, search
+from nsdyn._kernels.collision import broadphase
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.collision import distances
 from nsdyn.collision.candidates import MARGIN, SKIN
@@ -598,23 +598,6 @@ def test_find_is_a_function_of_its_arguments(rng):
         alone(d, x + rng.normal(size=x.shape), R, 9 * reach)
         for each in (d, fresh):
             assert everything(*each.find(x + k * velocity, R, reach, before)) == was
-
-
-def test_the_search_of_faces_and_balls_finds_what_the_whole_one_does(rng):
-    """Bit for bit, upright on each other and tilted; what it does not know the whole one answers, from then on."""
-    known = {True: 0, False: 0}
-    for lower in (GROUND, *ALL.values(), ROCK):
-        top = 0.0 if lower is GROUND else support(lower, UPRIGHT, UPRIGHT[2])[2]
-        for upper in (*ALL.values(), ROCK):
-            for R in (UPRIGHT, random_rotation(rng)):
-                frames = np.array([UPRIGHT, R])[lower is GROUND :]
-                x = np.array([[0.0, 0.0, 0.0], [0.1, 0.1, top - support(upper, R, -UPRIGHT[2])[2]]])[lower is GROUND :]
-                some, whole = detector(lower, upper), detector(lower, upper)
-                whole._features = search.WHOLE
-                a, b = (alone(d, x, frames, np.full(len(x), 1e-2)) for d in (some, whole))
-                assert all(one.tobytes() == two.tobytes() for one, two in zip(rows(a), rows(b), strict=True))
-                known[some._features is search.FACES] += a.gap.size > 0
-    assert min(known.values()) > 20
 
 
 # -- Coal ---------------------------------------------------------------------------------------------------

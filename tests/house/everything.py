@@ -93,7 +93,7 @@ def problems() -> None:
 
 def everything() -> None:
     """What anything calls."""
-    compilation.run(few=False)
+    compilation.run()
     Stepper(scenes.load("bounce")(), 2.0, on_fail="ignore").step()  # more bounces than are located
     Stepper(scenes.load("quadruped")(), 1e-5).step()  # hardly moves
     Stepper(scenes.load("rod")(mu=2.0, slip=-1.0, spin=5.0), 1e-4).step()  # may move otherwise

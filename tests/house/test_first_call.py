@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 import nsdyn
-from nsdyn._kernels import sorting
+from nsdyn._kernels import compiled, sorting
 from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.solvers import start
 
 HERE = Path(nsdyn.__file__).parent
 COMMAND = """
@@ -49,26 +50,23 @@ def given(x):
     return x
 """
 
-OTHER_EXAMPLES = (
+OTHER_SCENES = (
     (HERE / "compilation.py").read_text()
     + """
-from nsdyn._kernels import callee, compiled
-
-def run(few):
-    compiled.is_ready(callee.given, 1.0)
-    callee.given(1)
+from nsdyn._kernels import callee
+SCENES = ()
+callee.given(1.0)
+callee.given(1)
 """
 )
 MEANWHILE = """
 import time
-from nsdyn._kernels import callee
-from nsdyn._kernels.compiled import is_ready
-print(is_ready(callee.given, 1.0))
+from nsdyn._kernels.callee import given
 for _ in range({}):
-    time.sleep(0.1)
-    if is_ready(callee.given, 1.0):
-        print(callee.given(1.0), sum(callee.given.stats.cache_misses.values()))
+    print(given(1.0), len(given.signatures))
+    if given.signatures:
         break
+    time.sleep(0.1)
 """
 
 
@@ -83,7 +81,7 @@ IMPATIENT = "from nsdyn._kernels import compiled; compiled.PATIENCE = -1.0\n"
 
 def test_compiling_is_told_to_who_waits(tmp_path):
     """Not before two seconds, once in a process, and not where all is in the cache."""
-    for k, told in enumerate(("", "compiling kernels that are new to this machine: half a minute or more\n", "")):
+    for k, told in enumerate(("", "kernels that are new to this machine are compiled: a slow minute or two\n", "")):
         done = python("-c", (IMPATIENT if k else "") + COMMAND, NSDYN_CACHE_DIR=str(tmp_path))
         assert (done.stdout, done.stderr) == (f"(2.0, 0.3, 0.4) {int(k < 2)}\n", told)
         for path in tmp_path.glob("*.nbc") if k == 0 else ():
@@ -165,18 +163,11 @@ def test_sorting(rng):
         assert all(sorting.place_of(keys[order], key) == np.searchsorted(keys[order], key) for key in keys)
 
 
-def test_examples_run_as_python():
-    """In a process of their own: what is compiled already is not noted. What can wait is, as that of quiet steps."""
-    code = "from nsdyn.compilation import noted; print(*{k.py_func.__module__ for k, _ in noted(few=True)})"
-    modules = {f"nsdyn._kernels.{name}" for name in ("collision.search", "stepping.workless", "stepping.quiet")}
-    assert modules <= set(python("-c", code).stdout.split())
-
-
 @pytest.mark.slow
-def test_a_terminal_gets_a_bar_and_several_processes_compile_what_is_noted(package, tmp_path):
-    """Two kernels of the types int and float: the other process begins with the last."""
+def test_a_terminal_gets_a_bar(package, tmp_path):
+    """Of two kernels of the types int and float, which this process compiles, and the one beside it."""
     (package / "nsdyn" / "_kernels" / "callee.py").write_text(CALLEE)
-    (package / "nsdyn" / "compilation.py").write_text(OTHER_EXAMPLES)
+    (package / "nsdyn" / "compilation.py").write_text(OTHER_SCENES)
     main, end = pty.openpty()
     termios.tcsetwinsize(end, (24, 80))
     environment = {"PYTHONPATH": str(package), "PYTHONSAFEPATH": "1", "NSDYN_CACHE_DIR": str(tmp_path / "cache")}
@@ -184,7 +175,7 @@ def test_a_terminal_gets_a_bar_and_several_processes_compile_what_is_noted(packa
         [sys.executable, "-c", "from nsdyn.compilation import compile_all; compile_all()"],
         stdout=subprocess.DEVNULL,
         stderr=end,
-        env=os.environ | environment | {"NSDYN_COMPILE_PROCESSES": "2"},
+        env=os.environ | environment | {"NSDYN_COMPILE_PROCESSES": ""},
     ):
         os.close(end)
         shown = b""
@@ -193,20 +184,8 @@ def test_a_terminal_gets_a_bar_and_several_processes_compile_what_is_noted(packa
                 shown += part
     os.close(main)
     assert b"| 2/2 [" in shown and b"kernel" in shown
-    assert len(list((tmp_path / "cache").glob("callee.*"))) == 2
-
-
-@pytest.mark.slow
-def test_processes_share_the_work(package, tmp_path):
-    """Two that have one each of two kernels to compile, the second one the first of them."""
-    (package / "nsdyn" / "_kernels" / "callee.py").write_text(CALLEE)
-    (package / "nsdyn" / "compilation.py").write_text(OTHER_EXAMPLES)
-    environment = {"PYTHONPATH": str(package), "NSDYN_CACHE_DIR": str(tmp_path / "cache")}
-    code = "from nsdyn.compilation import work; work(True, {}, 2); from nsdyn._kernels import callee; "
-    code += "print(*(t[0] for t in callee.given.signatures))"
-    assert python("-c", code.format(1), **environment).stdout == "float64\n"
-    assert python("-c", code.format(0), **environment).stdout == "int64\n"
-    assert python("-c", code.format(0), **environment).stdout == "\n"
+    assert len(list((tmp_path / "cache").glob("callee.*.nbc"))) == 2
+    assert not list((tmp_path / "cache").glob("*.ask"))
 
 
 @pytest.mark.slow
@@ -223,25 +202,68 @@ def test_machine_code_is_made_of_what_python_calls(package, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_waits_for_no_kernel_that_it_can_do_without(package, tmp_path):
-    """Another process compiles it, which goes on when the run ends; one that goes on loads it."""
+def test_nothing_waits_for_the_compiler(package, tmp_path):
+    """Another process compiles, which goes on when the run ends; one that goes on loads it."""
     (package / "nsdyn" / "_kernels" / "callee.py").write_text(CALLEE)
-    (package / "nsdyn" / "compilation.py").write_text(OTHER_EXAMPLES)
     cache, environment = tmp_path / "cache", {"PYTHONPATH": str(package), "NSDYN_COMPILE_PROCESSES": ""}
     environment["NSDYN_CACHE_DIR"] = str(cache)
-    assert python("-c", MEANWHILE.format(0), **environment).stdout == "False\n"
-    assert not list(cache.glob("callee.*")), "the run has not waited"
+    assert python("-c", MEANWHILE.format(1), **environment).stdout == "1.0 0\n"
     deadline = time.monotonic() + 300.0
-    while len(list(cache.glob("callee.*"))) < 2 and time.monotonic() < deadline:
+    while not list(cache.glob("callee.*.nbc")) and time.monotonic() < deadline:
         time.sleep(0.1)
-    assert python("-c", MEANWHILE.format(1), **environment).stdout.startswith("True\n")
-    for path in cache.glob("callee.*"):
-        path.unlink()
-    assert python("-c", MEANWHILE.format(3000), **environment).stdout == "False\n1.0 0\n"
-    environment["NSDYN_COMPILE_PROCESSES"] = "1"
-    for path in cache.glob("callee.*"):
-        path.unlink()
-    assert python("-c", MEANWHILE.format(1), **environment).stdout == "True\n1.0 1\n"
+    assert python("-c", MEANWHILE.format(1), **environment).stdout == "1.0 1\n"
+    environment["NSDYN_CACHE_DIR"] = str(tmp_path / "other")
+    first, *between, last = python("-c", MEANWHILE.format(3000), **environment).stdout.splitlines()
+    assert {first, *between} == {"1.0 0"} and last == "1.0 1"
+    environment |= {"NSDYN_CACHE_DIR": str(tmp_path / "third"), "NSDYN_COMPILE_PROCESSES": "1"}
+    assert python("-c", MEANWHILE.format(1), **environment).stdout == "1.0 1\n", "it compiles itself"
+
+
+@kernel
+def _counted(x):
+    return x.size
+
+
+@kernel(rounds=compiled.LARGE)
+def _much(x):
+    return x.size
+
+
+def test_what_takes_long_is_waited_for(monkeypatch):
+    """Large arrays, many rounds, and where times are told; the request for a process is a list here."""
+    asked = []
+    monkeypatch.setattr(compiled, "ask", lambda *request: asked.append(request) or True)
+    monkeypatch.setattr(compiled.Kernel, "file", lambda *_: Path(os.devnull, "none"))
+    for of, x in (
+        (_counted, np.ones(3)),
+        (_much, np.ones(1, int)),
+        (_much, np.ones(3)),
+        (_counted, np.empty(2**21, int)),
+    ):
+        assert of(x) == x.size
+    assert [request[0] for request in asked] == [_counted, _much]
+    assert compiled.is_ready(_counted, np.ones(3)) and not compiled.is_ready(_counted, np.empty(2**21))
+    assert asked.pop()[0] is _counted
+    with compiled.waiting():
+        assert _counted(np.ones(3)) == 3
+    assert len(asked) == 2 and len(_counted.signatures) == 2 and len(_much.signatures) == 1
+
+
+def test_the_interpreter_returns_what_compiled_kernels_do(rng):
+    """Numbers of Python, and calls of other kernels, of those of other modules, too, as of Python."""
+    r, u, W = np.empty(3), np.empty(3), np.eye(3) + 0.1
+    given = W, np.array([-1.0, 2.0, 0.1]), np.array([0.5])
+    start.closed_form(*given, r, u)
+    as_python = np.empty(3), np.empty(3)
+    start.closed_form._as_python(*given, *as_python)
+    assert (as_python[0] == r).all() and (as_python[1] == u).all()
+    for of, of_them in (
+        (sorting.place_of, (np.arange(3.0), 1.5)),
+        (start.cones.project, (2.0, *rng.normal(size=2), 0.5)),
+    ):
+        out, twin = of(*of_them), of._as_python(*of_them)
+        assert out == twin and type(out) is type(twin)
+    assert [type(x) for x in twin] == [type(x) for x in out] == [float] * 3
 
 
 @kernel

@@ -86,7 +86,7 @@ def on_border(geometry, g, face, p, tol):
     q = to_local(geometry.R, g, minus(p, row(geometry.t, g)))
     radius = disk_radius(geometry, g)
     if radius > 0.0:
-        return math.hypot(q[0], q[1]) >= radius - tol
+        return np.hypot(q[0], q[1]) >= radius - tol
     if geometry.kind[g] != POLYTOPE:
         return False
     f, n = geometry.face_ptr[g] + face, face_normal(geometry, g, face)
@@ -113,7 +113,7 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
     kept = 0
     for k in range(count):
         u = row(flat, k)
-        if math.hypot(u[0], u[1]) <= radius + tol:
+        if np.hypot(u[0], u[1]) <= radius + tol:
             put(other, kept, row(poly, k))
             kept += 1
         if count == 1 or (count == 2 and k == 1):
@@ -152,10 +152,10 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
 
 
 @in_place(forceinline=True)
-def over_face(geometry, i, j, margin, face1, face2, room, features):
+def over_face(geometry, i, j, margin, face1, face2, room):
     """Contacts of a face of geom i (if face1 < 0, of geom j) with the other geom, into points and heights of `room`.
 
-    Returns their number and the normal from 1 to 2. Without `features` no geom has a rim.
+    Returns their number and the normal from 1 to 2.
     """
     g, o, face, sign = (i, j, face1, 1.0) if face1 >= 0 else (j, i, face2, -1.0)
     kind, c = geometry.kind[g], row(geometry.t, g)
@@ -165,7 +165,7 @@ def over_face(geometry, i, j, margin, face1, face2, room, features):
     count, radius, main = incident(geometry, o, n, kind == HALFSPACE, room.limit, poly)
     kept, following = 0, geometry.face_ptr[o]
     while count > 0:
-        if features is not None and disk_radius(geometry, g) > 0.0:
+        if disk_radius(geometry, g) > 0.0:
             count = clip_to_disk(geometry, g, poly, count, room.limit, other)
         elif kind == POLYTOPE:
             count = clip_to_face(geometry, g, face, n, poly, count, other, room.values)
@@ -181,7 +181,7 @@ def over_face(geometry, i, j, margin, face1, face2, room, features):
         if main >= 0 or has_rim(geometry, o):
             m, above = to_local(geometry.R, o, n), dot(n, minus(row(geometry.t, o), c)) - level
             if main < 0:
-                if features is not None and following == geometry.face_ptr[o]:
+                if following == geometry.face_ptr[o]:
                     following += 1
                     count = other_feature(geometry, o, m, margin - above, room.limit, poly)
             elif following > geometry.face_ptr[o] or dipping(geometry, o, main, m, margin - above):

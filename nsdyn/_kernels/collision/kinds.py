@@ -8,8 +8,10 @@ within a radius of a line `is_round`. The geoms are `Placed`.
 
 import math
 
+import numpy as np
+
 from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.vectors import along, axis, cross, dot, minus, put, row, times, to_local, to_world, unit
+from nsdyn._kernels.vectors import along, axis, cross, dot, minus, put, row, square, times, to_local, to_world, unit
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
 """As in `nsdyn.scene.shapes`."""
@@ -47,8 +49,8 @@ def deepest_vertex(geometry, g, n):
 @in_place
 def on_ellipsoid(s, n):
     """Point of the ellipsoid of radii s with the outward normal n, and the height of its tangent plane."""
-    height = math.sqrt((s[0] * n[0]) ** 2 + (s[1] * n[1]) ** 2 + (s[2] * n[2]) ** 2)
-    return (s[0] ** 2 * n[0] / height, s[1] ** 2 * n[1] / height, s[2] ** 2 * n[2] / height), height
+    height = math.sqrt(square(s[0] * n[0]) + square(s[1] * n[1]) + square(s[2] * n[2]))
+    return (square(s[0]) * n[0] / height, square(s[1]) * n[1] / height, square(s[2]) * n[2] / height), height
 
 
 @in_place(forceinline=True)
@@ -63,7 +65,7 @@ def support(geometry, g, n):
     if kind == ELLIPSOID:
         p, _ = on_ellipsoid(s, m)
     elif kind == CYLINDER:
-        side = math.hypot(m[0], m[1])
+        side = np.hypot(m[0], m[1])
         x, y = (m[0] / side, m[1] / side) if side > 0.0 else (1.0, 0.0)
         p = (s[0] * x, s[0] * y, math.copysign(s[1], m[2]))
     elif s[0] > 0.0:  # a box
@@ -83,7 +85,7 @@ def curvature(geometry, g, n, a, b):
     if kind == ELLIPSOID:
         p, height = on_ellipsoid(s, to_local(geometry.R, g, n))
         u, v = to_local(geometry.R, g, a), to_local(geometry.R, g, b)
-        stretched = s[0] ** 2 * u[0] * v[0] + s[1] ** 2 * u[1] * v[1] + s[2] ** 2 * u[2] * v[2]
+        stretched = square(s[0]) * u[0] * v[0] + square(s[1]) * u[1] * v[1] + square(s[2]) * u[2] * v[2]
         return (stretched - dot(p, u) * dot(p, v)) / height
     return 0.0
 
@@ -221,7 +223,7 @@ def corners(geometry, g, face, poly):
 @in_place
 def of_cylinder(geometry, g, m, cap, rim, poly):
     """The cap of cylinder g outermost along m (shape frame) as `rim` points, or that line of its side; their number."""
-    s, c, side = row(geometry.size, g), row(geometry.t, g), math.hypot(m[0], m[1])
+    s, c, side = row(geometry.size, g), row(geometry.t, g), np.hypot(m[0], m[1])
     # Where the circle dips deepest; in an upright cylinder that is noise, so any fixed direction does.
     x, y = (m[0] / side, m[1] / side) if side > 1e-6 else (1.0, 0.0)
     if cap:
@@ -242,7 +244,7 @@ def other_feature(geometry, g, m, low, rim, poly):
 
     Only what the feature has more than the other one counts. Returns the number of points, 0 if it is of no interest.
     """
-    radius, half, side, up = geometry.size[g, 0], geometry.size[g, 1], math.hypot(m[0], m[1]), abs(m[2])
+    radius, half, side, up = geometry.size[g, 0], geometry.size[g, 1], np.hypot(m[0], m[1]), abs(m[2])
     cap = m[2] * m[2] > 0.5
     more = 2.0 * half * up if cap else radius * side * (1.0 - math.cos(2.0 * math.pi / rim))
     if more - radius * side - half * up > low:

@@ -26,15 +26,12 @@ from nsdyn._kernels.collision.clipping import Room, merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
 from nsdyn._kernels.collision.geometry import Found, Placed, smaller
-from nsdyn._kernels.collision.kinds import HALFSPACE, POLYTOPE, SPHERE, has_ends, has_rim, is_round
+from nsdyn._kernels.collision.kinds import HALFSPACE, POLYTOPE, SPHERE, has_ends, is_round
 from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, crossing, edge, ends, segments, touch
 from nsdyn._kernels.collision.separation import SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.vectors import along, dot, minus, put, row, times, to_world, unit
-
-MORE = -2
-"""Instead of a number of contacts: features beside faces and balls touch, or may."""
+from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_world, unit
 
 
 class Given(NamedTuple):
@@ -100,11 +97,8 @@ def closest_features(geometry, i, j, n, angle, out, at):
 
 
 @in_place
-def begin(geometry, i, j, given, out, at, features):
-    """Contacts of features where no face separates best: (their number, whether so, n, the reference of each geom).
-
-    Their number is `MORE` where `features` is None.
-    """
+def begin(geometry, i, j, given, out, at):
+    """Contacts of features where no face separates best: (their number, whether so, n, the reference of each geom)."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
     n, face1, face2 = given.n, 0 if kind1 == HALFSPACE else -1, 0 if kind2 == HALFSPACE else -1
     if face1 == 0 or face2 == 0:
@@ -116,8 +110,6 @@ def begin(geometry, i, j, given, out, at, features):
         face1, face2 = reference_face(geometry, i, j, n, ANGLE)
         if face1 >= 0 or face2 >= 0:
             return 0, False, n, face1, face2
-    if features is None:
-        return MORE, False, n, face1, face2
     first = max(1, of_features(geometry, i, j, n, ANGLE, given.margin, out, at))
     exact = row(out.normal, at)
     if known and given.trusted and out.gap[at] <= given.slack:
@@ -134,38 +126,34 @@ def begin(geometry, i, j, given, out, at, features):
 
 
 @in_place
-def pair_contacts(geometry, i, j, given, room, out, at, features):
-    """Contacts of one pair; returns their number, or `MORE` where that takes features and `features` is None."""
-    first, tilted, n, face1, face2 = begin(geometry, i, j, given, out, at, features)
+def pair_contacts(geometry, i, j, given, room, out, at):
+    """Contacts of one pair; returns their number."""
+    first, tilted, n, face1, face2 = begin(geometry, i, j, given, out, at)
     count, m, margin = 0, n, given.margin
-    if features is None and (first < 0 or has_rim(geometry, i) or has_rim(geometry, j)):
-        return MORE
     if face1 >= 0 or face2 >= 0:
-        count, m = over_face(geometry, i, j, margin, face1, face2, room, features)
+        count, m = over_face(geometry, i, j, margin, face1, face2, room)
     if not (tilted or geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE):
         lowest = math.inf
         for k in range(count):
             lowest = min(lowest, room.heights[k])
         # What is deepest is not over the face: beside one the features are seen more sharply.
         if lowest > separation(geometry, i, j, m)[0] + SAME * smaller(geometry, i, j):
-            if features is None:
-                return MORE
             first = of_features(geometry, i, j, n, SHARP, margin, out, at)
             if first == 0:  # another face separates better
                 face1, face2 = reference_face(geometry, i, j, best_normal(geometry, i, j, m), WIDE)
-                count, m = over_face(geometry, i, j, margin, face1, face2, room, features)
+                count, m = over_face(geometry, i, j, margin, face1, face2, room)
     g, face = (i, face1) if face1 >= 0 else (j, face2)
     near = min(NEAR * smaller(geometry, i, j), margin)
     deepest = out.gap[at] if first > 0 else math.inf
     overlap = min(deepest, 0.0)
-    if features is not None and first > 0:
+    if first > 0:
         count = new(room, count, first, near, out, at)
     count = merge(room.points, room.heights, count, SAME * smaller(geometry, i, j))
     if count > room.limit - first:
         count = reduce(room.points, room.heights, count, m, room.limit - first, margin, given.base)
     for k in range(count):
         p, height, n = row(room.points, k), room.heights[k], m
-        if features is not None and first > 0 and (height < 0.0 or on_border(geometry, g, face, p, near)):
+        if first > 0 and (height < 0.0 or on_border(geometry, g, face, p, near)):
             n = row(out.normal, at)
             height = min(height, height * dot(n, m))
         elif overlap < 0.0:
@@ -202,7 +190,7 @@ def ball_contact(geometry, i, j, out, at):
     radius1, radius2, a, b = geometry.size[i, 0], geometry.size[j, 0], row(geometry.t, i), row(geometry.t, j)
     if kind1 == SPHERE and kind2 == SPHERE:
         d = minus(b, a)
-        if dot(d, d) <= (SAME * min(radius1, radius2)) ** 2:
+        if dot(d, d) <= square(SAME * min(radius1, radius2)):
             return False
         touch(a, radius1, b, radius2, d, out, at)
         return True
@@ -220,8 +208,8 @@ def ball_contact(geometry, i, j, out, at):
 
 
 @in_place
-def manifolds(geoms, pairs, room, found, features):
-    """Contacts of all candidate pairs; returns their number, or `MORE`. The arguments are plain tuples.
+def manifolds(geoms, pairs, room, found):
+    """Contacts of all candidate pairs; returns their number. The arguments are plain tuples.
 
     Parameters
     ----------
@@ -235,8 +223,6 @@ def manifolds(geoms, pairs, room, found, features):
         Of `Room`.
     found : tuple
         point, normal, gap and pair, with room for `room.limit` contacts per pair.
-    features : bool or None
-        None compiles half as much, which knows contacts of faces and balls alone, and returns `MORE` at any other.
     """
     fields, R, t, reach, slack = geoms
     first, second, slot, coal, base = pairs
@@ -260,9 +246,7 @@ def manifolds(geoms, pairs, room, found, features):
             count = 1
         else:
             given = Given(n, trusted, both, base[p], margin)
-            count = pair_contacts(geometry, i, j, given, scratch, out, total, features)
-        if features is None and count < 0:
-            return MORE
+            count = pair_contacts(geometry, i, j, given, scratch, out, total)
         kept = total
         for k in range(total, total + count):
             if gap[k] <= margin:

@@ -9,9 +9,6 @@ from nsdyn._kernels.packing import indices, matrices, numbers, triples
 LEFT = -1
 """Instead of a number of contacts: a geom has left its fat box, and the pairs are to be renewed first."""
 
-WHOLE, FACES = True, None
-"""What of `manifolds` is compiled: all of it, or only what contacts of faces and balls take."""
-
 # The arrays of floats and of integers that `Detector` packs, of the geoms and of the candidate pairs, in their order.
 (
     SIZE,
@@ -73,8 +70,8 @@ def room_of(geoms):
 
 
 @in_place
-def seek(geoms, pairs, limit, placed, poses, features):
-    """Number of contacts, `LEFT` or `MORE`: `follow` first unless the geoms are `placed`, then `manifolds`.
+def seek(geoms, pairs, limit, placed, poses):
+    """Number of contacts, or `LEFT`: `follow` first unless the geoms are `placed`, then `manifolds`.
 
     Parameters
     ----------
@@ -86,8 +83,6 @@ def seek(geoms, pairs, limit, placed, poses, features):
         Whether the geoms are where `poses` has them already.
     poses : tuple
         x (frames, 3), R (frames, 3, 3), reach (frames,) of the moving frames, m.
-    features : bool or None
-        `WHOLE` or `FACES`.
     """
     (f, i), (p, j) = geoms, pairs
     fields, (R, t), reach = fields_of(geoms), room_of(geoms), numbers(f, i, REACH)
@@ -105,7 +100,7 @@ def seek(geoms, pairs, limit, placed, poses, features):
         numbers(f, i, HEIGHTS),
     )
     placed = fields, R, t, reach, numbers(f, i, SLACK)
-    return manifolds(placed, (first, second, *asked), (limit, *room), found, features)
+    return manifolds(placed, (first, second, *asked), (limit, *room), found)
 
 
 @in_place
@@ -137,9 +132,9 @@ def gather(geoms, pairs, tolerance, memory, next_key, out):
 
 
 @in_place
-def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out, features):
+def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out):
     """`seek`, and `gather` if there is room for just so many; the number of contacts and the next key."""
-    count = seek(geoms, pairs, limit, placed, poses, features)
+    count = seek(geoms, pairs, limit, placed, poses)
     if count == out[0].shape[1]:
         next_key = gather(geoms, pairs, tolerance, memory, next_key, out)
     return count, next_key

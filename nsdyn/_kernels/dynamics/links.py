@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.vectors import square
 
 
 @in_place
@@ -125,7 +126,8 @@ def reach(x, support, J, v, h, radius, fall, out):
     twists(x, support, J, v, linear, angular)
     for f in range(support.shape[0]):
         a, w = linear[f], angular[f]
-        speed, spin = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
+        speed = math.sqrt(square(a[0]) + square(a[1]) + square(a[2]))
+        spin = math.sqrt(square(w[0]) + square(w[1]) + square(w[2]))
         out[f] = h * (speed + spin * radius[f]) + fall
 
 

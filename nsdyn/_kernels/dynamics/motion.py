@@ -11,6 +11,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.dynamics import rotation
 from nsdyn._kernels.reductions import copy
+from nsdyn._kernels.vectors import square
 
 
 @in_place
@@ -122,8 +123,8 @@ def reach(v, h, fall, radius, out):
     """How far any point of each free body moves in h seconds, and by `fall`, m, into out (n,)."""
     for b in range(radius.size):
         i = 6 * b
-        speed = math.sqrt(v[i] ** 2 + v[i + 1] ** 2 + v[i + 2] ** 2)
-        spin = math.sqrt(v[i + 3] ** 2 + v[i + 4] ** 2 + v[i + 5] ** 2)
+        speed = math.sqrt(square(v[i]) + square(v[i + 1]) + square(v[i + 2]))
+        spin = math.sqrt(square(v[i + 3]) + square(v[i + 4]) + square(v[i + 5]))
         out[b] = h * (speed + spin * radius[b]) + fall
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.vectors import square
 
 OVERSHOOT = 3.0
 """Most that δ (1 - β) and σ (1 - α) of `nsdyn.PD` are. What its damping stops overshoots by (3 - 1)/(3 + 1) in a step
@@ -84,7 +85,7 @@ def strain(angle, springs, turning):
     """Energy of joint springs, (stiffness, damping, rest) (3, n), J."""
     energy = 0.0
     for j in range(angle.size):
-        energy += 0.5 * springs[0, j] * excess(angle[j], springs[2, j], turning[j]) ** 2
+        energy += 0.5 * springs[0, j] * square(excess(angle[j], springs[2, j], turning[j]))
     return energy
 
 
@@ -120,7 +121,7 @@ def linear_laws(M, springs, control, angle, turning, h, theta, laws):
     for j in range(n):
         mobility = 0.0
         for i in range(n - 1 - j, n):
-            mobility += F[i, n - 1 - j] ** 2
+            mobility += square(F[i, n - 1 - j])
         damps = h * kd[j] * mobility
         swings = h * h * kp[j] * mobility / (1.0 + 0.5 * damps)
         if swings * (1.0 - theta) > OVERSHOOT:
@@ -140,7 +141,7 @@ def implicit(M, laws, h, F, m, minv):
         for j in range(n):
             m[i, j] = M[i, j]
         for l in range(2):
-            m[i, i] += h * (laws[l, 3, i] * laws[l, 1, i] + h * laws[l, 2, i] ** 2 * laws[l, 0, i])
+            m[i, i] += h * (laws[l, 3, i] * laws[l, 1, i] + h * square(laws[l, 2, i]) * laws[l, 0, i])
     return factor(m, F, minv)
 
 

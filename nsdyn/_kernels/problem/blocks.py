@@ -12,6 +12,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
+from nsdyn._kernels.vectors import square
 
 SMALLEST, LARGEST = 1e-150, 1e150
 """Sizes of numbers whose squares are in the range of floating-point numbers."""
@@ -154,7 +155,7 @@ def size_of(q, mu):
     total, good = 0.0, True
     for c in range(mu.size):
         for i in range(3):
-            total += q[3 * c + i] ** 2
+            total += square(q[3 * c + i])
         good = good and 0.0 <= mu[c] < np.inf
     return math.sqrt(total), good and total < np.inf
 

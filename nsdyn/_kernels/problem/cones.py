@@ -3,6 +3,7 @@
 import math
 
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.vectors import square
 
 ROUNDING = 2.0**-52
 
@@ -57,8 +58,8 @@ def _residual(scale, u, r, mu, i):
     rho = 1.0 / scale
     s = mu * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
     pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu)
-    e = math.sqrt((r[i] - pn) ** 2 + (r[i + 1] - p1) ** 2 + (r[i + 2] - p2) ** 2) / rho
-    floor = ROUNDING * math.sqrt(r[i] ** 2 + r[i + 1] ** 2 + r[i + 2] ** 2) / rho
+    e = math.sqrt(square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)) / rho
+    floor = ROUNDING * math.sqrt(square(r[i]) + square(r[i + 1]) + square(r[i + 2])) / rho
     return floor if e < floor else e
 
 
@@ -81,7 +82,7 @@ def natural_error(u, r, mu):
         i = 3 * c
         s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
         pn, p1, p2 = project(r[i] - u[i] - s, r[i + 1] - u[i + 1], r[i + 2] - u[i + 2], mu[c])
-        total += (r[i] - pn) ** 2 + (r[i + 1] - p1) ** 2 + (r[i + 2] - p2) ** 2
+        total += square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)
     return math.sqrt(total)
 
 
@@ -106,7 +107,7 @@ def duality_gap(u, r, mu):
         rn, r1, r2 = project(r[i], r[i + 1], r[i + 2], mu[c])
         slip = math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
         gap += rn * (max(u[i], 0.0) + mu[c] * slip) + r1 * u[i + 1] + r2 * u[i + 2]
-        shift += min(u[i], 0.0) ** 2
+        shift += square(min(u[i], 0.0))
     return max(gap, 0.0), math.sqrt(shift)
 
 
@@ -241,7 +242,7 @@ def largest_eigenvalue(W):
     d, e, f = 0.5 * (W[0, 1] + W[1, 0]), 0.5 * (W[1, 2] + W[2, 1]), 0.5 * (W[0, 2] + W[2, 0])
     off = d * d + e * e + f * f
     mean = (a + b + c) / 3.0
-    p = math.sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * off) / 6.0)
+    p = math.sqrt((square(a - mean) + square(b - mean) + square(c - mean) + 2.0 * off) / 6.0)
     if p == 0.0:
         return mean
     a, b, c, d, e, f = (a - mean) / p, (b - mean) / p, (c - mean) / p, d / p, e / p, f / p

@@ -8,6 +8,7 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity, relative_velocity_of, weighted_rows
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
 from nsdyn._kernels.reductions import largest
+from nsdyn._kernels.vectors import square
 
 UNITS = 4.0
 """Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
@@ -85,7 +86,7 @@ def certificate(u, r, o, mu, scales):
     A max δ below the round-off of u counts as that, and to the sum the square of that of the velocity is added.
     """
     gap, shift = duality_gap(u, r, mu)
-    least = _round_off(u, r, scales) ** 2
+    least = square(_round_off(u, r, scales))
     if shift == 0.0:
         return gap, shift, 0.0, 0.0, gap + least
     s, margin = np.empty(mu.size), np.empty(mu.size)

@@ -5,10 +5,8 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import number, unite
 
-FUSED = {"contract"}  # products and sums in one instruction
 
-
-@in_place(fastmath=FUSED)
+@in_place
 def velocity_of(W, q, r, c):
     """u_c = (W r + q)_c of contact c: three scalars."""
     indptr, indices, data = W
@@ -22,7 +20,7 @@ def velocity_of(W, q, r, c):
     return u0, u1, u2
 
 
-@in_place(fastmath=FUSED)
+@in_place
 def velocity(W, q, r, u):
     """u = W r + q, into u (3 nc,)."""
     for c in range(W[0].size - 1):

@@ -5,7 +5,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place
 
 
-@in_place(fastmath={"contract"})  # products and sums in one instruction
+@in_place
 def factorise(S, pivot, low, end):
     """LU with partial pivoting in place of S (n, n); False when S is singular or not finite.
 
@@ -46,7 +46,7 @@ def factorise(S, pivot, low, end):
     return True
 
 
-@in_place(fastmath={"contract", "reassoc"})  # sums in any order, so that they are vectorised
+@in_place
 def substitute(S, pivot, low, end, b):
     """Solution of the factorised system in place of b."""
     n = pivot.size

@@ -6,6 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import diagonal_block, widest
+from nsdyn._kernels.vectors import square
 
 
 @in_place
@@ -16,7 +17,7 @@ def stopped(q, u, r, nc):
         i = 3 * c
         if r[i] > 0.0:
             load = max(load, abs(q[i]))
-            change = max(change, math.sqrt((u[i + 1] - q[i + 1]) ** 2 + (u[i + 2] - q[i + 2]) ** 2))
+            change = max(change, math.sqrt(square(u[i + 1] - q[i + 1]) + square(u[i + 2] - q[i + 2])))
     return load, change
 
 
@@ -51,12 +52,12 @@ def ambiguous(blocks, mu, u, r, out):
         if mu[c] == 0.0:
             continue
         diagonal_block(blocks, c, 1, x, y, W)
-        pressed, across = W[0, 0], mu[c] * math.sqrt(W[0, 1] ** 2 + W[0, 2] ** 2)
+        pressed, across = W[0, 0], mu[c] * math.sqrt(square(W[0, 1]) + square(W[0, 2]))
         if pressed >= across:
             continue
         i = 3 * c
         load = W[0, 0] * r[i] + W[0, 1] * r[i + 1] + W[0, 2] * r[i + 2] - u[i]
-        friction = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2)
+        friction = math.sqrt(square(r[i + 1]) + square(r[i + 2]))
         if friction < mu[c] * r[i] and mu[c] * load >= friction * (pressed + across):
             continue
         diagonal_block(blocks, c, 3, x, y, W)
@@ -97,11 +98,11 @@ def solutions(W, q, mu, out):
     if q[0] >= -ROUND_OFF * size:
         out[0, 0] = out[0, 1] = out[0, 2] = 0.0
         found = 1
-    x0, x1 = W[1, 1] * W[2, 2] - W[1, 2] ** 2, W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2]
+    x0, x1 = W[1, 1] * W[2, 2] - square(W[1, 2]), W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2]
     x2 = W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]
     det = W[0, 0] * x0 + W[0, 1] * x1 + W[0, 2] * x2
     if abs(det) > ROUND_OFF * W[0, 0] * W[1, 1] * W[2, 2]:
-        y1, y2 = W[0, 0] * W[2, 2] - W[0, 2] ** 2, W[0, 0] * W[1, 1] - W[0, 1] ** 2
+        y1, y2 = W[0, 0] * W[2, 2] - square(W[0, 2]), W[0, 0] * W[1, 1] - square(W[0, 1])
         z = W[0, 1] * W[0, 2] - W[0, 0] * W[1, 2]
         normal = -(x0 * q[0] + x1 * q[1] + x2 * q[2]) / det
         first, second = -(x1 * q[0] + y1 * q[1] + z * q[2]) / det, -(x2 * q[0] + z * q[1] + y2 * q[2]) / det

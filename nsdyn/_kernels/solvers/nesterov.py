@@ -169,7 +169,7 @@ def wake(u, last, r, x, awake):
     return count
 
 
-@kernel
+@kernel(rounds=1000)
 def solve(given, state, so_far, limits):
     """Sweeps with Nesterov's momentum, which every contact loses by itself, from where the last call stopped.
 
@@ -272,7 +272,7 @@ def sweep_matrix(W, steps, q, mu, r, x, t, keep):
             t[c] = max(1.0, keep * t[c])
 
 
-@kernel
+@kernel(rounds=1000)
 def solve_matrix(given, state, so_far, limits):
     """`solve` for a block-sparse W, which need not be symmetric; all contacts are awake.
 

@@ -20,6 +20,7 @@ from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_resi
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.problem.sparse import assemble, dense_pattern
 from nsdyn._kernels.reductions import copy
+from nsdyn._kernels.vectors import square
 
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
 SHRINKAGE, LEAST = 0.3, 1e-3  # what is left of such a penalty, and at which no more is tried
@@ -110,7 +111,7 @@ def measures_of_islands(label, scales, norms, u, r, mu, out):
     out[:] = 0.0
     for c in range(mu.size):
         part = slice(3 * c, 3 * c + 3)
-        out[label[c]] += natural_error(u[part], r[part], mu[c : c + 1]) ** 2
+        out[label[c]] += square(natural_error(u[part], r[part], mu[c : c + 1]))
     for k in range(out.size):
         out[k] = math.sqrt(out[k]) / norms[k]
     for c in range(mu.size):
@@ -131,9 +132,9 @@ def settled(scales, u, shown, own, P, estimate):
     left, total, weighed = 0.0, 0.0, 0.0
     for i in range(u.size):
         scale = scales[i // 3]
-        left += (u[i] - shown[i]) ** 2 / scale
-        total += (shown[i] - own[i]) ** 2 / scale
-        weighed += scale * (P[i] - estimate[i]) ** 2
+        left += square(u[i] - shown[i]) / scale
+        total += square(shown[i] - own[i]) / scale
+        weighed += scale * square(P[i] - estimate[i])
     return left <= max(PART * total, 1e-10 * weighed), left
 
 

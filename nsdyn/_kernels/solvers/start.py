@@ -9,6 +9,7 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones, given
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.solvers import nesterov, newton
+from nsdyn._kernels.vectors import square
 
 POLISHED = 0.5
 """Measure after a step over that before, from which on it is round-off, as it is of a heap before it is `enough`."""
@@ -100,13 +101,13 @@ def change(label, k, r, u, mu, before):
     for c in range(mu.size):
         i = 3 * c
         if label[c] == k and r[i] > 0.0:
-            holds = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu[c] * r[i]
+            holds = math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu[c] * r[i]
             for j in range(i, i + (3 if holds else 1)):
                 most, size = max(most, abs(u[j] - before[j])), max(size, abs(u[j]))
     return most / size if size > 0.0 else 0.0
 
 
-@in_place
+@in_place(rounds=10)
 def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good, limits):
     """Solve every island of few coordinates in place of r, where r is not good `enough`.
 
@@ -191,7 +192,7 @@ def widest(blocks, label):
     return out, found
 
 
-@kernel
+@kernel(rounds=1000)
 def by_matrix(problem, r, u, tol, most):
     """Solve (W, q, mu, scales, q_norm) in place of r: lone contacts in closed form, others by sweeps.
 

@@ -8,6 +8,7 @@ from nsdyn._kernels.collision.broadphase import bounds
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import number, unite
 from nsdyn._kernels.sorting import order as order_of
+from nsdyn._kernels.vectors import square
 
 
 @kernel
@@ -54,7 +55,7 @@ def sweep(fields, one, other, arm, frames, boxes, wide):
     for f in range(wide.size):
         turn, way = 0.0, 0.0  # the turn is at least 0.4 of the angle, or of a radian
         for i in range(3):
-            way += (other[0][f, i] - one[0][f, i]) ** 2
+            way += square(other[0][f, i] - one[0][f, i])
             for j in range(3):
                 turn = max(turn, abs(other[1][f, i, j] - one[1][f, i, j]))
         far = arm[f] * min(1.0, turn * turn)

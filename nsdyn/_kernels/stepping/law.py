@@ -11,7 +11,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import in_range, relative_velocity, size_of
 from nsdyn._kernels.stepping.touching import places
-from nsdyn._kernels.vectors import along, cross, dot, minus, row
+from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
 ROLLS = 12.0
 """How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
@@ -25,8 +25,8 @@ the first. Beyond it is of first order, which never makes energy; needles that s
 GAPS = 3
 """Most times that the gaps which persistent contacts are found to end with are closed."""
 
-NO_SLIP = 1e-9
-"""Slip, m/s, that is none: what rests on the edge of its cone creeps by a tenth of the solver's tolerance."""
+NO_SLIP = 1e-14
+"""Slip, m/s, that is round-off: what rests on the edge of its cone slips on by less for good."""
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
@@ -158,8 +158,8 @@ def foresee(blocks, mu, place, old_status, local, slides):
         slides[c] = False
         if place[c] < 0 or old_status[place[c]] != 2:
             continue
-        slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
-        if slip <= 2.0 * math.sqrt(drift[i + 1] ** 2 + drift[i + 2] ** 2) or mu[c] == 0.0:
+        slip = math.sqrt(square(u_begin[i + 1]) + square(u_begin[i + 2]))
+        if slip <= 2.0 * math.sqrt(square(drift[i + 1]) + square(drift[i + 2])) or mu[c] == 0.0:
             continue
         normal, tangential = 0.0, 0.0
         for s in range(2):
@@ -227,7 +227,7 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
                 more = ended[1][place[c]] - foreseen
             else:  # it rolls away: nothing is left open
                 more = local[0, i] + end_gap[c] / ahead
-            bent = math.sqrt(local[3, i] ** 2 + local[3, i + 1] ** 2 + local[3, i + 2] ** 2)
+            bent = math.sqrt(square(local[3, i]) + square(local[3, i + 1]) + square(local[3, i + 2]))
             off[c] = abs(gap[c] - left) <= ahead * max(bent, abs(more))
             if off[c]:
                 end_gap[c] += gap[c] - left
@@ -317,7 +317,7 @@ def state(r, mu, i):
     """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary) of rows i to i + 2."""
     if r[i] <= 0.0:
         return 0
-    return 1 if math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu * r[i] * (1.0 - 1e-9) else 2
+    return 1 if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9) else 2
 
 
 @in_place
@@ -359,7 +359,7 @@ def outcome(rows, v_plus, r, lasting, slow, out):
         nothing = held = False
         if c < nc:
             status[c] = state(r, mu[c], i)
-            if status[c] == 2 and mu[c] > 0.0 and u_end[i + 1] ** 2 + u_end[i + 2] ** 2 <= slow * slow:
+            if status[c] == 2 and mu[c] > 0.0 and square(u_end[i + 1]) + square(u_end[i + 2]) <= slow * slow:
                 status[c] = 1
             if turned.size > c:
                 normal[c] += turned[c]

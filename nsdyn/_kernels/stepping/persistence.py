@@ -8,7 +8,7 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.stepping.law import offsets
 from nsdyn._kernels.stepping.touching import last_status, places
-from nsdyn._kernels.vectors import along, dot, put, row, times, to_local
+from nsdyn._kernels.vectors import along, dot, put, row, square, times, to_local
 
 STILL = 1e-3
 """Fraction of what forces, and bodies that turn towards each other, change a velocity by in a move below which a closed
@@ -59,14 +59,14 @@ def persists(names, warm, begin, limits, local, end_gap, struck, out):
             known, gap, old = before[c] >= 0, begin_gap[before[c]] if before[c] >= 0 else 0.0, was[c]
         else:
             known, gap, old = True, limits[0][c - nc], 2 if limits[1][c - nc] else 0
-        speed = math.sqrt(u_begin[i] ** 2 + u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
-        bent = math.sqrt(drift[i] ** 2 + drift[i + 1] ** 2 + drift[i + 2] ** 2)
+        speed = math.sqrt(square(u_begin[i]) + square(u_begin[i + 1]) + square(u_begin[i + 2]))
+        bent = math.sqrt(square(drift[i]) + square(drift[i + 1]) + square(drift[i + 2]))
         still = STILL * (abs(u_free[i] - u[i]) + max(0.0, -drift[i])) - LEFT * (speed + bent)
         if gap < -2.0 * closed or (old == 0 and (not known or gap > closed or abs(u_begin[i]) >= still)):
             continue
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
         if c < nc:
-            slip = math.sqrt(u_begin[i + 1] ** 2 + u_begin[i + 2] ** 2)
+            slip = math.sqrt(square(u_begin[i + 1]) + square(u_begin[i + 2]))
             sticks[c] = stays[c] and (old == 1 or (old == 0 and slip <= still))
         if stays[c] and abs(end_gap[c]) <= closed and abs(drift[i]) * h <= STILL * closed:
             end_gap[c] = 0.0
@@ -143,7 +143,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             if stays[last] and r[i] > 0.0:
                 press += r[i]
                 work += r[i] * u[i]
-                inside = math.sqrt(r[i + 1] ** 2 + r[i + 2] ** 2) < mu[last] * r[i] * (1.0 - 1e-9)
+                inside = math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu[last] * r[i] * (1.0 - 1e-9)
                 if sticks[last] and inside and not slides[last]:
                     work += r[i + 1] * u[i + 1] + r[i + 2] * u[i + 2]
                     held = True
@@ -191,7 +191,7 @@ def turns(v, free, h):
     """Whether any of the free bodies may turn on another by so much in h s that they have couples."""
     most = 0.0
     for f in range(free):
-        most = max(most, v[6 * f + 3] ** 2 + v[6 * f + 4] ** 2 + v[6 * f + 5] ** 2)
+        most = max(most, square(v[6 * f + 3]) + square(v[6 * f + 4]) + square(v[6 * f + 5]))
     return 2.0 * h * math.sqrt(most) > NO_ARM
 
 

@@ -12,6 +12,7 @@ from nsdyn._kernels.reductions import least
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, reversal, touching
+from nsdyn._kernels.vectors import square
 
 GAIN = 1e-5
 """Of the kinetic energy with which it begins, most that contacts that persist and projections may add in a step."""
@@ -101,7 +102,7 @@ def eventless(num, inscribed, met, now, flags, was, spins, room):
     most = law.TURNS / (num[col.THETA] * num[col.STEP])
     for spin in spins:
         for k in range(spin.shape[0]):
-            fastest = max(fastest, spin[k, 0] ** 2 + spin[k, 1] ** 2 + spin[k, 2] ** 2)
+            fastest = max(fastest, square(spin[k, 0]) + square(spin[k, 1]) + square(spin[k, 2]))
     if fastest > most * most:
         touching.turns_far((names[2], names[3], scalars[0], presses, num[col.CLOSED]), spins, most, far)
         for c in range(nc):
@@ -119,7 +120,7 @@ def may_gain(mass, works, fallen):
             most += max(0.0, work[c])
     for k in range(mass.size):
         i = 6 * k
-        slowest = min(slowest, 0.5 * mass[k] * (fallen[i] ** 2 + fallen[i + 1] ** 2 + fallen[i + 2] ** 2))
+        slowest = min(slowest, 0.5 * mass[k] * (square(fallen[i]) + square(fallen[i + 1]) + square(fallen[i + 2])))
     return most > SURELY * GAIN * slowest
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nsdyn._kernels.collision.search import LEFT, WHOLE, gather, seek
+from nsdyn._kernels.collision.search import LEFT, gather, seek
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import columns as col
@@ -22,7 +22,7 @@ def look(detection, ready, looked, begun, into, head, which, room):
     room = (most contacts, most numbers in the rows of W of each).
     """
     (geoms, pairs, limit, tolerance), (before, next_key), (most, wide) = detection, begun, room
-    count = seek(geoms, pairs, limit, ready, looked, WHOLE)
+    count = seek(geoms, pairs, limit, ready, looked)
     if count == LEFT:
         return LOOK
     head[which] = head[col.NEEDED] = count

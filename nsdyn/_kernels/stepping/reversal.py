@@ -4,6 +4,7 @@ import math
 
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.stepping.law import state
+from nsdyn._kernels.vectors import square
 
 ROUND = 0.5
 """Cosine of the angle from which on slip has turned round in a move: by less than 60° its mean tells its direction."""
@@ -34,7 +35,7 @@ def ending(r, y, b, mu, local, was, slid, out):
         onward, before, after, gain = 0.0, 0.0, 0.0, 0.0
         for j in range(3 * c + 1, 3 * c + 3):
             end = y[j] - b[j] + u_free[j] + drift[j]
-            onward, before, after = onward + u_begin[j] * end, before + u_begin[j] ** 2, after + end**2
+            onward, before, after = onward + u_begin[j] * end, before + square(u_begin[j]), after + square(end)
             gain += r[j] * (u_begin[j] + end)
         if before == 0.0:
             continue  # it has stopped where the move begins

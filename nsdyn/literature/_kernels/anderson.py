@@ -5,14 +5,20 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 
 
-@in_place(fastmath={"reassoc", "contract"})  # sums in any order, so that they are vectorised
+@in_place
 def products(F, f, used, out):
     """F_j · f of the first `used` rows of F, into out."""
+    ends = f.size // 4 * 4
     for j in range(used):
-        total = 0.0
-        for i in range(f.size):
-            total += F[j, i] * f[i]
-        out[j] = total
+        a, b, c, d = 0.0, 0.0, 0.0, 0.0  # the sums of one are too slow: each waits for the one before
+        for i in range(0, ends, 4):
+            a += F[j, i] * f[i]
+            b += F[j, i + 1] * f[i + 1]
+            c += F[j, i + 2] * f[i + 2]
+            d += F[j, i + 3] * f[i + 3]
+        for i in range(ends, f.size):
+            a += F[j, i] * f[i]
+        out[j] = a + b + c + d
 
 
 @kernel

@@ -13,7 +13,7 @@ where max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has on
 import math
 
 from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.vectors import dot, row
+from nsdyn._kernels.vectors import dot, row, square
 
 START = 100.0  # first x and z: far inside, whatever the solution of a problem of unit size
 
@@ -198,7 +198,7 @@ def longest(u, z, du, dz):
             a = min(a, -u[c, 0] / du[c, 0])
         if dz[c, 0] < 0.0:
             a = min(a, -z[c, 0] / dz[c, 0])
-        t = math.sqrt(z[c, 1] ** 2 + z[c, 2] ** 2)
+        t = math.sqrt(square(z[c, 1]) + square(z[c, 2]))
         slack = dz[c, 0]
         if t > 0.0:
             slack -= (z[c, 1] * dz[c, 1] + z[c, 2] * dz[c, 2]) / t
@@ -216,20 +216,20 @@ def move(mu, u, z, du, dz, a, nu, nz):
     """
     total = 0.0
     for c in range(mu.size):
-        t = math.sqrt(z[c, 1] ** 2 + z[c, 2] ** 2)
+        t = math.sqrt(square(z[c, 1]) + square(z[c, 2]))
         slack = z[c, 0] - t + a * dz[c, 0]
         if t > 0.0:
             slack -= a * (z[c, 1] * dz[c, 1] + z[c, 2] * dz[c, 2]) / t
         for i in range(3):
             nu[c, i] = u[c, i] + a * du[c, i]
             nz[c, i] = z[c, i] + a * dz[c, i]
-        t = math.sqrt(nz[c, 1] ** 2 + nz[c, 2] ** 2)
+        t = math.sqrt(square(nz[c, 1]) + square(nz[c, 2]))
         if nz[c, 0] - t < 0.5 * slack and t > 0.0:
             s = (nz[c, 0] - min(slack, 0.9 * nz[c, 0])) / t
             nz[c, 1] *= s
             nz[c, 2] *= s
         if mu[c] > 0.0:
-            total += (nu[c, 0] / mu[c] + math.sqrt(nu[c, 1] ** 2 + nu[c, 2] ** 2)) * nz[c, 0]
+            total += (nu[c, 0] / mu[c] + math.sqrt(square(nu[c, 1]) + square(nu[c, 2]))) * nz[c, 0]
             total += nu[c, 1] * nz[c, 1] + nu[c, 2] * nz[c, 2]
         else:
             total += nu[c, 0] * nz[c, 0]
@@ -241,4 +241,5 @@ def centring(gap, after, full, worst, last):
     """Share of the gap to aim at: after the affine step `full`, with the defect `worst` and the last step `last`."""
     if last < 0.1:  # the last step hit the boundary at once
         return 1.0
-    return max(min(1.0, (after / gap) ** 3), 1e-4, 0.5 * (1.0 - full) ** 3, min(1.0, 0.1 * worst / gap))
+    left, rest = after / gap, 1.0 - full
+    return max(min(1.0, square(left) * left), 1e-4, 0.5 * square(rest) * rest, min(1.0, 0.1 * worst / gap))

@@ -7,6 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.cones import project, projection_jacobian, solve_one
 from nsdyn._kernels.problem.given import velocity_of
+from nsdyn._kernels.vectors import square
 
 PROJECTION, ITERATED, EXACT, ALART_CURNIER, JEAN_MOREAU, NATURAL, FISCHER_BURMEISTER = range(7)
 
@@ -42,7 +43,7 @@ def iterate(W, q, mu, rho, goal, most, r):
             v[0], v[1], v[2] = x0, x1, x2
             _product(W, q, v, u)
             _shifted(u, mu, G)
-            turn = math.sqrt((F[0] - G[0]) ** 2 + (F[1] - G[1]) ** 2 + (F[2] - G[2]) ** 2)
+            turn = math.sqrt(square(F[0] - G[0]) + square(F[1] - G[1]) + square(F[2] - G[2]))
             ratio = rho * turn / moved
             if ratio <= 0.9:
                 break
@@ -184,7 +185,7 @@ def _newton_step(W, A, B, F, r):
     c1 = J[1, 2] * J[2, 0] - J[1, 0] * J[2, 2]
     c2 = J[1, 0] * J[2, 1] - J[1, 1] * J[2, 0]
     det = J[0, 0] * c0 + J[0, 1] * c1 + J[0, 2] * c2
-    if not abs(det) > 1e-14 * top**3:
+    if not abs(det) > 1e-14 * (square(top) * top):
         return False
     d1 = J[0, 2] * J[2, 1] - J[0, 1] * J[2, 2]
     d2 = J[0, 1] * J[1, 2] - J[0, 2] * J[1, 1]
@@ -215,7 +216,7 @@ def newton(kind, W, q, mu, rho, goal, most, r):
     return size, most
 
 
-@kernel
+@kernel(rounds=1000)
 def solve(kind, W, q, mu, rho, goal, most, r):
     """One-contact problem u = W r + q by the local solver of that kind, from r and in place of it.
 

@@ -20,9 +20,8 @@ from nsdyn._kernels.problem.blocks import (
 )
 from nsdyn._kernels.problem.cones import coulomb, measure_at, project_all, slide
 from nsdyn._kernels.problem.given import velocity
+from nsdyn._kernels.vectors import square
 from nsdyn.literature._kernels.anderson import mix
-
-FUSED = {"contract"}  # products and sums in one instruction
 
 
 class Matrix(NamedTuple):
@@ -96,7 +95,7 @@ def factors(blocks):
     return Factors(blocks, y, D, S)
 
 
-@in_place(fastmath=FUSED)
+@in_place
 def solve_contact(W, own, S, c, b0, b1, b2, mu):
     """Impulse of contact c with free velocity b, three scalars; its block is W[own], S[c] its inverse, 0 without."""
     if b0 >= 0.0:
@@ -104,14 +103,14 @@ def solve_contact(W, own, S, c, b0, b1, b2, mu):
     x0 = -(S[c, 0, 0] * b0 + S[c, 0, 1] * b1 + S[c, 0, 2] * b2)
     x1 = -(S[c, 1, 0] * b0 + S[c, 1, 1] * b1 + S[c, 1, 2] * b2)
     x2 = -(S[c, 2, 0] * b0 + S[c, 2, 1] * b1 + S[c, 2, 2] * b2)
-    if x0 > 0.0 and x1 * x1 + x2 * x2 <= (mu * x0) ** 2:
+    if x0 > 0.0 and x1 * x1 + x2 * x2 <= square(mu * x0):
         return x0, x1, x2
     if S[c, 0, 0] == 0.0 or mu == 0.0:
         return coulomb(W[own], b0, b1, b2, mu)
     return slide(W[own], b0, b1, b2, mu)
 
 
-@in_place(fastmath=FUSED)
+@in_place
 def sweep_matrix(W, q, mu, r):
     """One Gauss–Seidel sweep in place: each contact solved exactly with the others frozen."""
     indptr, indices, data, inverse = W
@@ -132,7 +131,7 @@ def sweep_matrix(W, q, mu, r):
         r[3 * c], r[3 * c + 1], r[3 * c + 2] = solve_contact(data, own, inverse, k, b0, b1, b2, mu[c])
 
 
-@in_place(fastmath=FUSED)
+@in_place
 def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
     blocks, y, diagonal, inverse = W
@@ -194,7 +193,7 @@ def _velocity_of(W, q, r, u):
     return by_factors
 
 
-@kernel
+@kernel(rounds=1000)
 def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, patience):
     """Anderson-accelerated sweeps (type II) in place of r; memory 0 is plain Gauss–Seidel.
 
@@ -237,7 +236,7 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
         for i in range(n):
             f[i] = (g[i] - x[i]) * weight[i]
             size += f[i] * f[i]
-            moved += (f[i] * weight[i]) ** 2
+            moved += square(f[i] * weight[i])
         due = k % check == 0 or k == max_sweeps or size == 0.0
         if due or math.sqrt(moved) * max(1.0, 1.0 / q_norm) <= tol:
             _velocity(W, q, g, u)
