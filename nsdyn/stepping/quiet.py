@@ -1,7 +1,7 @@
 """Steps that meet no event: what rests, slides and rolls on what it touches, and what flies.
 
-A kernel in place of the stages of `nsdyn.stepping.move`. Python makes the motion of trees, and asks the functions of the
-user, `nsdyn.stepping.between`. What has been made of a step that meets an event is the first move of that step.
+A kernel in place of the stages of `nsdyn.stepping.move`. Python makes the motion of trees and asks the user's functions
+(`nsdyn.stepping.between`). What has been made of a step that meets an event is the first move of that step.
 """
 
 from __future__ import annotations
