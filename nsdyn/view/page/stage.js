@@ -11,7 +11,7 @@ const LATE = 150;  // ms that pictures may be late in all before they get worse
 const STILL = 200;  // ms without a picture
 
 const VIEWS = {home: null, front: [0, 0], side: [90, 0], top: [0, 89.99]};  // azimuth, elevation in degrees
-const PARALLEL = 0.3;  // degrees that all but the first see: from so far away lines stay parallel to a pixel
+const PARALLEL = 0.1;  // degrees that all but the first see: from so far away lines stay parallel to a pixel
 const FILTERED = /shadow = \(\s*texture2DCompare\( shadowMap, shadowCoord\.xy \+ vec2\( dx0, dy0 \)[^]*?17\.0 \);/;
 const FINE = 2;  // pixels of a film of meshes for each that it shows, each way
 const NIGHT = 0.14;  // how bright the ground is in the dark
