@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import threading
@@ -10,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -115,12 +116,18 @@ def _tell(dropped: Any) -> None:
 
 
 def _wait_for_stop(stopped: Connection) -> None:
-    """Interrupt the task that runs when the other end is closed, as it also is where that process is killed."""
+    """Interrupt the task that runs when the other end is closed, as it also is where that process is killed.
+
+    Then nothing else ends this one: it waits for tasks from a pipe of which it holds both ends.
+    """
     stopped.poll(None)
     _over.set()
+    parent = parent_process()
     while True:
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # nothing where it is ignored
         time.sleep(AGAIN)
+        if not (parent and parent.is_alive()) and signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+            os._exit(1)
 
 
 def _heeding(function: Callable[..., Any], *task: Any) -> Any:

@@ -137,13 +137,16 @@ class Table:
 
 
 def matching(known: list[str], pattern: str, what: str) -> list[str]:
-    """The known names that a pattern matches, where * stands for anything; ValueError if none does."""
+    """The known names that a pattern matches, where * stands for anything; ValueError if none does.
+
+    Where no whole name does, those are meant that do after their robot's, as plots call them: "knee" of "robot/knee".
+    """
     if not known:
         raise ValueError(f"the recording has no {what}")
-    out = [name for name in known if fnmatchcase(name, pattern)]
-    if not out:
-        raise ValueError(unknown(pattern, known, what))
-    return out
+    for name_of in (str, lambda name: name.partition("/")[2]):
+        if out := [name for name in known if fnmatchcase(name_of(name), pattern)]:
+            return out
+    raise ValueError(unknown(pattern, known, what))
 
 
 def _needed(name: str) -> Any:

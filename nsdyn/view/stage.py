@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,8 +38,8 @@ FIELD_OF_VIEW = 32.0  # degrees
 LINES = {"color": 0.9, "night": 2.2}
 """How bright the lines of a ground are by its own colour: darker by day, brighter at night, when it is nearly black."""
 
-OUTLINE = 200
-"""Directions in which the outline of a scene is taken."""
+OUTLINE, SPANNED = 200, 40
+"""Directions in which the outline of a scene, and of a shape, is taken."""
 
 BESIDE = 2.0
 """Radii of what moves, so much of which is shown of a larger fixed body: of a pole that a toy goes down."""
@@ -66,15 +66,17 @@ class View:
             for geom in (*trajectory.scene["geoms"], *trajectory.scene.get("visuals", ())):
                 if geom["shape"] == "halfspace":
                     continue
-                place, moves = np.array(geom["placement"])[:3, 3], geom["frame"] >= 0
-                if moves:
-                    motion = motions[geom["frame"]]
-                    points.append(motion.position[::every] + rotate(motion.quaternion[::every], place))
-                else:
-                    points.append(place[None])
-                reach.append(np.full(len(points[-1]), _radius(geom)))
+                place, moves = np.array(geom["placement"]), geom["frame"] >= 0
+                balls = _balls(geom) if moves else np.array([[0.0, 0.0, 0.0, _radius(geom)]])
+                for ball in balls:
+                    at = place[:3, :3] @ ball[:3] + place[:3, 3]
+                    if moves:
+                        motion = motions[geom["frame"]]
+                        at = motion.position[::every] + rotate(motion.quaternion[::every], at)
+                    points.append(np.atleast_2d(at))
+                    reach.append(np.full(len(points[-1]), ball[3]))
+                    fixed.append(np.full(len(points[-1]), not moves))
                 sizes += [_radius(geom)] * moves
-                fixed.append(np.full(len(points[-1]), not moves))
         self.planes = halfspaces(geom for trajectory in trajectories for geom in trajectory.scene["geoms"])
         # Where there is nothing, the unit ball.
         x, r = np.concatenate(points or [np.zeros((1, 3))]), np.concatenate(reach or [np.ones(1)])[:, None]
@@ -137,15 +139,19 @@ def halfspaces(geoms: Iterable[Json]) -> list[tuple[Array, float]]:
     return [(np.array(normal), offset) for *normal, offset in planes]
 
 
-def _outline(x: Array, r: Array) -> Array:
+def _outline(x: Array, r: Array, count: int = OUTLINE) -> Array:
     """Centres and radii (., 4) of the balls that reach farthest in some of many directions."""
-    k = np.arange(OUTLINE) + 0.5  # on a spiral, evenly on the sphere
-    z, turn = 1.0 - 2.0 * k / OUTLINE, np.pi * (1.0 + math.sqrt(5.0)) * k
-    flat = np.sqrt(1.0 - z * z)
-    directions = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
-    farthest = np.unique([int(np.argmax(x @ d + r[:, 0])) for d in directions])
+    farthest = np.unique([int(np.argmax(x @ d + r[:, 0])) for d in _directions(count)])
     out: Array = np.column_stack([x, r])[farthest]
     return out
+
+
+def _directions(count: int) -> Array:
+    """Unit vectors on a spiral, evenly on the sphere."""
+    k = np.arange(count) + 0.5
+    z, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + math.sqrt(5.0)) * k
+    flat = np.sqrt(1.0 - z * z)
+    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
 
 
 def _direction(azimuth: float, elevation: float) -> Array:
@@ -164,6 +170,24 @@ def _radius(geom: Json) -> float:
     if geom["shape"] == "mesh":
         return float(np.linalg.norm(size))
     return float(size[0] + size[1]) if geom["shape"] == "capsule" else float(max(size))
+
+
+def _balls(geom: Json) -> Array:
+    """Centres and radii (., 4), in the axes of a shape, of balls between which it lies."""
+    size, kind = geom["size"], geom["shape"]
+    if "vertices" in geom:
+        corners = np.array(geom["vertices"])
+        return _outline(corners, np.zeros((len(corners), 1)), SPANNED)
+    if kind == "capsule":
+        return np.array([[0.0, 0.0, end * size[1], size[0]] for end in (-1, 1)])
+    if kind == "cylinder":  # an octagon around each end
+        turns = np.pi / 4 * np.arange(8)
+        rim = size[0] / math.cos(np.pi / 8) * np.column_stack([np.cos(turns), np.sin(turns)])
+        return np.array([[x, y, end * size[1], 0.0] for end in (-1, 1) for x, y in rim])
+    if kind in ("ellipsoid", "mesh"):
+        ends = _directions(SPANNED) if kind == "ellipsoid" else np.array(list(product((-1, 1), repeat=3)))
+        return np.column_stack([ends * size, np.zeros(len(ends))])
+    return np.array([[0.0, 0.0, 0.0, _radius(geom)]])
 
 
 def stage_commands(view: View) -> list[Json]:

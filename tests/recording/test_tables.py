@@ -289,6 +289,8 @@ def test_joints_on_the_command_line(tmp_path, capsys, monkeypatch):
     trajectory = nd.Trajectory.load("run.h5")
     assert cli.main(["joints", "run.h5", "--step", "3", "--name", "*/*1", "--csv", "j.csv"]) == 0
     table = trajectory.table("joints", "*/*1")
+    # As plots call them: without their robot.
+    assert set(trajectory.table("joints", "top1")["joint"]) == {"linkage/top1"}
     head, *rows = csv.reader((tmp_path / "j.csv").read_text().splitlines())
     assert head == list(table.headers) and len(rows) == len(table)
     assert {"position [rad or m]", "limit [N m or N]", "reaction_force_x [N]", "reaction_torque_z [N m]"} < set(head)

@@ -1,5 +1,6 @@
 """Sweeps: every combination once, in order, with the same bits from every executor."""
 
+import contextlib
 import csv
 import importlib.util
 import json
@@ -280,6 +281,26 @@ def test_ctrl_c_of_two_workers_loses_no_run_that_is_told(tmp_path):
     after = store.read_bytes().splitlines()[1:]
     assert after[: len(rows)] == rows
     assert sorted(json.loads(row)["parameters"]["mu"] for row in after) == [float(f"0.{k}") for k in range(2, 10)]
+
+
+@pytest.mark.parametrize("delay", [0.0, 600.0], ids=["between tasks", "in a task"])
+def test_no_process_outlives_one_that_is_killed(delay, tmp_path):
+    """They hold its output open, which is closed once all are gone."""
+    script = f"""import os, signal, time
+from nsdyn.study import gathering
+if __name__ == "__main__":
+    outcomes = gathering.gather(time.sleep, {{0: (0.0,), 1: (0.0,), 2: ({delay},), 3: ({delay},)}}, 2)
+    next(outcomes), next(outcomes), print("begun", flush=True)
+    {"next(outcomes), next(outcomes)" if delay == 0.0 else "time.sleep(0.5)"}
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    (tmp_path / "killed.py").write_text(script)
+    parent = subprocess.Popen([sys.executable, tmp_path / "killed.py"], stdout=subprocess.PIPE, start_new_session=True)
+    try:
+        assert parent.communicate(timeout=20)[0] == b"begun\n" and parent.returncode == -signal.SIGKILL
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(parent.pid, signal.SIGKILL)
 
 
 def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):

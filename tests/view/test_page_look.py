@@ -166,6 +166,30 @@ def test_motion_of_bodies(opened, sliding):
     assert low == 0.0 and 0.1 < high < 0.11  # it stays at its height, of which round-off is no picture
 
 
+def test_speeds_of_round_off_are_nothing_beside_others(opened):
+    """The first body rests on the ground, the other falls: what is at play is its speed."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("box", (0.2, 0.3, 0.1), 1.0, position=(0, 0, 0.05))
+    scene.add_sphere("ball", 0.1, 1.0, position=(1, 0, 9))
+    page = opened(nd.simulate(scene, 0.2, dt=5e-3))
+    press(page, "motion")
+    plays = page.run("nsdyn.panes[0].plot.values('motion', 0.1).filter(row => row[3] === 'm/s').map(row => row[4])")
+    assert plays == pytest.approx([9.81 * 0.2] * 2, rel=1e-3)
+
+
+def test_the_clock_of_a_film_hides_no_legend(sliding, tmp_path, window):
+    """Beside each other in a narrow window, where names and legends take two rows; nor where they take one."""
+    sliding.to_html(tmp_path / "page.html", beside=sliding)
+    for size in ((640, 360), (960, 540), (1280, 720)):
+        window.open((tmp_path / "page.html").as_uri() + "#picture&film&curves=energy", size)
+        top, bottom = window.run(
+            "[document.getElementById('clock').getBoundingClientRect().top,"
+            " Math.max(...[...document.querySelectorAll('.head')].map(head => head.getBoundingClientRect().bottom))]"
+        )
+        assert top >= bottom, size
+
+
 def test_scenes_without_visuals_have_no_choice(opened, sliding):
     assert opened(sliding).run("document.querySelector('.tools .collision')") is None
 

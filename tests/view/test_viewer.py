@@ -257,8 +257,25 @@ def test_camera_is_as_near_as_the_shapes_are():
     """A shape far from the origin of its link is where it is, not anywhere around that."""
     scene = nd.scenes.load("gripper")()
     view = stage.View([nd.simulate(scene, 0.01, dt=5e-3)])
-    assert view.radius < 0.25  # m; of the palm, 0.2 m wide, and the fingers below, 0.16 m high
+    assert view.radius < 0.15  # m; of the palm, 0.2 m wide, and the fingers below, 0.16 m high
     assert (view.centre[:2] == pytest.approx([0.0, 0.0], abs=0.01)) and 0.06 < view.centre[2] < 0.16
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "half"),
+    [
+        ("box", ((1.0, 0.1, 0.1),), (0.5, 0.05, 0.05)),
+        ("cylinder", (0.5, 0.02), (0.5, 0.5, 0.01)),
+        ("capsule", (0.02, 0.96), (0.02, 0.02, 0.5)),
+        ("ellipsoid", ((0.5, 0.1, 0.05),), (0.5, 0.1, 0.05)),
+    ],
+)
+def test_camera_is_near_to_what_is_flat_or_long(kind, size, half):
+    """A shape is in the picture as large as it is, not as the ball around it."""
+    scene = nd.Scene(gravity=(0, 0, 0))
+    getattr(scene, f"add_{kind}")("body", *size, 1.0)
+    view = stage.View([nd.simulate(scene, 0.01, dt=5e-3)])
+    assert 0.95 < view.radius / np.linalg.norm(half) < 1.1
 
 
 def test_camera_is_near_what_moves_along_a_large_fixed_body():

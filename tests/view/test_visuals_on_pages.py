@@ -116,7 +116,7 @@ def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
     nd.simulate(scene, 0.02, dt=0.01).to_html(tmp_path / "page.html")
     pictures, counts = [], []
     for more in ("", "&film"):
-        window.open((tmp_path / "page.html").as_uri() + "#picture" + more, (320, 180))
+        window.open((tmp_path / "page.html").as_uri() + "#picture" + more, (240, 136))
         window.run("nsdyn.show(0.01)")
         pictures.append(np.asarray(Image.open(io.BytesIO(window.picture())).convert("RGB")).astype(int))
         counts.append(window.run("nsdyn.panes[0].stage.meshes[0].geometry.attributes.position.count / 3"))

@@ -22,6 +22,7 @@ async function main() {
     pane.others = panes.filter(other => other !== pane);
     clock.listeners.push(t => pane.seek(t));
   });
+  if (picture) panes.at(-1).root.querySelector(".view").append(document.getElementById("dock"));  // of which it has the clock
   const tools = new Tools(panes);
   if (curves) tools.show(curves[1]);
   const states = Float64Array.from(new Set(recordings.flatMap(r => Array.from(r.t)))).sort();

@@ -96,7 +96,8 @@ class Motion {
     const each = this.picked !== null || all <= SINGLED;
     const [rows, seen] = [[], new Set()];
     for (const [unit, curves] of this.lanesOf) {
-      const most = Math.max(...spanOf([curves[0].values]).map(Math.abs));
+      const span = spanOf(curves.map(({values}) => values)).map(Math.abs);
+      const most = Math.max(...span, unit.startsWith("speed") ? this.recording.play.speed : 0);
       for (const {number, name, colour, values} of curves) {
         if (this.picked !== null && number !== this.picked) continue;
         if (!each && (seen.has(number) || !this.named.has(number))) continue;
