@@ -13,7 +13,7 @@ from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn._kernels.stepping import quiet_meeting as _meeting
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
-from nsdyn.solvers import Graded
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.between import Motion
 from nsdyn.stepping.flat import Acted, Found, looked, matrices, packed, vectors, velocity
@@ -21,6 +21,7 @@ from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.made import Made
 from nsdyn.stepping.response import Reach, Response
+from nsdyn.stepping.solving import again
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["NO_PAIRS", "Mover"]
@@ -96,6 +97,7 @@ class Mover:
         self._acted = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv
         self._own = _col.FRAME_WORK * n + _col.COORDINATE_WORK * nv
         self._work, self._none = self._for_work(0), (self._room(0),) * 3
+        self._solution: Solution | None = None
         self.given: tuple[Instant | None, tuple[Acted, Found] | None] = None, None
 
     def __call__(
@@ -304,11 +306,11 @@ class Mover:
         own, a = made.work[self._own :], floats[self._acted :]
         b, norm = a[_col.FREE * nc : _col.U_END * nc], float(floats[_col.NORM])
         problem = FC3D.prepared(met.blocks(self._dynamics, (masses[0], masses[1])), b, met.scalars[1], met.scales, norm)
-        start, before = own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc], own[: 3 * nc]
-        solver = self._solver
-        solution = solver.balanced(problem, start, before) if isinstance(solver, Graded) else solver(problem, start)
+        r, last = a[_col.IMPULSE * nc : _col.U * nc], self._solution if made.head[_col.SOLVED] else None
+        start = own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc] if last is None else r.copy()
+        solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], False)
         if not solution.accepted:
             return False
-        a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
+        r[:], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
         floats[_col.ERROR : _col.CERTIFIED] = solution[3:7]
         return True

@@ -15,7 +15,7 @@ from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.stepping.encounter import Closing, Encounter
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["Way", "pose", "solve"]
+__all__ = ["Way", "again", "pose", "solve"]
 
 
 class Way(NamedTuple):
@@ -105,7 +105,7 @@ def _solve(
     label, changed, full = np.empty(met.mu.size, np.int64), np.empty(slides.size, np.bool_), met.rows.full
     islands = np.ones(_blocks.islands(full.block, full.offset.size - 1, label), np.bool_)
     problem = pose(met, slides, closing)
-    solution = _again(solver, last, problem, met.local[4], met.local[0], rough)
+    solution = again(solver, last, problem, met.local[4], met.local[0], rough)
     for k in range(most + 1):
         if kept is not None and off is not None:
             r, u = solution.r.copy(), solution.u.copy()
@@ -118,7 +118,7 @@ def _solve(
         if k < most:
             kept, off = solution, changed.copy()
             problem = problem.with_velocity(met.offsets(slides, closing))
-            solution = _again(solver, solution, problem, solution.r, met.local[0], rough)
+            solution = again(solver, solution, problem, solution.r, met.local[0], rough)
     return problem, _held(met, solver, problem, solution), True
 
 
@@ -131,7 +131,7 @@ def _held(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) -> 
     return solution._replace(r=r, u=u, error=error, residual=residual)
 
 
-def _again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, before: Array, rough: bool) -> Solution:
+def again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, before: Array, rough: bool) -> Solution:
     """Solve a problem roughly where that is enough, and one that follows on a loose or rough solution as loosely."""
     if rough and isinstance(solver, Graded) and (found := solver.roughly(problem, r)) is not None:
         return found

@@ -112,7 +112,7 @@ FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, COUPLE, CON
 )
 FRAMES, SCALES, ROWS = 15, 24, 25
 BLOCKS, STARTS, FOUND_NAMES, SIZE, MADE = 5, 7, 9, 0, 1
-LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, CONTACT_WORK = (
+LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, KEPT, CONTACT_WORK = (
     0,
     15,
     30,
@@ -122,12 +122,14 @@ LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, CONTAC
     36,
     37,
     40,
+    46,
 )
 
 # The first of the integers at work: how many contacts there are where the impulses act, where the step ends, and of the
 # former those that it meets; whether these are not all; keys of new ones; gaps to be corrected yet; whether couples
-# act; how many contacts there is no room for; whether anything is so fast that it might go unseen; two of the clock.
-MIDDLE, END, MET, SOME, KEY_MIDDLE, KEY_END, GAPS_LEFT, TURNED, NEEDED, FAST, CLOCK = range(11)
+# act; how many contacts there is no room for; whether anything is so fast that it might go unseen; how often Python has
+# solved the problem otherwise; two of the clock.
+MIDDLE, END, MET, SOME, KEY_MIDDLE, KEY_END, GAPS_LEFT, TURNED, NEEDED, FAST, SOLVED, CLOCK = range(12)
 HEAD = CLOCK + 2
 
 # Flags of the contacts.

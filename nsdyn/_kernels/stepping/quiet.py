@@ -205,7 +205,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
         a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
         col.velocity(w, col.TURN, size)[:] = 0.0
-        head[col.GAPS_LEFT], head[col.TURNED] = law.GAPS, 0
+        head[col.GAPS_LEFT], head[col.TURNED], head[col.SOLVED] = law.GAPS, 0, 0
         out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = 0.0, 0.0, 0.0
         norm, _ = _blocks.size_of(q, met[2][1])
         out[col.NORM] = norm if norm > 0.0 else 1.0

@@ -11,7 +11,7 @@ from nsdyn._kernels.solvers.start import by_factors, widest
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, persistence, touching
 from nsdyn._kernels.stepping.quiet_meeting import DONE, OTHERWISE, SOLVE, closing_of
-from nsdyn._kernels.stepping.workless import PASSES, SOLVES, workless
+from nsdyn._kernels.stepping.workless import PASSES, SOLVES, reconsider_some, thaw, workless
 from nsdyn._kernels.stepping.workless import SOLVE as UNSOLVED
 
 
@@ -63,6 +63,23 @@ def rests(scene, rows, met, flags, label, room):
 
 
 @kernel
+def slip_otherwise(blocks, solution, local, slides, solved, before, changed):
+    """Whether contacts slip otherwise than foreseen, into `changed` (nc,), after so many solves more for them.
+
+    What those before changed nothing of is as it was `before`, (r, u); then that is what it is now. solution = (r, u,
+    b, mu).
+    """
+    r, u, b, mu = solution
+    label, n = np.empty(slides.size, np.int64), r.size
+    islands = np.ones(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
+    if solved > 0:
+        thaw(label, changed, islands, (before[:n], before[n:]), (r, u))
+    copy(r, before[:n])
+    copy(u, before[n:])
+    return reconsider_some(r, u, b, mu, local, slides, solved > 0, label, islands, changed)
+
+
+@kernel
 def respond(scene, bodies, rows, met, flags, again, head, room):
     """Impulses, and couples with which contacts that persist do no work; `DONE`, `SOLVE` or `OTHERWISE`.
 
@@ -94,8 +111,15 @@ def respond(scene, bodies, rows, met, flags, again, head, room):
     kept_r, kept_u, left_over = r, u, col.column(own, col.LEFT_OVER, nc)
     left_over[:] = np.inf
     if again:
-        if law.reconsider(r, u, b, mu, local, slides, False):
-            return OTHERWISE
+        before = own[col.KEPT * nc : (col.KEPT + 6) * nc]
+        if slip_otherwise(blocks, (r, u, b, mu), local, slides, head[col.SOLVED], before, flags[col.OTHER, :nc]):
+            if head[col.SOLVED] == SOLVES:
+                return OTHERWISE
+            law.offsets(local, laws, stays, slides, b)
+            head[col.SOLVED] += 1
+            norm, _ = _blocks.size_of(b, mu)
+            out[col.NORM] = norm if norm > 0.0 else 1.0
+            return SOLVE
         _blocks.velocity_change(blocks, r, change)
     else:
         if not first:
