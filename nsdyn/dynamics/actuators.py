@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels import reductions as _few
 from nsdyn.dynamics.tree_values import Halfway, TreeLoads
 from nsdyn.scene.actuation import Actuation, Actuator
 from nsdyn.scene.control import PD, Axes
@@ -40,6 +41,8 @@ class Control(NamedTuple):
         law[4] = np.inf
         return cls(law, False, False)
 
+
+LARGEST = np.finfo(float).max
 
 UNMOVED = 1e-9
 """Of a control that gives way to the motion of a step by no more than this fraction of what moves it the motion tells
@@ -103,7 +106,10 @@ class Actuators:
 
     def _parts(self, law: Array) -> tuple[Control, ...]:
         laws = [law] if len(self._trees) == 1 else [law[:, v].copy() for v in self._trees]
-        return tuple([Control(own, bool(np.isfinite(own[4]).any()), bool(own[:2].any())) for own in laws])
+        gains = [own[:2].reshape(-1) for own in laws]
+        return tuple(
+            [Control(x, _few.any_below(x[4], LARGEST), _few.most(g) > 0.0) for x, g in zip(laws, gains, strict=True)]
+        )
 
 
 def left_to_rows(halfway: Halfway, loads: TreeLoads, limit: Array, mobility: Array, v: Array, over: Bools) -> TreeLoads:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cache
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -131,10 +132,19 @@ def _held(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) -> 
     return solution._replace(r=r, u=u, error=error, residual=residual)
 
 
+@cache
+def is_graded(kind: type) -> bool:
+    """Whether solvers of a kind are `Graded`, which takes as long to ask of one as a small problem to solve."""
+    return all(hasattr(kind, name) for name in ("balanced", "loosely", "roughly"))
+
+
 def again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, before: Array, rough: bool) -> Solution:
     """Solve a problem roughly where that is enough, and one that follows on a loose or rough solution as loosely."""
-    if rough and isinstance(solver, Graded) and (found := solver.roughly(problem, r)) is not None:
+    if not is_graded(type(solver)):
+        return solver(problem, r)
+    graded = cast(Graded, solver)
+    if rough and (found := graded.roughly(problem, r)) is not None:
         return found
-    if last is not None and not last.converged and isinstance(solver, Graded):
-        return solver.loosely(problem, r)
-    return solver.balanced(problem, r, before) if isinstance(solver, Graded) else solver(problem, r)
+    if last is not None and not last.converged:
+        return graded.loosely(problem, r)
+    return graded.balanced(problem, r, before)
