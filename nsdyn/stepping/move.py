@@ -200,7 +200,7 @@ def _respond(
         met = met.otherwise()
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
-    most, back = (0, True) if barred is None else (SOLVES, last is not None)
+    most, back = (0, True) if rough or barred is None else (SOLVES, last is not None)
     way = Way(closing, back, most, rough, SHARES if label is None else 0)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere

@@ -225,12 +225,12 @@ def _until_event(
     if not (affords := effort.affords(begin, EVENT)) and effort.left < WORK:
         return capture(begun)
     effort.spend(begin)
-    # Where it could not be cut it is made roughly first, which shows whether it meets one.
+    # Where it could not be cut it is made roughly first, which shows whether it meets one, or is in a collision.
     for rough in (False,) if affords or begun.move is not None else (True, False):
         m = _try(s, loads, begin, t, h, NONE, begun, rough)
         a, begun = m.response, Begun(m.half)
         met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
-        if _jammed(a.solution) or (not affords and (met or m.touched < h)):
+        if _jammed(a.solution) or (not affords and (met or m.touched < h or not a.solution.accepted)):
             return capture(begun)
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)

@@ -118,8 +118,8 @@ def solve_workless(
         own = way if first else way._replace(back=True)
         met, problem, again, changed = solve(met, s.solver, solution, slides, own, which, before)
         otherwise = otherwise or changed
-        # Of what is solved loosely one more couple is as exact.
-        most = left if again.converged else min(left, int(again.accepted))
+        # Of what is solved loosely, or catches its impacts, one more couple is as exact.
+        most = left if again.converged and way.most else min(left, int(again.accepted))
         solution, passes, first = again, most, False
         r[:], u[:], change[:] = again.r, again.u, rows.velocity_change(again.r)
     if made:
