@@ -588,7 +588,8 @@ def test_film_has_the_curves_and_forces_asked_for(run, recording):
     energy, motion, bare = seen(), seen("--curves", "motion"), seen("--curves", "none")
     forces = seen("--curves", "none", "--forces")
     apart = [(np.abs(a - b) > 60).sum() for a, b in ((energy, bare), (energy, motion), (forces, bare))]
-    assert apart[0] > 6000 and apart[1] > 1000 and 200 < apart[2] < 2000  # of 60 000: curves, other curves, an arrow
+    # Of 60 000: curves, other curves, an arrow with its legend on the box.
+    assert apart[0] > 6000 and apart[1] > 1000 and 200 < apart[2] < 6000
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
