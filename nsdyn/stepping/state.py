@@ -229,6 +229,11 @@ class Step:
             raise AttributeError(f"a step has no {name!r}")
         return self.__dict__[name]
 
+    def __getstate__(self) -> dict[str, Any]:
+        for name in ("contacts", "problem", "ledger", "q") if self.untold is not None else ():
+            getattr(self, name)  # all that is told with it
+        return {**self.__dict__, "untold": None}
+
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"a step does not change: {name} cannot be set")
 

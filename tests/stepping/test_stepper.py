@@ -573,3 +573,21 @@ def test_terms_of_the_equations_of_motion():
     np.testing.assert_allclose(
         rates[:, 0], np.einsum("ci,cij,cj->c", step.u, step.frame, frame[:, 0]), rtol=0, atol=1e-4
     )
+
+
+@pytest.mark.parametrize("name", ["slide", "quadruped"])
+def test_a_step_that_was_not_asked_for_anything_is_sent_whole(name):
+    """To another process, long after the stepper has gone on: what it tells then is what it tells at once."""
+    setup = nd.scenes.setup(name)
+    stepper, again = (nd.Stepper(setup.scene, **setup.options()) for _ in range(2))
+    steps = [stepper.step() for _ in range(5)]
+    for kept in [pickle.loads(pickle.dumps(step)) for step in steps]:
+        step = again.step()
+        assert (
+            kept.ledger == step.ledger
+            and kept.gauss.bound == step.gauss.bound
+            and kept.solution.status == step.solution.status
+        )
+        for one, other in ((kept.q, step.q), (kept.v, step.v), (kept.r, step.r), (kept.links, step.links)):
+            assert np.array_equal(one, other)
+        assert (kept.joints is None and step.joints is None) or np.array_equal(kept.joints, step.joints)
