@@ -30,7 +30,7 @@ UNITS = {
 }
 
 NOTHING = 1e-9
-"""Fraction of the largest impulse of a step below which one is nothing."""
+"""Fraction of the largest impulse or momentum of a step below which an impulse is nothing."""
 
 CREEP = 1e-2
 """rad/s or m/s: slip is measured by the speed of the joint and this, beside which that of one that sticks, which is
@@ -67,7 +67,7 @@ class Acted(NamedTuple):
     rest : ndarray, shape (nv,)
         Speeds up to which joints rest at their limits: what the forces before it change them by in two steps.
     most : float
-        Largest impulse of the step, N·m·s.
+        Largest impulse of the step, or momentum at its beginning, N·m·s.
     """
 
     m: Mechanism
@@ -97,8 +97,9 @@ def _all(found: Retraced) -> Iterator[Acted]:
     for i, m in enumerate(found.trees.mechanisms):
         label, rest = _labels(m), np.full(m.nv, np.inf)  # of a start, at which nothing has moved yet
         for k, way in enumerate(found.ways[i]):
-            most = max((float(np.abs(kick.given[:4]).max(initial=0.0)) for kick in way.kicks), default=0.0)
-            begin = found.trees.state(i, k)[1]
+            q, begin = found.trees.state(i, k)[:2]
+            sizes = [m.mass(q) @ begin, *(kick.given[:4] for kick in way.kicks)]
+            most = max(float(np.abs(size).max(initial=0.0)) for size in sizes)
             for kick, last in zip(way.kicks, way.flows[1::2], strict=True):
                 before, after = kick.before, kick.after
                 along = np.array([begin, before, after, last.v, 0.5 * (before + after), after + before - begin])
