@@ -149,8 +149,7 @@ class Kinematics(Layout):
         if self.free:
             _motion.reach(v, h, fall, self.radius, out)
         for t, links in zip(self.trees, place.links, strict=True):
-            at = links.x, t.support, links.J, v[t.coordinates], h, t.radius, fall
-            _links.reach(*at, out[t.frames])
+            _links.reach(*t.twists(links, v[t.coordinates]), h, t.radius, fall, out[t.frames])
         if self.surfaces.count:
             self.surfaces.reach(h * np.abs(twist), out)
         return out

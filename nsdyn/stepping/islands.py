@@ -24,10 +24,10 @@ from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import striking
 from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System
-from nsdyn.stepping.move import NEW, attempt
+from nsdyn.stepping.move import attempt
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import through, turns_far
-from nsdyn.stepping.response import Begun, Trial
+from nsdyn.stepping.response import NEW, Begun, Trial
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State

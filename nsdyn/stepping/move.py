@@ -14,19 +14,19 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
-from nsdyn.stepping.half import Callbacks, Half, corrected, first_half
+from nsdyn.stepping.half import Callbacks, Half, Loads, corrected, first_half
 from nsdyn.stepping.instant import Instant, System, among, take
 from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
 from nsdyn.stepping.projection import Placed, place
-from nsdyn.stepping.response import Begun, Reach, Response, Trial
+from nsdyn.stepping.response import NEW, Begun, Reach, Response, Trial
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.stepping.solving import Way
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["NEW", "attempt", "trial"]
+__all__ = ["attempt", "trial"]
 
-NOTHING, NO_SLOTS, NEW = np.empty(0), np.empty(0, np.int64), Begun()
+NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
@@ -34,10 +34,10 @@ LOOKS = 4
 
 def trial(
     s: System,
+    loads: Loads,
     begin: Instant,
     t: float,
     h: float,
-    callbacks: Callbacks,
     barred: Index | None,
     begun: Begun = NEW,
     rough: bool = False,
@@ -54,11 +54,11 @@ def trial(
     Parameters
     ----------
     s : System
+    loads : callable
+        What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
     begin : Instant
     t, h : float
         s.
-    callbacks : callable, optional
-        As of `nsdyn.stepping.half`.
     barred : ndarray of int, optional
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
@@ -66,7 +66,7 @@ def trial(
     rough : bool
         Whether it is only to show whether it meets anything: impulses are rough, persistent contacts do some work.
     """
-    half, made = begun.half, None
+    half, made, callbacks = begun.half, None, loads(t + (1.0 - s.theta) * h)
     if half is None and (s.dynamics.trees or callbacks is not None):
         half = first_half(s, begin, t, h, callbacks)
     if begun.move is not None and barred is not None:
@@ -77,7 +77,7 @@ def trial(
         made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred, rough)
     half, _, response = made
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
-        return trial(s, begin, t, h, None, barred, Begun(again), rough)
+        return trial(s, lambda _: None, begin, t, h, barred, Begun(again), rough)
     return _met(s, begin, made, barred)
 
 

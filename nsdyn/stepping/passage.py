@@ -21,8 +21,8 @@ from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among
-from nsdyn.stepping.move import NEW, trial
-from nsdyn.stepping.response import Begun, Trial
+from nsdyn.stepping.move import trial
+from nsdyn.stepping.response import NEW, Begun, Trial
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import moved_by, parting
 from nsdyn.stepping.state import State
@@ -219,7 +219,7 @@ def _until_event(
     """
 
     def capture(begun: Begun) -> tuple[float, Trial]:
-        return h, _try(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None, begun)
+        return h, trial(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most meet no event.
     if not (affords := effort.affords(begin, EVENT)) and effort.left < WORK:
@@ -227,7 +227,7 @@ def _until_event(
     effort.spend(begin)
     # Where it could not be cut it is made roughly first, which shows whether it meets one, or is in a collision.
     for rough in (False,) if affords or begun.move is not None else (True, False):
-        m = _try(s, loads, begin, t, h, NONE, begun, rough)
+        m = trial(s, loads, begin, t, h, NONE, begun, rough)
         a, begun = m.response, Begun(m.half)
         met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
         if _jammed(a.solution) or (not affords and (met or m.touched < h or not a.solution.accepted)):
@@ -283,7 +283,7 @@ def _located(
     def gap(time: float) -> float:
         if time not in moves:
             effort.spend(begin)
-            moves[time] = _try(s, loads, begin, t, time, barred)
+            moves[time] = trial(s, loads, begin, t, time, barred)
         if time not in aims:
             aims[time], gaps[time] = _first_touch(s, begin, moves[time], barred, wide)
         return gaps[time]
@@ -365,17 +365,3 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
 def _where(c: ContactSet, there: Placement) -> tuple[Index, Index, Array, Array, Array]:
     """Contacts as of `touching.approach_of`."""
     return c.frame1, c.frame2, c.point, c.normal, there.x
-
-
-def _try(
-    s: System,
-    loads: Loads,
-    begin: Instant,
-    t: float,
-    h: float,
-    barred: Index | None,
-    begun: Begun = NEW,
-    rough: bool = False,
-) -> Trial:
-    """A move of h seconds, with what the user has to say where its impulses act; something of it may be known."""
-    return trial(s, begin, t, h, loads(t + (1.0 - s.theta) * h), barred, begun, rough)

@@ -18,7 +18,7 @@ from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import Unmet
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["Begun", "Reach", "Response", "Trial"]
+__all__ = ["NEW", "Begun", "Reach", "Response", "Trial"]
 
 
 class Reach(NamedTuple):
@@ -147,3 +147,6 @@ class Begun(NamedTuple):
 
     half: Half | None = None
     move: tuple[Half, Reach, Response] | None = None
+
+
+NEW = Begun()

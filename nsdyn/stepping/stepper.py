@@ -34,9 +34,9 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
-from nsdyn.stepping.move import NEW
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
+from nsdyn.stepping.response import NEW
 from nsdyn.stepping.state import Pieces, Start, State, Step
 from nsdyn.stepping.system import check_options, system_of
 from nsdyn.stepping.untold import Untold

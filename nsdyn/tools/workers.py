@@ -39,10 +39,7 @@ class Worker:
             ones = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NSDYN_COMPILE_PROCESSES"
             environment = os.environ | dict.fromkeys(ones, "1")
             pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-            self._process, self._buffer = (
-                subprocess.Popen(self._command, env=environment, **pipes),
-                b"",
-            )
+            self._process, self._buffer = subprocess.Popen(self._command, env=environment, **pipes), b""
         process = self._process
         assert process.stdin is not None
         try:

@@ -29,14 +29,14 @@ def plank(speed, gap):
 
 def moves(stepper, monkeypatch):
     """Moves that are tried in a step."""
-    tried, count = passage._try, 0
+    tried, count = passage.trial, 0
 
     def counted(*arguments):
         nonlocal count
         count += 1
         return tried(*arguments)
 
-    monkeypatch.setattr(passage, "_try", counted)
+    monkeypatch.setattr(passage, "trial", counted)
     stepper.step()
     return count
 

@@ -119,29 +119,23 @@ def twists_of_all(trees, x, v, linear, angular):
         at, field = at + count * nv, field + 6 * nv
 
 
-@kernel
-def reach(x, support, J, v, h, radius, fall, out):
-    """How far any point of each link's shapes moves in a step of h at velocity v, and by `fall`, m, into out (n,)."""
-    linear, angular = np.empty(x.shape), np.empty(x.shape)
-    twists(x, support, J, v, linear, angular)
-    for f in range(support.shape[0]):
+@in_place
+def reach(linear, angular, h, radius, fall, out):
+    """How far any point of each link's shapes moves in a step of h at its `twists`, and by `fall`, m, into out (k,)."""
+    for f in range(out.size):
         a, w = linear[f], angular[f]
         speed = math.sqrt(square(a[0]) + square(a[1]) + square(a[2]))
         spin = math.sqrt(square(w[0]) + square(w[1]) + square(w[2]))
         out[f] = h * (speed + spin * radius[f]) + fall
 
 
-@in_place
+@kernel
 def reach_of_all(trees, x, v, h, radius, fall, out):
-    """`reach` of the frames of all trees of a scene, as of `rows_of_all`, where all frames are at x (n, 3)."""
-    table, support, J = trees
-    at, field = 0, 0
-    for t in range(table.size // 4):
-        first, count, begin, nv = table[4 * t], table[4 * t + 1], table[4 * t + 2], table[4 * t + 3]
-        moves, own = support[at : at + count * nv].reshape((count, nv)), J[field : field + 6 * nv].reshape((nv, 6)).T
-        last = first + count
-        reach(x[first:last], moves, own, v[begin : begin + nv], h, radius[first:last], fall, out[first:last])
-        at, field = at + count * nv, field + 6 * nv
+    """`reach` of the last frames, those of all trees of a scene, from v (n,), where they are at x (k, 3)."""
+    linear, angular = np.empty(x.shape), np.empty(x.shape)
+    twists_of_all(trees, x, v, linear, angular)
+    first = x.shape[0] - out.size
+    reach(linear[first:], angular[first:], h, radius, fall, out)
 
 
 @in_place

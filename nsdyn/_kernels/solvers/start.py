@@ -114,7 +114,7 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
     One contact in closed form, more by `small`. (So is one whose W_cc is singular, as at the tip of an arm of two
     joints, where the closed form may miss.) Every island is a problem of its own, with its own norm of q: what one gets
     does not depend on the others, and all together are as good as the worst. A larger one is left as it is where r is
-    good, and `balanced`: what changes the velocities of contacts that hold adds up from step to step.
+    good, and balances (`change`): what changes the velocities of contacts that hold adds up from step to step.
 
     Parameters
     ----------

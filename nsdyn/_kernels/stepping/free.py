@@ -44,7 +44,7 @@ def given(movers, loads, position, h, theta, looked, near, out):
         rate[i] = (v_free[i] - v[i]) / h
     ahead, fallen = theta * h, theta * h * h * fall
     motion.reach(v_free, ahead, fallen, radius[:free], reach)
-    links.reach_of_all(trees, x, v_free, ahead, radius, fallen, reach)
+    links.reach_of_all(trees, x, v_free, ahead, radius[free:], fallen, reach[free:])
     return most(reach), touching.unmoved(looked, (x, R, reach), *near)
 
 
