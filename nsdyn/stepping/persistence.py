@@ -100,7 +100,7 @@ def solve_workless(
                 (met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)),
                 NO_ROWS if last is None or off is None else off,
                 solver,
-                (first, way.back, passes),
+                (first, way.back, passes, (False, 0, 0.0, 0.0)),
                 state,
             )
             otherwise = otherwise or changed

@@ -28,7 +28,16 @@ from nsdyn._kernels.stepping.quiet_meeting import (
     strikes,
     take,
 )
-from nsdyn._kernels.stepping.quiet_response import arrive, corrects, end_gaps, push, respond, rests, too_wide
+from nsdyn._kernels.stepping.quiet_response import (
+    AGAIN,
+    arrive,
+    corrects,
+    end_gaps,
+    first_solve,
+    push,
+    respond,
+    too_wide,
+)
 
 
 @in_place
@@ -217,9 +226,14 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         if stage != LOOK_AHEAD:
             if stage != MOVE:
                 began = seconds(head[col.CLOCK :])
-                label, again = whole[col.HEAD + room : col.HEAD + room + nc], stage == SOLVE
-                if not starts or not rests(scene, of_rows, met, flags, label, work_room):
-                    code = respond(scene, (inverse_J, arm), of_rows, met, flags, again, head, work_room)
+                code = AGAIN if stage == SOLVE else SOLVE
+                if starts:
+                    label = whole[col.HEAD + room : col.HEAD + room + nc]
+                    code = first_solve(scene, of_rows, met, flags, label, work_room)
+                    if code == SOLVE:
+                        return SOLVE
+                if code != DONE:
+                    code = respond(scene, (inverse_J, arm), of_rows, met, flags, code, head, work_room)
                     if code != DONE:
                         return code
                 out[col.TIME] += seconds(head[col.CLOCK :]) - began

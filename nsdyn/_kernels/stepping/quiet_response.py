@@ -14,6 +14,9 @@ from nsdyn._kernels.stepping.quiet_meeting import DONE, OTHERWISE, SOLVE, closin
 from nsdyn._kernels.stepping.workless import PASSES, SOLVES, reconsider_some, thaw, workless
 from nsdyn._kernels.stepping.workless import SOLVE as UNSOLVED
 
+SOLVED, AGAIN = -1, -2
+"""A problem is solved here, or by Python, but that may not be all."""
+
 
 @kernel
 def too_wide(num, blocks):
@@ -22,8 +25,11 @@ def too_wide(num, blocks):
 
 
 @in_place
-def rests(scene, rows, met, flags, label, room):
-    """Whether a solve is all it takes, since nothing turns, nor slips otherwise than foreseen; then it is made."""
+def first_solve(scene, rows, met, flags, label, room):
+    """Solve the problem, as foreseen: `DONE` where that is all, `SOLVED` where not, else `SOLVE`.
+
+    It is where nothing turns, nor slips otherwise than foreseen.
+    """
     (num, size), (blocks, _, scales), (out, w, own, a) = scene, rows, room
     nc, mu, h = scales.size, met[2][1], num[col.STEP]
     v, v_free, change = (
@@ -40,26 +46,26 @@ def rests(scene, rows, met, flags, label, room):
     copy(v_free, col.velocity(w, col.V_TURNED, size))
     change[:] = 0.0
     if nc == 0:
-        return True
-    if num[col.OWN] == 0.0 or persistence.turns(v, size[2], h):
-        return False
+        return DONE
     copy(local[4], r)
+    if num[col.OWN] == 0.0:
+        return SOLVE
     limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
     islands = own[col.ISLANDS * nc : (col.ISLANDS + 3) * nc].reshape((3, nc))
     given = blocks, b, mu, scales, r, u, local[0], label, islands, num[col.ENOUGH], num[col.GOOD], limits
     _, left, count, top, residual = by_factors(*given)
     error, before = top / out[col.NORM], flags[col.OTHER, :nc]
-    copy(slides, before)
     if left or not (error <= num[col.TOL] and residual <= num[col.TOL]):
-        return False
+        return SOLVE
+    out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
+    copy(slides, before)
     if law.reconsider(r, u, b, mu, local, slides, False):
         copy(before, slides)
-        return False
+        return SOLVED
     _blocks.velocity_change(blocks, r, change)
     for i in range(mean.size):
         mean[i] = 0.5 * (v[i] + v_free[i] + change[i])
-    out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
-    return not persistence.turns(mean, size[2], h)
+    return SOLVED if persistence.turns(mean, size[2], h) else DONE
 
 
 @kernel
@@ -80,11 +86,11 @@ def slip_otherwise(blocks, solution, local, slides, solved, before, changed):
 
 
 @kernel
-def respond(scene, bodies, rows, met, flags, again, head, room):
+def respond(scene, bodies, rows, met, flags, known, head, room):
     """Impulses, and couples with which contacts that persist do no work; `DONE`, `SOLVE` or `OTHERWISE`.
 
-    From the gaps that they are found to end with, if those were corrected; `again` where Python has solved the problem.
-    scene = (numbers, size), bodies = (inverse_J, arm).
+    The first problem is `SOLVED`, or solved by Python, `AGAIN`; or it is to be, `SOLVE`, from the gaps that contacts
+    were found to end with. scene = (numbers, size), bodies = (inverse_J, arm).
     """
     (num, size), (inverse_J, arm), (blocks, _, scales), (out, w, own, a) = scene, bodies, rows, room
     nc, none = scales.size, own[:0]
@@ -107,10 +113,10 @@ def respond(scene, bodies, rows, met, flags, again, head, room):
     )
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     mean = col.velocity(w, col.V_MEAN, size)
-    laws, first = (end_gap, laws_of, none, late, closing_of(num)), head[col.GAPS_LEFT] == law.GAPS
+    laws = end_gap, laws_of, none, late, closing_of(num)
     kept_r, kept_u, left_over = r, u, col.column(own, col.LEFT_OVER, nc)
     left_over[:] = np.inf
-    if again:
+    if known == AGAIN:
         before = own[col.KEPT * nc : (col.KEPT + 6) * nc]
         if slip_otherwise(blocks, (r, u, b, mu), local, slides, head[col.SOLVED], before, flags[col.OTHER, :nc]):
             if head[col.SOLVED] == SOLVES:
@@ -121,17 +127,15 @@ def respond(scene, bodies, rows, met, flags, again, head, room):
             out[col.NORM] = norm if norm > 0.0 else 1.0
             return SOLVE
         _blocks.velocity_change(blocks, r, change)
-    else:
-        if not first:
-            kept_r, kept_u = r.copy(), u.copy()
+    elif known == SOLVE:
+        kept_r, kept_u = r.copy(), u.copy()
         for k in range(5):
             copy(alone[k], local[k])
         if head[col.TURNED]:
             _blocks.relative_velocity(blocks, dv, u)
             for i in range(u.size):
                 local[2, i] += u[i]
-        if not first:
-            law.offsets(local, laws, stays, slides, b)
+        law.offsets(local, laws, stays, slides, b)
         copy(local[4], r)
     passes = PASSES if stays.any() else 0
     limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
@@ -143,13 +147,13 @@ def respond(scene, bodies, rows, met, flags, again, head, room):
         (mu, scales, alone, kept_r, kept_u),
         (stays, flags[col.STICKS, :nc], slides),
         laws,
-        off[:0] if first else off,
+        off if known == SOLVE else off[:0],
         (num[col.OWN] > 0.0, num[col.ENOUGH], num[col.GOOD], limits, num[col.TOL], SOLVES),
-        (not again, False, passes),
+        (known != AGAIN, False, passes, (known == SOLVED, int(out[col.COUNT]), out[col.ERROR], out[col.RESIDUAL])),
         (couple, dv, change, mean, left_over, flags[col.OTHER, :nc], local, b, r, u),
     )
     if code == UNSOLVED:
-        return SOLVE if first and solved == 0 and not again else OTHERWISE
+        return OTHERWISE
     if solved > 0:
         out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
     if left < passes:

@@ -74,7 +74,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
         the tolerance; and how many more solves there are for contacts that slip otherwise.
     begin : tuple
         Whether to begin with a solve, and there only to look back, as of `reconsider`; most times that others are
-        looked for.
+        looked for; what of the first solve is known: whether (r, u) are its, factorisations, error and residual.
     state : tuple
         couple (nc, 3) and dv (n,), those that act; change (n,), that of v by r, made here if problems are solved here;
         mean (n,), the mean velocity, ½ (v⁻ + v_f + dv + change), made where nothing is left to do; left and other,
@@ -87,14 +87,14 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
         What is to be done, times that are left, whether contacts slip otherwise, how many problems were solved here,
         and error, residual and factorisations of the last one.
     """
-    (before, free), (first, back, passes) = velocities, begin
+    (before, free), (first, back, passes, (known, count, error, residual)) = velocities, begin
     (mu, scales, alone, last_r, last_u), (stays, _, slides) = given, flags
     own, enough, good, limits, tol, most = solver
     couple, dv, change, mean, left, other, local, b, r, u = state
     names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
     label, changed = np.empty(mu.size, np.int64), np.empty(slides.size, np.bool_)
     islands = np.empty(0, np.bool_)
-    otherwise, solved, error, residual, count = False, 0, 0.0, 0.0, 0
+    otherwise, solved = False, 0
     while True:
         if not first:
             if own:
@@ -122,17 +122,18 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
         islands[:] = True
         some, kept_r, kept_u = off, last_r, last_u
         for k in range(most + 1):
-            norm, _ = _blocks.size_of(b, mu)
-            _, missed, count, error, residual = by_factors(
-                blocks, b, mu, scales, r, u, local[0], names, measures, enough, good, limits
-            )
-            error /= norm or 1.0
-            if missed or not (error <= tol and residual <= tol):
-                if not first:
-                    copy(last_r, r)
-                    copy(last_u, u)
-                return SOLVE, passes, otherwise, solved, error, residual, count
-            solved += 1
+            if not known:
+                norm, _ = _blocks.size_of(b, mu)
+                _, missed, count, error, residual = by_factors(
+                    blocks, b, mu, scales, r, u, local[0], names, measures, enough, good, limits
+                )
+                error /= norm or 1.0
+                if missed or not (error <= tol and residual <= tol):
+                    if not first:
+                        copy(last_r, r)
+                        copy(last_u, u)
+                    return SOLVE, passes, otherwise, solved, error, residual, count
+            solved, known = solved + 1, False
             if some.size:
                 thaw(label, some, islands, (kept_r, kept_u), (r, u))
             if not reconsider_some(r, u, b, mu, local, slides, back or k > 0, label, islands, changed):
