@@ -129,7 +129,8 @@ def tree_works(
         w = t.works(there, free, v[k], end, q, impulse[k], energy, joints)
         if free.loads.wrenches is not None:
             links[first:link] = half.h * free.loads.wrenches
-        joints[6, k] = t.speeding(there.begin_v, free.loads.rates)
+        if t.driven:
+            joints[6, k] = t.speeding(there.begin_v, free.loads.rates)
         energies.append((w.kinetic, w.potential))
         external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
         integration, projection = integration + w.integration, projection + w.projection

@@ -230,8 +230,8 @@ class Step:
         return self.__dict__[name]
 
     def __getstate__(self) -> dict[str, Any]:
-        for name in ("contacts", "problem", "ledger", "q") if self.untold is not None else ():
-            getattr(self, name)  # all that is told with it
+        for name in self.__annotations__ if self.untold is not None else ():
+            getattr(self, name)
         return {**self.__dict__, "untold": None}
 
     def __setattr__(self, name: str, value: Any) -> None:

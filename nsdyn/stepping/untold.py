@@ -23,8 +23,15 @@ if TYPE_CHECKING:
 
 __all__ = ["Untold"]
 
-CONTACTS = frozenset("contacts gap frame u r couple contact_status contact_time work_normal work_friction".split())
-"""What a step has of its contacts."""
+COLUMNS: dict[str, tuple[int, ...]] = {
+    "gap": (_col.GAP_END,),
+    "u": (_col.U_END, 3),
+    "r": (_col.IMPULSE, 3),
+    "couple": (_col.COUPLE, 3),
+    "work_normal": (_col.NORMAL_WORK,),
+    "work_friction": (_col.FRICTION_WORK,),
+}
+"""What a step has of its contacts as columns of a state: the first, and the shape of one contact."""
 
 
 class Untold(NamedTuple):
@@ -56,14 +63,15 @@ class Untold(NamedTuple):
     def told_with(self, name: str) -> dict[str, Any]:
         """What is told of the step together with `name`: its contacts, its problem and solution, or all else."""
         flat = self.flat
-        if name in CONTACTS:
-            floats, acted = flat.met.floats, flat.contact(0, _col.CONTACT)
-            return _contacts(flat.met.names, floats, acted, flat.status, self._time(self.nc))
+        if name in COLUMNS:
+            return {name: _column(flat.contact(0, _col.CONTACT), self.nc, *COLUMNS[name])}
+        if name in ("contacts", "frame", "contact_status", "contact_time"):
+            return _contacts(flat.met.names, flat.met.floats, flat.status, self._time(self.nc))
         if name in ("problem", "solution"):
             return {"problem": flat.problem(self.dynamics), "solution": flat.solution(self.scheme[1])}
         if name in ("ledger", "joints", "links"):
             results, joints, links = self._booked()
-            ledger, _ = _sums(self.before.energies, results, 0.0)
+            ledger = _ledger(self.before.energies, results, 0.0)
             return {"ledger": ledger, "joints": joints if self.dynamics.trees else None, "links": links}
         return self.told()
 
@@ -122,7 +130,6 @@ class Untold(NamedTuple):
             q, v = (a.reshape(m, -1) for a in d.pinocchio_state(first.position.moved(*columns), v))
         results: Any = np.array([results for results, *_ in booked]).T
         before = np.array([one.before.energies for one in some]).T
-        ledger, certificate = _sums(before, results, nothing)
         error, residual, count, time = results[_col.ERROR : _col.CERTIFIED]
         good = np.maximum(error, residual) <= some[0].scheme[1]
         status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)
@@ -136,8 +143,8 @@ class Untold(NamedTuple):
             links=links,
             pieces=pieces,
             created=nothing,
-            ledger=ledger,
-            gauss=certificate,
+            ledger=_ledger(before, results, nothing),
+            gauss=Certificate(*results[_col.GAP : _col.WENT]),
             solution=Solution(nothing, nothing, status, error, residual, count.astype(np.int64), time),
         )
 
@@ -151,38 +158,31 @@ class Untold(NamedTuple):
         found = np.concatenate([each.floats[: _col.SCALES * nc] for each in met]).reshape(len(met), -1)
         acted = np.concatenate([one.flat.contact(0, _col.CONTACT) for one in some]).reshape(m, -1)
         status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
-        return Step(**_contacts(names, found, acted, status, some[0]._time(1, nc)))
+        columns = {name: _column(acted, nc, *of) for name, of in COLUMNS.items()}
+        return Step(**_contacts(names, found, status, some[0]._time(1, nc)), **columns)
 
 
-def _sums(before: Any, results: Any, nothing: Any) -> tuple[Ledger, Certificate]:
-    """Ledger and certificate of a step, or of many as arrays, from the energies before it and from its results."""
+def _ledger(before: Any, results: Any, nothing: Any) -> Ledger:
+    """Ledger of a step, or of many as arrays, from the energies before it and from its results."""
     external, normal, friction, damping, numerics = results[_col.EXTERNAL : _col.NORM]
     works = Works(external, normal, friction, damping, nothing, numerics, nothing)
-    return Ledger.of(before, results[: _col.EXTERNAL], works), Certificate(*results[_col.GAP : _col.WENT])
+    return Ledger.of(before, results[: _col.EXTERNAL], works)
 
 
-def _contacts(names: Index, found: Array, acted: Array, status: Any, time: Array) -> dict[str, Any]:
-    """The contacts of a step, or of many with a leading axis, by the names of `Step`; names of shape (5, ..., nc)."""
+def _column(source: Array, nc: int, column: int, *shape: int) -> Array:
+    """Columns of nc contacts from one on, of such a shape, of one state or of many with a leading axis."""
+    return source[..., column * nc : (column + math.prod(shape)) * nc].reshape(*source.shape[:-1], nc, *shape)
+
+
+def _contacts(names: Index, found: Array, status: Any, time: Array) -> dict[str, Any]:
+    """What was met in a step, or in many with a leading axis, by the names of `Step`; names of shape (5, ..., nc)."""
     nc = status.shape[-1]
-
-    def scalars(source: Array, column: int) -> Array:
-        return source[..., column * nc : (column + 1) * nc]
-
-    def vectors(source: Array, column: int, *shape: int) -> Array:
-        return source[..., column * nc : (column + math.prod(shape)) * nc].reshape(*source.shape[:-1], nc, *shape)
-
     geom1, geom2, frame1, frame2, key = names
-    point, normal = vectors(found, 0, 3), vectors(found, 3, 3)
-    gap, mu, restitution = (scalars(found, column) for column in (12, 13, 14))
+    point, normal = _column(found, nc, 0, 3), _column(found, nc, 3, 3)
+    gap, mu, restitution = (_column(found, nc, column) for column in (12, 13, 14))
     return {
         "contacts": ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key),
-        "gap": scalars(acted, _col.GAP_END),
-        "frame": vectors(found, _col.FRAMES, 3, 3),
-        "u": vectors(acted, _col.U_END, 3),
-        "r": vectors(acted, _col.IMPULSE, 3),
-        "couple": vectors(acted, _col.COUPLE, 3),
+        "frame": _column(found, nc, _col.FRAMES, 3, 3),
         "contact_status": status,
         "contact_time": time,
-        "work_normal": scalars(acted, _col.NORMAL_WORK),
-        "work_friction": scalars(acted, _col.FRICTION_WORK),
     }
