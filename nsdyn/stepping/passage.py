@@ -177,7 +177,7 @@ def _moves(
             solved.append(pair)
             works.append(more)
         soon = left * (AGAIN if cut and struck is None else SOON)
-        length, tried = _until_event(s, loads, now, t, left, soon, effort, begun)
+        length, tried = _until_event(s, loads, now, t, left, soon, effort, begun, struck is not None)
         begun = NEW
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
@@ -211,21 +211,22 @@ def _until_event(
     soon: float,
     effort: Effort,
     begun: Begun = NEW,
+    struck: bool = False,
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
     Or to where a slip turns round, but not `soon`, s. Of the move of h seconds something may be known. Too long take
-    so many moves as would be too much to try.
+    so many moves as would be too much to try, and what has just `struck` may be in a row of impacts.
     """
 
     def capture(begun: Begun) -> tuple[float, Trial]:
         return h, trial(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most meet no event.
-    if not (affords := effort.affords(begin, EVENT)) and effort.left < WORK:
+    if not (affords := effort.affords(begin, EVENT)) and (struck or effort.left < WORK):
         return capture(begun)
     effort.spend(begin)
-    # Where it could not be cut it is made roughly first, which shows whether it meets one, or is in a collision.
+    # Where it could not be cut it is made roughly first, which shows whether it meets one.
     for rough in (False,) if affords or begun.move is not None else (True, False):
         m = trial(s, loads, begin, t, h, NONE, begun, rough)
         a, begun = m.response, Begun(m.half)
