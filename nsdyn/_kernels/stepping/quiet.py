@@ -209,7 +209,8 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         if not good or not lasting(num, met, ((first[0][4], first[2][0]), acted, warm), own, flags, status, q):
             return OTHERWISE
         local, rate = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, size)
-        if num[col.ELASTIC] > 0.0 and strikes(num, n, movers, met, local, rate, w):
+        end_gap = col.column(own, col.FORESEEN, nc)
+        if num[col.ELASTIC] > 0.0 and strikes(num, n, movers, met, local, end_gap, rate, w):
             return OTHERWISE
         copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
         a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0

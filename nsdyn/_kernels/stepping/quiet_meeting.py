@@ -142,13 +142,14 @@ def pose(scene, bodies, begin, last, met, rows, room, out):
 
 
 @kernel
-def strikes(num, n, movers, met, local, rate, w):
-    """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`, should its gap close."""
+def strikes(num, n, movers, met, local, end_gap, rate, w):
+    """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`."""
     (names, points, scalars), x = met, col.vectors(w, col.X, n)
     rates, where = np.empty((2, n, 3)), (names[2], names[3], points[0], points[1], x)
     free.moving(movers, x, col.rotations(w, col.R_THERE, n), rate, rates[0], rates[1])
     for c in range(names.shape[1]):
-        if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0:
+        closes = end_gap[c] + num[col.THETA] * num[col.STEP] * (local[2, 3 * c] + local[3, 3 * c]) <= 0.0
+        if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0 and closes:
             weight, bounces_of = touching.weight_of(c, where, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])
             resting = num[col.TOL] + sight.rests_of(weight, scalars[2, c], bounces_of) / scalars[2, c]
             if local[0, 3 * c] < -resting:
