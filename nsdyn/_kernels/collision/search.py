@@ -23,22 +23,12 @@ PAIR, FIRST, SECOND, SLOT = range(4)
 def fields_of(geoms):
     """What `Geometry` has of the geoms."""
     f, i = geoms
-    return (
-        indices(i, KIND, GEOMS),
-        triples(f, i, SIZE),
-        numbers(f, i, OFFSET),
-        numbers(f, i, RADIUS),
-        indices(i, VERTEX_PTR, GEOMS),
-        triples(f, i, VERTICES),
-        indices(i, FACE_PTR, GEOMS),
-        triples(f, i, NORMALS),
-        numbers(f, i, OFFSETS),
-        indices(i, LOOP_PTR, GEOMS),
-        indices(i, LOOP, GEOMS),
-        indices(i, FRAME, GEOMS),
-        matrices(f, i, PLACEMENT_R),
-        triples(f, i, PLACEMENT_T),
-    )
+    sizes = indices(i, KIND, GEOMS), triples(f, i, SIZE), numbers(f, i, OFFSET), numbers(f, i, RADIUS)
+    vertices = indices(i, VERTEX_PTR, GEOMS), triples(f, i, VERTICES)
+    faces = indices(i, FACE_PTR, GEOMS), triples(f, i, NORMALS), numbers(f, i, OFFSETS)
+    loops = indices(i, LOOP_PTR, GEOMS), indices(i, LOOP, GEOMS)
+    placements = indices(i, FRAME, GEOMS), matrices(f, i, PLACEMENT_R), triples(f, i, PLACEMENT_T)
+    return *sizes, *vertices, *faces, *loops, *placements
 
 
 @in_place

@@ -66,8 +66,7 @@ def segments(geometry, i, j, lines, n, out, at):
     known = not (is_round(geometry, i) and is_round(geometry, j))
     d, length1 = unit(minus(q1, p1))
     e, length2 = unit(minus(q2, p2))
-    common = cross(d, e)
-    common, sine = unit(common)
+    common, sine = unit(cross(d, e))
     rounded, tiny = radius1 + radius2 > 0.0, SAME * smaller(geometry, i, j)
     if length1 > 0.0 and length2 > 0.0 and sine < PARALLEL:
         # Both ends of the overlap, as arc lengths on segment 1.

@@ -8,17 +8,7 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.lanes import dot
 from nsdyn._kernels.problem.cones import measure_at, project
 from nsdyn._kernels.problem.given import velocity, velocity_of
-from nsdyn._kernels.problem.unit_mass import (
-    CONTACT,
-    PAIR,
-    apply,
-    diagonal,
-    factors,
-    independent,
-    read,
-    room,
-    rows_in_unit_mass,
-)
+from nsdyn._kernels.problem.unit_mass import CONTACT, PAIR, apply, diagonal, factors, independent, read, unit_rows
 from nsdyn._kernels.reductions import copy
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
@@ -220,11 +210,11 @@ def begin(blocks, q, mu, scales, q_norm, r):
     (order, (rows, bodies, steps), (q, mu, scales, q_norm)), then impulses, v̂ = Ĥ r, and the measure of r.
     """
     order = independent(blocks)
-    rows, body = rows_in_unit_mass(blocks, factors(blocks), mu, order)
+    rows, body, v = unit_rows(blocks, factors(blocks), mu, order)
     for c in range(mu.size):
         if mu[c] == 0.0:
             r[c, 1] = r[c, 2] = 0.0
-    given, y, v = (q[order], mu[order], scales[order], q_norm), r[order], room(blocks)
+    given, y = (q[order], mu[order], scales[order], q_norm), r[order]
     own = rows, body, local_steps(rows, given[1])
     refresh(own, y, v)
     best = measure(own, given, y, v, np.empty((mu.size, 3)))
