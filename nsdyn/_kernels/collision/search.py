@@ -40,18 +40,10 @@ def room_of(geoms):
 
 @in_place
 def seek(geoms, pairs, limit, placed, poses):
-    """Number of contacts, or `LEFT`: `follow` first unless the geoms are `placed`, then `manifolds`.
+    """Number of contacts, or `LEFT`: `follow` first unless the geoms are `placed` at the poses, then `manifolds`.
 
-    Parameters
-    ----------
-    geoms, pairs : (ndarray, ndarray)
-        Real numbers and integers, packed by the detector, where the contacts are then.
-    limit : int
-        Most contacts of a pair.
-    placed : bool
-        Whether the geoms are where `poses` has them already.
-    poses : tuple
-        x (frames, 3), R (frames, 3, 3), reach (frames,) of the moving frames, m.
+    `geoms` and `pairs` are real numbers and integers, packed by the detector, where the contacts are then, at most
+    `limit` of a pair; `poses` (x, R, reach) of the moving frames, m.
     """
     (f, i), (p, j) = geoms, pairs
     fields, (R, t), reach = fields_of(geoms), room_of(geoms), numbers(f, i, REACH)

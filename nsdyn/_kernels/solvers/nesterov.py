@@ -160,16 +160,8 @@ def solve(given, state, so_far, limits):
     contacts are worth the next ones; best_r keeps the best, all else is in the `order` of the contacts. Stops after
     `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of the best, its measure, keep).
 
-    Parameters
-    ----------
-    given : tuple
-        order, factors and (q, mu, scales, q_norm), as of `begin`.
-    state : tuple of ndarray
-        best_r, y, x and v = Ĥ y, and t (nc,) of each contact; all are changed.
-    so_far : tuple
-        What the last call returned.
-    limits : tuple
-        tol, most, check and patience.
+    `given` are (order, factors, (q, mu, scales, q_norm)) as of `begin`, `state` (best_r, y, x, v = Ĥ y, t (nc,) of each
+    contact), which are changed, `so_far` is what the last call returned, `limits` are (tol, most, check, patience).
     """
     order, factors, (q, mu, scales, q_norm) = given
     best_r, y, x, v, t = state

@@ -134,16 +134,9 @@ def judge(given, vectors, so_far):
     """The verdict on a Newton step: (`GOES_ON`, `SETTLED` or `FAILED`, and what goes on from `so_far`).
 
     Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps. Where it does not
-    settle, or diverges, the penalty is too large. The best P is kept in r.
-
-    Parameters
-    ----------
-    given : tuple
-        mu, scales and q_norm of the problem.
-    vectors : tuple
-        u, `shown` and `own` as of `settled`, P, estimate, r, (3 nc,) each.
-    so_far : tuple
-        Penalty, Newton steps with it, square of the defect before, least measure.
+    settle, or diverges, the penalty is too large. The best P is kept in r. `given` are (mu, scales, q_norm) of the
+    problem, `vectors` (u, shown, own, P, estimate, r), the first as of `settled`, `so_far` (penalty, Newton steps with
+    it, square of the defect before, least measure).
     """
     (mu, scales, q_norm), (u, shown, own, P, estimate, r), (penalty, inner, before, best) = given, vectors, so_far
     measure = measure_at(scales, shown, P, mu, q_norm)
