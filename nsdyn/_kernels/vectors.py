@@ -69,6 +69,12 @@ def row(a, k):
 
 
 @in_place
+def three(a, i):
+    """Entries i, i + 1, i + 2 of a flat array as a vector."""
+    return a[i], a[i + 1], a[i + 2]
+
+
+@in_place
 def put(a, k, v):
     """Write the vector v into row k of an array."""
     a[k, 0], a[k, 1], a[k, 2] = v

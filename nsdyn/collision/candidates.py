@@ -101,14 +101,7 @@ class Candidates:
         self._set_pairs(np.empty(0, dtype=np.int64))
 
     def only(self, geoms: Index, frame: Index) -> Self:
-        """That of some geoms, ascending, which finds the same contacts among them.
-
-        Parameters
-        ----------
-        geoms : ndarray of int, shape (k,)
-        frame : ndarray of int, shape (k,)
-            Frames they hang on there.
-        """
+        """That of some geoms (k,), ascending, on other frames (k,), which finds the same contacts among them."""
         some = [replace(self._geoms[g], frame=f) for g, f in zip(geoms.tolist(), frame.tolist(), strict=True)]
         place = np.full(len(self._geoms), -1)
         place[geoms] = np.arange(geoms.size)
@@ -189,8 +182,7 @@ class Candidates:
         boxes = self._lower, self._upper, self._fat_lower, self._fat_upper
         shapes = g.size, g.offset, g.radius, g.vertices, g.face_normals, g.face_offsets, g.placement_R, g.placement_t
         *packed, f, _ = pack(
-            [*shapes, *pose, *boxes, *self._scratch],
-            [g.kind, g.vertex_ptr, g.face_ptr, g.loop_ptr, g.loop, g.frame],
+            [*shapes, *pose, *boxes, *self._scratch], [g.kind, g.vertex_ptr, g.face_ptr, g.loop_ptr, g.loop, g.frame]
         )
         self._packed = tuple(packed)
         self._R, self._t, self._reach, self._slack, self._base = f[8:13]

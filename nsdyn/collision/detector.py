@@ -61,10 +61,10 @@ class Detector(Candidates):
             self.ask(*poses)
         # Mostly there are as many contacts as before.
         out, before = _room(memory.names.shape[1]), (memory.names, memory.points)
-        count, next_key = search.search(*self._search, placed, poses, before, memory.next_key, out)
+        count, next_key = search.search(self._search, placed, poses, before, memory.next_key, out)
         if count == search.LEFT:
             self.ask(*poses)
-            count, next_key = search.search(*self._search, True, poses, before, memory.next_key, out)
+            count, next_key = search.search(self._search, True, poses, before, memory.next_key, out)
         elif not placed:
             self._served += 1
         names, points, scalars = out
@@ -133,7 +133,7 @@ class Detector(Candidates):
         turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
         advancement.motions(self.frame, self._arm, *begin, *end, turn, reach)
         self._renew(begin.x, begin.R, reach)
-        codes = _NONE if known is None else known.geom1 * len(self._cores) + known.geom2
+        codes = _NONE if known is None else self.codes(known)
         pairs, motion = np.empty(len(self._first), dtype=np.int64), (begin.x, end.x, turn)
         candidates, placed = (self._first, self._second, codes), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least
@@ -225,5 +225,5 @@ def _distance(shapes: Any, R: Array, t: Array) -> tuple[float, Any]:
 
 
 def _room(count: int) -> tuple[Index, Array, Array]:
-    """Room for so many contacts, as `keys.collect` fills it."""
+    """Room for so many contacts, as `search.gather` fills it."""
     return np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))

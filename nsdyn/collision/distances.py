@@ -85,13 +85,7 @@ class Batch:
     """
 
     def __init__(
-        self,
-        model: pin.GeometryModel,
-        shapes: Sequence[object],
-        first: Index,
-        second: Index,
-        margin: Array,
-        out: Array,
+        self, model: pin.GeometryModel, shapes: Sequence[object], first: Index, second: Index, margin: Array, out: Array
     ) -> None:
         self._pairs, self._near = (first, second, margin), np.ones(first.size, np.bool_)
         self._changed = np.empty(first.size, np.int64)
@@ -106,19 +100,13 @@ class Batch:
         requests = self._data.distanceRequests
         for k in range(m):  # Pinocchio's own requests start from the last answer: not reproducible
             requests[k] = request
-        self._rotation, self._translation, self._results = _views(self._data, len(self._geoms), m)
+        self._rotation, self._translation = pose_views(self._data.oMg, len(self._geoms))
+        self._results = _memory(self._data.distanceResults[0].normal.ctypes.data - 8, (m, 10), (_strides()[1], 8))
 
     def run(self, fields: tuple[Any, ...], placed: tuple[Array, ...], boxes: tuple[Array, Array]) -> None:
         """Distances of all pairs, into the rows of `out`, inf where they are seen to be too far apart.
 
-        Parameters
-        ----------
-        fields : tuple
-            Of `Geometry`.
-        placed : tuple of ndarray
-            R, shape (geoms, 3, 3), t, shape (geoms, 3), and reach, shape (geoms,), m.
-        boxes : tuple of ndarray
-            About the geoms, lower and upper, shape (geoms, 3) each, m.
+        The `fields` are those of `Geometry`, `placed` (R, t, reach) of the geoms, `boxes` (lower, upper) about them, m.
         """
         R, t, _ = placed
         self._rotation[:] = R[self._geoms]
@@ -139,14 +127,6 @@ def _memory(address: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> A
     length = sum((n - 1) * s for n, s in zip(shape, strides, strict=True)) // 8 + 1
     flat = np.frombuffer(memoryview((ctypes.c_double * length).from_address(address)))
     return np.lib.stride_tricks.as_strided(flat, shape, strides)
-
-
-def _views(data: pin.GeometryData, geoms: int, pairs: int) -> tuple[Array, Array, Array]:
-    """Rotations (n, 3, 3) and translations (n, 3) of the geoms, results (m, 10) of the pairs, as live arrays."""
-    result = _strides()[1]
-    rotation, translation = pose_views(data.oMg, geoms)
-    results = _memory(data.distanceResults[0].normal.ctypes.data - 8, (pairs, 10), (result, 8))
-    return rotation, translation, results
 
 
 def pose_views(poses: Any, count: int) -> tuple[Array, Array]:

@@ -71,16 +71,9 @@ class Actuators:
 
     def controls(self, given: Any) -> tuple[Control, ...]:
         """What a controller returned, for each tree; ValueError if it does not fit."""
-        if isinstance(given, PD):
+        if isinstance(given, PD | Actuation):
             if given is not self._last[0]:
-                kp, kd, target, rate, feedforward, limit = given.on(self._axes, self._effort)
-                law = np.array((kp, kd, target, feedforward + kd * rate, limit))
-                self._last = given, self._parts(law)
-            return self._last[1]
-        if isinstance(given, Actuation):
-            if given is not self._last[0]:
-                self._last = given, self._parts(given.on(self._axes.owner, self._actuators, self._effort))
-                self._tell(given)
+                self._last = given, self._parts(self._law(given))
             return self._last[1]
         law = self._none.copy()
         named, what = isinstance(given, Mapping), "joint forces of controller"
@@ -94,15 +87,18 @@ class Actuators:
         law[3] = self._axes.spread(dict(zip(given, tau, strict=True)) if named else tau, 0.0, what)
         return self._parts(law)
 
-    def _tell(self, given: Actuation) -> None:
-        """Warn once of actuators that a controller does not name."""
-        named = given.by_name(self._axes.owner, self._actuators)
+    def _law(self, given: PD | Actuation) -> Array:
+        """What a controller asks for; actuators that it does not name are warned of once."""
+        owner = self._axes.owner
+        if isinstance(given, PD):
+            kp, kd, target, rate, feedforward, limit = given.on(self._axes, self._effort)
+            return np.array((kp, kd, target, feedforward + kd * rate, limit))
+        law, named = given.on(owner, self._actuators, self._effort), given.by_name(owner, self._actuators)
         off = [a.name for a in self._actuators if a.name not in named]
         if off and not self._told:
             self._told = True
-            warnings.warn(
-                f"actuators of {self._axes.owner!r} that controller does not name are off: {off}", stacklevel=2
-            )
+            warnings.warn(f"actuators of {owner!r} that controller does not name are off: {off}", stacklevel=2)
+        return law
 
     def _parts(self, law: Array) -> tuple[Control, ...]:
         laws = [law] if len(self._trees) == 1 else [law[:, v].copy() for v in self._trees]

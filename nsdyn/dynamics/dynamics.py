@@ -40,12 +40,7 @@ def _mapping(given: Any, what: str) -> Mapping[str, Any]:
 
 
 class Dynamics(Kinematics):
-    """Equations of motion of a scene between contacts.
-
-    Parameters
-    ----------
-    scene : Scene
-    """
+    """Equations of motion of a scene between contacts."""
 
     # -- forces -----------------------------------------------------------------------------------------------------
 
@@ -123,12 +118,8 @@ class Dynamics(Kinematics):
     def wrenches(self, middle: Position, given: Mapping[str, Any]) -> Wrenches:
         """What external wrenches are: forces and torques on the free bodies; of trees by their index as `Tree.pushed`.
 
-        Parameters
-        ----------
-        middle : Position
-        given : mapping
-            Free body name to its force (3,) at the centre of mass [N], or to (force, torque [N m]); world axes. For a
-            body of an articulation, "articulation/body", the force acts at the origin of its frame.
+        They are given by the name of a free body, as a force (3,) at its centre of mass [N], or (force, torque [N m]);
+        world axes. On a body of an articulation, "articulation/body", the force acts at the origin of its frame.
         """
         force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
         applied: dict[int, tuple[Array, Array]] = {}
@@ -149,21 +140,11 @@ class Dynamics(Kinematics):
                 before = applied.get(k, (0.0, 0.0))
                 applied[k] = before[0] + push, before[1] + wrenches
             else:
-                self._refuse_body(name)
+                raise ValueError(unknown(name, [*self.names, *self._bodies], "body of external_force"))
         return force, torque, applied
 
-    def _refuse_body(self, name: str) -> None:
-        """ValueError for a wrench on what does not move, naming what does."""
-        raise ValueError(unknown(name, [*self.names, *self._bodies], "body of external_force"))
-
     def controls(self, given: Mapping[str, Any]) -> Controls:
-        """Laws of the joints by the index of the tree, from what a controller gives to articulations.
-
-        Parameters
-        ----------
-        given : mapping
-            Articulation name to its joint forces (nv,), or to a `PD`.
-        """
+        """Laws of the joints by the index of the tree, from what a controller gives to articulations by name."""
         out: dict[int, Control] = {}
         for name, value in _mapping(given, "controller").items():
             first, actuators = self._forests[choice(name, self._forests, "articulation of controller")]

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,7 @@ NEAR = 1e-2
 """A limit takes part in a step when the joint is this fraction of its range away from it, plus what it moves."""
 
 
-@dataclass(frozen=True, eq=False)
-class JointRows:
+class JointRows(NamedTuple):
     """The joint rows of a step, nj of them.
 
     Attributes
@@ -62,7 +61,7 @@ class JointRows:
             return self
         if not kept.any():
             return None
-        return JointRows(self.slot[kept], self.gap[kept], self.restitution[kept], self.mu[kept], self.clutch[:, kept])
+        return JointRows._make(x[..., kept] for x in self)
 
     @property
     def actuated(self) -> NDArray[np.bool_]:
@@ -156,11 +155,10 @@ class JointLaws:
         if not on.size:
             return rows
         slot, zero = on + self.actuators(coordinates).start, np.zeros(on.size)
-        own = slot, zero, zero, zero + 1.0, clutch[:, on]
-        if rows is None:
-            return JointRows(*own)
-        before = rows.slot, rows.gap, rows.restitution, rows.mu, rows.clutch
-        return JointRows(*(np.concatenate(two, axis=-1) for two in zip(before, own, strict=True)))
+        own = JointRows(slot, zero, zero, zero + 1.0, clutch[:, on])
+        return (
+            own if rows is None else JointRows(*(np.concatenate(two, axis=-1) for two in zip(rows, own, strict=True)))
+        )
 
     def gaps(self, slot: Index | slice, angle: Array) -> Array:
         """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""

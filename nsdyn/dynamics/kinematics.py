@@ -8,6 +8,7 @@ import pinocchio as pin
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
+from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn.dynamics.layout import Layout
 from nsdyn.dynamics.tree_values import Links, TreeEnd
 from nsdyn.dynamics.values import Forces, Middle, Placement, Position
@@ -36,10 +37,8 @@ class Kinematics(Layout):
         ahead = (1.0 - theta) * h
         if self._lone:
             only = self.trees[0].halfway(position.trees[0], v, h, theta)
-            return Middle(position.bent(only.q), only.v, Placement.of(only.links), (only,))
+            return Middle(position._replace(trees=(only.q,)), only.v, Placement.of(only.links), (only,))
         x, quaternion, after, X, R = self._flow(position, v, ahead)
-        if self._bodies_only:
-            return Middle(position.moved(x, quaternion), after, Placement(X, R, ()), ())
         halves = tuple(
             [t.halfway(q, v[t.coordinates], h, theta) for t, q in zip(self.trees, position.trees, strict=True)]
         )
@@ -72,10 +71,9 @@ class Kinematics(Layout):
             free = forces.trees[0]
             pushed = free.loads.implicit or _few.largest(impulse) > 0.0
             only = self.trees[0].end(middle.trees[0], free, v, pushed)
-            return position.bent(only.q), only.v, Placement.of(self.trees[0].links(only.q)), (only,)
+            there = position._replace(trees=(only.q,))
+            return there, only.v, Placement.of(self.trees[0].links(only.q)), (only,)
         x, quaternion, after, X, R = self._flow(position, v, h)
-        if self._bodies_only:
-            return position.moved(x, quaternion), after, Placement(X, R, ()), ()
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
             pushed = free.loads.implicit or _few.largest(impulse[t.coordinates]) > 0.0
@@ -90,8 +88,8 @@ class Kinematics(Layout):
         """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
         x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
         X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
-        moments, axes = self._principal
-        _motion.flow(moments, axes, position.x, position.quaternion, v, h, x, quaternion, after, X, R)
+        flow(*self._principal, position.x, position.quaternion, v, h, x, quaternion, after)
+        _motion.place(x, quaternion, X, R)
         return x, quaternion, after, X, R
 
     def shift(self, position: Position, step: Array) -> Position:

@@ -37,10 +37,6 @@ def rotation(quaternion: Array) -> Array:
 class Layout:
     """What moves in a scene, in the order of its coordinates and frames.
 
-    Parameters
-    ----------
-    scene : Scene
-
     Attributes
     ----------
     held : ndarray of bool, shape (frames,)
@@ -134,7 +130,6 @@ class Layout:
         self.frames = first + self._driven
         self.nowhere = np.zeros(self.frames)
         self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
-        self._bodies_only = self.frames == self.free and not trees
         # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
         self._lone = len(trees) == 1 and not self.free and not self._driven
         self._constrained = any(t.constrained for t in trees)

@@ -52,11 +52,7 @@ class Linkage:
     """
 
     def __init__(
-        self,
-        articulation: Articulation,
-        gravity: Array,
-        joints: list[int],
-        driven: dict[int, Motion],
+        self, articulation: Articulation, gravity: Array, joints: list[int], driven: dict[int, Motion]
     ) -> None:
         a = self.articulation = articulation
         self.name = a.name
@@ -81,7 +77,8 @@ class Linkage:
         self.driven = tuple(driven.values())
         self._driven_at = np.array(list(driven), dtype=np.int64)
         self._driven_rows = np.eye(nv)[self._driven_at]
-        self.closures = Closures(self.model, a.loops, a.gears) if a.loops or a.gears else None
+        looped = a.loops or a.gears
+        self.closures = Closures(self.model, a.loops, a.gears, self._driven_rows) if looped else None
         self.constrained = bool(driven) or self.closures is not None
         kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
         self.bodies = {
@@ -176,7 +173,7 @@ class Linkage:
 
     def close(self, q: Array) -> Array:
         """The closest configuration whose loops are closed; q itself when they are."""
-        return q if self.closures is None else self.closures.close(q, self._driven_rows)
+        return q if self.closures is None else self.closures.close(q)
 
     def pushed(self, q: Array, body: str, force: Array, torque: Array) -> tuple[Array, Array]:
         """What a force [N] at the origin of a body's frame and a torque [N m] do at q; world axes.

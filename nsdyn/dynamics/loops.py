@@ -87,13 +87,17 @@ class Closures:
     model : pinocchio.Model
     loops : sequence of Loop
     gears : sequence of Gear
+    driven : ndarray, shape (k, nv), optional
+        Rows of coordinates that do not give way.
     """
 
-    def __init__(self, model: pin.Model, loops: Sequence[Loop], gears: Sequence[Gear] = ()) -> None:
+    def __init__(
+        self, model: pin.Model, loops: Sequence[Loop], gears: Sequence[Gear] = (), driven: Array | None = None
+    ) -> None:
         self._model, self._loops, self._data = model, loops, model.createData()
-        self._J: Array = self._data.J.reshape(6, model.nv, order="A")
-        self._R, self._x = pose_views(self._data.oMi, model.njoints)
-        self._support = supports(model)
+        self.driven = np.empty((0, model.nv)) if driven is None else driven
+        R, x = pose_views(self._data.oMi, model.njoints)
+        self._tree = x, R, self._data.J.reshape(6, model.nv, order="A"), supports(model)
         joints = [(loop.joint1, loop.joint2) for loop in loops]
         points = [(loop.placement1.translation, loop.placement2.translation) for loop in loops]
         self._joints = np.array(joints, dtype=np.int64).reshape(-1, 2)
@@ -107,7 +111,7 @@ class Closures:
         """(φ, G) at q, shapes (m,) in m and rad and (m, nv): dφ/dt = G v where φ = 0; world axes."""
         pin.computeJointJacobians(self._model, self._data, q)
         phi, G = np.zeros(self.size), np.zeros((self.size, self._model.nv))
-        _links.closures(self._x, self._R, self._J, self._support, self._joints, self._points, self._rows, phi, G)
+        _links.closures(self._tree, (self._joints, self._points, self._rows), phi, G)
         for loop, row in zip(self._loops, self._rows, strict=False):
             if loop.kind == "frame":
                 a, b = self._data.oMi[loop.joint1].rotation, self._data.oMi[loop.joint2].rotation
@@ -116,12 +120,11 @@ class Closures:
             phi[first:], G[first:] = self._gears.at(q), self._gears.rows
         return phi, G
 
-    def close(self, q: Array, driven: Array) -> Array:
+    def close(self, q: Array) -> Array:
         """Configuration near q where φ = 0, the closest in the kinetic metric; q itself if it is one.
 
-        Newton's steps -N Gᵀ (G N Gᵀ)⁻¹ φ, with N the inverse of M(q) where coordinates with a row of `driven` (k, nv)
-        do not move. Levenberg's term, |φ| of the diagonal, keeps them finite at redundant loops and near singular
-        configurations.
+        Newton's steps -N Gᵀ (G N Gᵀ)⁻¹ φ, with N the inverse of M(q) where `driven` coordinates do not move.
+        Levenberg's term, |φ| of the diagonal, keeps them finite at redundant loops and near singular configurations.
 
         Raises
         ------
@@ -140,8 +143,8 @@ class Closures:
                 return q
             if N is None:
                 _, F, N = factored(self._model, self._data, q)
-                if len(driven):
-                    Z = admissible(driven, F)[0]
+                if len(self.driven):
+                    Z = admissible(self.driven, F)[0]
                     N = Z @ Z.T
             step = np.zeros(self._model.nv)
             if not _trees.closing(G, N, phi, min(gap, 1.0), step):

@@ -129,6 +129,6 @@ def runge_kutta(
     a3, p3 = rate(pin.integrate(model, q, x[3]), x[1])
     _trees.stage(4, v, a3, h, x)
     a4, p4 = rate(pin.integrate(model, q2, x[3]), x[2])
-    error = _trees.combine(v, a1, a2, a3, a4, h, TOLERANCE, TOLERANCE / whole, x)
+    error = _trees.combine(v, (a1, a2, a3, a4), h, TOLERANCE, TOLERANCE / whole, x)
     work = h / 6.0 * (p1 + 2.0 * (p2 + p3) + p4)
     return Flow(pin.integrate(model, pin.integrate(model, q, x[3]), x[4]), x[5], x[6], work), error

@@ -26,7 +26,7 @@ RESOLVED = 0.1
 vibration may turn by a third of a rad, where the midpoint rule errs by a thousandth."""
 
 
-def slide(model: pin.Model, data: pin.Data, closures: Closures, driven: Array, q: Array, v: Array, h: float) -> Flow:
+def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Array, h: float) -> Flow:
     """Motion in pieces where a step of the implicit midpoint rule is too long to be solved or resolved.
 
     The work is that of the driven joints, which keep their speed.
@@ -36,8 +36,7 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, driven: Array, q
     model, data : pinocchio.Model, pinocchio.Data
         Without gravity.
     closures : Closures
-    driven : ndarray, shape (k, nv)
-        Rows of the driven joints.
+        With the driven joints.
     q, v : ndarray, shapes (nq,), (nv,)
     h : float
         s.
@@ -50,7 +49,7 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, driven: Array, q
     left, piece, mean, work = h, h, np.zeros_like(v), 0.0
     while True:
         try:
-            new = _midpoint(model, data, closures, driven, q, v, piece)
+            new = _midpoint(model, data, closures, q, v, piece)
         except (ValueError, ArithmeticError) as failure:
             if piece <= h * 0.5**HALVINGS:
                 raise ArithmeticError(
@@ -68,17 +67,15 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, driven: Array, q
         piece = min(2.0 * piece, left)
 
 
-def _midpoint(
-    model: pin.Model, data: pin.Data, closures: Closures, driven: Array, q: Array, v: Array, h: float
-) -> Flow:
+def _midpoint(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Array, h: float) -> Flow:
     """One step of the implicit midpoint rule, by Newton's method with the matrix of the beginning.
 
     The velocity at the end is one that the loops admit there. ValueError or ArithmeticError where that is not found.
     """
     n, size = v.size, closures.size
-    middle = closures.close(pin.integrate(model, q, 0.5 * h * v), driven)
+    middle = closures.close(pin.integrate(model, q, 0.5 * h * v))
     M, F, _ = factored(model, data, middle)
-    B = np.concatenate((closures.at(middle)[1], driven))
+    B = np.concatenate((closures.at(middle)[1], closures.driven))
     Z, P = admissible(B, F)
     minv, b = Z @ Z.T, B @ v
     b[:size] = 0.0
@@ -106,4 +103,4 @@ def _midpoint(
     mean = 0.5 * (v + new)
     reaction = P.T @ (M @ (new - v) + h * bias)
     work = float((B[size:] @ mean) @ reaction[size:])
-    return Flow(closures.close(pin.integrate(model, q, h * mean), driven), new, mean, work)
+    return Flow(closures.close(pin.integrate(model, q, h * mean)), new, mean, work)

@@ -17,12 +17,7 @@ NONE, NOTHING, NO_VELOCITIES = np.empty((0, 2, 3)), np.empty(0), np.empty((0, 3)
 
 
 class Surfaces:
-    """The driven bodies of a scene, then its sliding surfaces: velocities at the contacts, poses of the bodies.
-
-    Parameters
-    ----------
-    scene : Scene
-    """
+    """The driven bodies of a scene, then its sliding surfaces: velocities at the contacts, poses of the bodies."""
 
     def __init__(self, scene: Scene) -> None:
         names = [b.name for b in scene.driven_bodies]
@@ -124,7 +119,7 @@ class Surfaces:
             return NO_VELOCITIES
         w, origin = np.zeros((contacts.gap.size, 3)), self._origin.copy()
         origin[: self._driven] = driven_x
-        fields = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides
-        _motion.surface_velocities(contacts.geom1, *fields, contacts.point, contacts.normal, -1.0, w)
-        _motion.surface_velocities(contacts.geom2, *fields, contacts.point, contacts.normal, 1.0, w)
+        surfaces = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides
+        where = contacts.geom1, contacts.geom2, contacts.point, contacts.normal
+        _motion.surface_velocities(where, surfaces, w)
         return w

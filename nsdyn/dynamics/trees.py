@@ -31,7 +31,7 @@ class Tree(Linkage):
         self._weightless.gravity = pin.Motion.Zero()
         # Pinocchio's kinetic energy leaves out the armature of joints about axes that are none of the coordinates'.
         self._bare, self._armature = self.model.copy(), a.armature
-        self._bare.armature, self._armoured = np.zeros(nv), bool(a.armature.any())
+        self._bare.armature = np.zeros(nv)
         self.stiffness, self.rest = a.stiffness, a.rest
         self._laws = np.array((a.stiffness, a.damping, a.rest))
         self._springs = bool(a.stiffness.any())
@@ -54,7 +54,7 @@ class Tree(Linkage):
         if not speed < np.inf:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self.closures is not None:
-            return slide(self._weightless, self.data, self.closures, self._driven_rows, q, v, h)
+            return slide(self._weightless, self.data, self.closures, q, v, h)
         return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
@@ -139,30 +139,27 @@ class Tree(Linkage):
 
     def _respond(self, halfway: Halfway, loads: TreeLoads) -> FreeMotion:
         """What loads do in a step; ValueError where a joint moves no mass."""
-        v0, M, h = halfway.v, halfway.M, halfway.h
+        v0, h, acting, constraints = halfway.v, halfway.h, (loads.laws, loads.push, loads.weight), None
         n = v0.size
         factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(n)
-        if not _trees.move_free(M, loads.laws, loads.push, loads.weight, v0, h, factor, m, minv, v):
-            raise indefinite(self.model, M)
-        if not self.constrained:
-            return FreeMotion(v, v, loads, m, minv, None)
-        constraints = B, P, Z = self._restrict(halfway.q, factor)
-        minv, b = Z @ Z.T, np.zeros(len(B))
-        b[b.size - len(self.driven) :] = loads.rates
-        start = minv @ (m @ v0) + P @ b
-        _trees.respond(start, minv, loads.laws, loads.push, loads.weight, v0, h, v)
+        if not _trees.move_free(halfway.M, acting, v0, h, factor, m, minv, v):
+            raise indefinite(self.model, halfway.M)
+        if self.constrained:
+            constraints = B, P, Z = self._restrict(halfway.q, factor)
+            minv, b = Z @ Z.T, np.zeros(len(B))
+            b[b.size - len(self.driven) :] = loads.rates
+            _trees.respond(minv @ (m @ v0) + P @ b, minv, acting, v0, h, v)
         return FreeMotion(v, v, loads, m, minv, constraints)
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
         M, factor, minv = factored(self.model, self.data, q)
-        zero = self._zero
+        zero, constraints = self._zero, self._restrict(q, factor) if self.constrained else None
+        if constraints is not None:
+            minv = constraints.Z @ constraints.Z.T
         rates = np.zeros(len(self.driven))
         loads = TreeLoads(np.zeros((2, 5, v.size)), zero, None, zero, rates, None, None, zero, False)
-        if not self.constrained:
-            return FreeMotion(v, v, loads, M, minv, None)
-        constraints = self._restrict(q, factor)
-        return FreeMotion(v, v, loads, M, constraints.Z @ constraints.Z.T, constraints)
+        return FreeMotion(v, v, loads, M, minv, constraints)
 
     def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> TreeEnd:
         """Where a step ends whose forces leave the velocity v.
@@ -221,10 +218,8 @@ class Tree(Linkage):
         """
         h, loads = halfway.h, free.loads
         limit = self._no_control.law[-1] if loads.limit is None else loads.limit
-        velocities, start = (halfway.v, v), self.coordinates.start
-        actuation, damping, pushed = _trees.works(
-            loads.laws, loads.push, limit, velocities, end.mean, impulse, h, start, joints
-        )
+        acting, velocities, start = (loads.laws, loads.push, limit), (halfway.v, v), self.coordinates.start
+        actuation, damping, pushed = _trees.works(acting, velocities, end.mean, impulse, h, start, joints)
         constraint = 0.0
         if free.constraints is not None:
             # Bᵀ λ is what the constraints and nothing else explain.
@@ -245,8 +240,7 @@ class Tree(Linkage):
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""
         pin.computeMechanicalEnergy(self._bare, self.data, q, v)
         kinetic, potential = float(self.data.kinetic_energy), float(self.data.potential_energy)
-        if self._armoured:
-            kinetic += 0.5 * float(v @ (self._armature * v))
+        kinetic += 0.5 * float(v @ (self._armature * v))
         if self._springs:
             potential += _trees.strain(self.angle(q), self._laws, self._round)
         return kinetic, potential

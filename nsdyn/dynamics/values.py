@@ -39,10 +39,6 @@ class Position(NamedTuple):
         """The same but for the free bodies."""
         return Position(x, quaternion, self.trees, self.driven_x, self.driven_quaternion)
 
-    def bent(self, q: Array) -> Position:
-        """The same but for the only tree."""
-        return Position(self.x, self.quaternion, (q,), self.driven_x, self.driven_quaternion)
-
 
 class Placement(NamedTuple):
     """All frames at a position.

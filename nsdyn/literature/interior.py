@@ -95,8 +95,11 @@ class Interior:
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem; of r0 is only asked whether it is the solution."""
 
-        def solve(part: FC3D, W: Operator, x: Array, tol: float) -> int:
+        def solve(part: FC3D, W: Operator, x: Array, tol: float) -> tuple[int, float]:
             count, best = interior(part, W, x, tol, self.max_iter)
-            return count if best <= tol else count + newton(part, W, x, tol, PENALTY, self.max_newton)[0]
+            if best > tol:
+                used, best = newton(part, W, x, tol, PENALTY, self.max_newton)
+                count += used
+            return count, best
 
         return by_islands(problem, r0, self.tol, solve)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones as _cones
@@ -21,12 +22,12 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["FC3D"]
 
 
-def _as_blocks3(W: Any, name: str) -> tuple[Index, Index, Array]:
+def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
     """W in 3 x 3 blocks as `FC3D.csr`; ValueError when it is not square, finite or a multiple of 3."""
     if not sp.issparse(W):
         W = np.asarray(W, dtype=float)
     if W.ndim != 2 or W.shape[0] != W.shape[1] or W.shape[0] % 3:
-        raise ValueError(f"{name} must be square with 3 rows per contact, got shape {W.shape}")
+        raise ValueError(f"W must be square with 3 rows per contact, got shape {W.shape}")
     nc = W.shape[0] // 3
     if sp.issparse(W) and nc:
         W = sp.bsr_array(W, blocksize=(3, 3))
@@ -38,9 +39,9 @@ def _as_blocks3(W: Any, name: str) -> tuple[Index, Index, Array]:
         kept = blocks.any(axis=(2, 3))
         kept.flat[:: nc + 1] = True
         row, column = np.nonzero(kept)
-        out = np.searchsorted(row, np.arange(nc + 1)), column, blocks[row, column]
+        out = np.searchsorted(row, np.arange(nc + 1)), column.copy(), blocks[row, column]
     if not np.isfinite(out[2]).all():
-        raise ValueError(f"{name} must be finite, got NaN or infinity")
+        raise ValueError("W must be finite, got NaN or infinity")
     return out
 
 
@@ -72,14 +73,12 @@ class FC3D:
 
     def __init__(self, W: Any, q: Any, mu: Any) -> None:
         self._set(q, mu)
-        self._check_values()
         self.blocks: Blocks | None = None
-        self.csr = _as_blocks3(W, "W")
+        self.csr = _as_blocks3(W)
         rows = 3 * (self.csr[0].size - 1)
         if rows != self.q.size:
             raise ValueError(f"W must have {self.q.size} rows like q, got {rows}")
-        if not _blocks.in_range(self.scales):
-            self._refuse_scales()
+        self._check_scales()
         if not (normal := self.W.diagonal()[0::3] > 0.0).all():
             raise ValueError(f"W must have a positive normal diagonal, not at {np.flatnonzero(~normal).tolist()[:5]}")
 
@@ -95,13 +94,11 @@ class FC3D:
         problem.blocks = blocks
         if blocks.nc != problem.nc:
             raise ValueError(f"blocks must have {problem.nc} contacts like mu, got {blocks.nc}")
-        problem._check_values()
         if scales is None:
             scales = np.empty(problem.nc)
             _blocks.delassus_scales(blocks.arrays, scales)
         problem.scales = scales
-        if not _blocks.in_range(scales):
-            problem._refuse_scales()
+        problem._check_scales()
         return problem
 
     @classmethod
@@ -126,16 +123,14 @@ class FC3D:
         problem = FC3D.__new__(FC3D)
         problem.__dict__.update(self.__dict__)
         problem._set(q, self.mu if mu is None else mu)
-        problem._check_values()
         return problem
 
     def _set(self, q: Any, mu: Any) -> None:
+        """Take q and μ; ValueError for values that are not what they have to be."""
         self.q: Array = np.ascontiguousarray(q, dtype=float)
         self.mu: Array = np.ascontiguousarray(mu, dtype=float)
         if self.mu.ndim != 1 or self.q.shape != (3 * self.mu.size,):
             raise ValueError(f"q must have 3 entries per entry of mu, got {self.q.shape} and {self.mu.shape}")
-
-    def _check_values(self) -> None:
         q_norm, good = _blocks.size_of(self.q, self.mu)
         self.q_norm: float = q_norm or 1.0
         """‖q‖₂ in m/s, or 1 where q = 0."""
@@ -146,8 +141,10 @@ class FC3D:
         if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
             raise ValueError("mu must be finite and not negative")
 
-    def _refuse_scales(self) -> None:
+    def _check_scales(self) -> None:
         """ValueError for sizes of diagonal blocks that are not what they have to be."""
+        if _blocks.in_range(self.scales):
+            return
         fine = (self.scales >= _blocks.SMALLEST) & (self.scales <= _blocks.LARGEST)
         bad = np.flatnonzero(~fine).tolist()
         raise ValueError(
@@ -182,11 +179,12 @@ class FC3D:
 
     def islands(self) -> Index:
         """Island of each contact, shape (nc,), from 0 in the order of their first contacts: islands share no block."""
-        label = np.empty(self.nc, np.int64)
         if self.blocks is None:
-            _given.islands(self.csr, label)
-        else:
-            _blocks.islands(self.blocks.block, self.blocks.offset.size - 1, label)
+            indptr, indices, data = self.csr
+            label: Index = connected_components(sp.csr_array((np.ones(len(data)), indices, indptr)))[1].astype(np.int64)
+            return label
+        label = np.empty(self.nc, np.int64)
+        _blocks.islands(self.blocks.block, self.blocks.offset.size - 1, label)
         return label
 
     def velocity(self, r: Array) -> Array:

@@ -169,9 +169,6 @@ def certify(
 
 def _along_direction(problem: FC3D, u: Array, r: Array, d: Array) -> tuple[float, float, float, float, float, float]:
     """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `Opening.d`."""
-    b = problem.blocks
-    if b is not None:
-        return _kernels.certificate_along(b.arrays, u, r, problem.mu, problem.scales, d)  # type: ignore[no-any-return]
     o, square = along(problem, d)
     return *_kernels.certificate(u, r, o, problem.mu, problem.scales), square
 

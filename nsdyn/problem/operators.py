@@ -28,6 +28,7 @@ class Velocity:
 
     def __init__(self, blocks: Blocks) -> None:
         self.blocks, self.graph = blocks, contact_graph(blocks)
+        self.change, self.relative = blocks.velocity_change, blocks.relative_velocity  # y = M⁻¹ H r, and Hᵀ y
 
     def product(self, r: Array) -> Array:
         """W r."""
@@ -37,14 +38,6 @@ class Velocity:
         """Function g ↦ W (I + A W)⁻¹ g."""
         solve = self.graph.factor(self.blocks, A)
         return lambda g: self.relative(solve(self.blocks.momentum(g)))
-
-    def change(self, r: Array) -> Array:
-        """Velocity change y = M⁻¹ H r."""
-        return self.blocks.velocity_change(r)
-
-    def relative(self, y: Array) -> Array:
-        """Hᵀ y."""
-        return self.blocks.relative_velocity(y)
 
     def towards(self, A: Array, P: Array, y: Array) -> Array:
         """The dy of (I + M⁻¹ Σ H_c A_c H_cᵀ) dy = M⁻¹ H P - y."""

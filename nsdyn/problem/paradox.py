@@ -59,16 +59,7 @@ def all_of_one(W: Array, q: Array, mu: float) -> Array:
 def others(problem: FC3D, r: Array, solve: Solve, u: Array | None = None) -> Array | None:
     """Another impulse (3 nc,) that solves the problem as r does, with another velocity; None if none is found.
 
-    Parameters
-    ----------
-    problem : FC3D
-        With symmetric W.
-    r : ndarray, shape (3 nc,)
-        A solution, N·s.
-    solve : callable
-        A solver.
-    u : ndarray, shape (3 nc,), optional
-        Its velocity, where it is known, m/s.
+    W is symmetric, r (3 nc,) a solution, N·s, and u its velocity where that is known, m/s.
     """
     u = problem.velocity(r) if u is None else u
     for c in ambiguous(problem, u, r):

@@ -11,7 +11,7 @@ from nsdyn._kernels.compiled import clock
 from nsdyn._kernels.solvers import start as _start
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator, operator
-from nsdyn.problem.solution import ACCEPTED, Solution, Status
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.continuation import continuation
 from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import DENSE, MARGIN, PENALTY, Multipliers, part
@@ -215,8 +215,7 @@ class Auto:
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
-        solution = self._solved(problem, r0, self.tol)
-        return solution if solution.status in ACCEPTED else self._explained(problem, solution)
+        return self._explained(problem, self._solved(problem, r0, self.tol))
 
     def balanced(self, problem: FC3D, r0: Array, before: Array) -> Solution:
         """Solve the problem from r0, which is no solution where it changes velocities of contacts that hold by much.
@@ -224,27 +223,19 @@ class Auto:
         As little as the tolerance allows, in every step, adds up; from `before` (3 nc,), the relative velocities before
         the impulses, m/s.
         """
-        solution = self._solved(problem, r0, self.tol, before)
-        return solution if solution.status in ACCEPTED else self._explained(problem, solution)
+        return self._explained(problem, self._solved(problem, r0, self.tol, before))
 
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
         """Solve the problem from r0 (3 nc,), N·s, large islands to the loose tolerance only, as those of a collision.
 
         For what follows on such a solution and differs little.
         """
-        solution = self._solved(problem, r0, max(self.tol, self.loose))
-        return solution if solution.status in ACCEPTED else self._explained(problem, solution)
+        return self._explained(problem, self._solved(problem, r0, max(self.tol, self.loose)))
 
     def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
         """Large islands to `Tuning.hopeless` loose tolerances from r0 where that misses these, None where it does not.
 
         For a problem that is posed anew with what its motion shows: a miss of more than that is of a collision.
-
-        Parameters
-        ----------
-        problem : FC3D
-        r0 : ndarray, shape (3 nc,)
-            N·s.
         """
         enough = TUNING.hopeless * max(self.tol, self.loose)
         if not r0.any() or problem.solved(r0, self.tol)[2] <= enough:
@@ -292,8 +283,8 @@ class Auto:
     @staticmethod
     def _explained(problem: FC3D, solution: Solution) -> Solution:
         """The solution with `Status.NO_SLATER_POINT` where none is guaranteed to exist."""
+        if solution.status is not Status.MAX_ITERATIONS:
+            return solution
         from nsdyn.problem.slater import has_slater_point  # rarely needed, and its imports take long
 
-        if solution.status is Status.MAX_ITERATIONS and has_slater_point(problem) is False:
-            return solution._replace(status=Status.NO_SLATER_POINT)
-        return solution
+        return solution._replace(status=Status.NO_SLATER_POINT) if has_slater_point(problem) is False else solution

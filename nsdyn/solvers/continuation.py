@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -267,8 +268,4 @@ class Continuation:
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem; of r0 is only asked whether it is the solution."""
-
-        def solve(part: FC3D, W: Operator, x: Array, tol: float) -> int:
-            return continuation(part, W, x, tol, self.max_iter)[0]
-
-        return by_islands(problem, r0, self.tol, solve)
+        return by_islands(problem, r0, self.tol, partial(continuation, most=self.max_iter))

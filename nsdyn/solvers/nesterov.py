@@ -45,13 +45,12 @@ class Sweeps:
             self._state = r, r.copy(), r.copy(), np.ones(mu.size)
         self.count, self._last, self._keep = 0, 0, 0.5
 
-    def run(self, tol: float, most: int, patience: int) -> bool:
-        """Go on to the tolerance, to so many sweeps in all or so many without gain; whether it is worth going on."""
+    def run(self, tol: float, most: int, patience: int) -> None:
+        """Go on to the tolerance, to so many sweeps in all or so many without gain."""
         solve = _kernels.solve if self._free else _kernels.solve_matrix
         self._last = self.count
         so_far, limits = (self.count, self._last, self.best, self._keep), (tol, most, CHECK, patience)
         self.count, self._last, self.best, self._keep = solve(self._given, self._state, so_far, limits)
-        return bool(self.best > tol and self.count - self._last < patience)
 
 
 @dataclass(frozen=True)

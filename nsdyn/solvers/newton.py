@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -67,13 +68,13 @@ class Multipliers:
 
     def _taken(self) -> Iterator[bool]:
         """The steps, after the measure of the first impulse: `_kernels.dense` for any W."""
-        p, W, penalty = self.problem, self.W, self._penalty
-        q, mu, scales, q_norm = p.q, p.mu, p.scales, p.q_norm
+        W, penalty, q, mu, scales = self.W, self._penalty, self.problem.q, self.problem.mu, self.problem.scales
+        given = mu, scales, self.problem.q_norm
         P, A, estimate = np.empty_like(self.r), np.empty((mu.size, 3, 3)), self.r.copy()
         y = kept = W.change(estimate)
-        u = own = W.relative(y) + q
-        self.best = float(_cones.measure_at(scales, u, estimate, mu, q_norm))
-        inner, before = 0, np.inf
+        u = W.relative(y) + q
+        own, inner, before = u.copy(), 0, np.inf
+        self.best = float(_cones.measure_at(scales, u, estimate, mu, given[2]))
         yield True
         while penalty > _kernels.LEAST:
             if inner == 0:
@@ -84,26 +85,16 @@ class Multipliers:
                 y = y + W.towards(A, P, y)
             except RuntimeError:
                 break
-            inner, self.count = inner + 1, self.count + 1
+            self.count += 1
             u = W.relative(y) + q
             _kernels.projected(u, estimate, rho, mu, P)
-            shown = W.product(P) + q
-            now = float(_cones.measure_at(scales, shown, P, mu, q_norm))
-            if now < self.best:
-                self.best = now
-                self.r[:] = P
-            done, left = _kernels.settled(scales, u, shown, own, P, estimate)
-            if done:
-                penalty = _kernels.grown(penalty, inner)
-                estimate[:] = P
-                own, kept = shown, y
-                inner, before = 0, np.inf
-            elif _kernels.failed(inner, left, before):
-                penalty *= _kernels.SHRINKAGE
+            vectors = u, W.product(P) + q, own, P, estimate, self.r
+            verdict, so_far = _kernels.judge(given, vectors, (penalty, inner + 1, before, self.best))
+            penalty, inner, before, self.best = so_far
+            if verdict == _kernels.SETTLED:
+                kept = y
+            elif verdict == _kernels.FAILED:
                 y, u = kept, W.relative(kept) + q
-                inner, before = 0, np.inf
-            else:
-                before = left
             yield True
         self.ended = True
 
@@ -145,12 +136,13 @@ def part(problem: FC3D, label: Index, k: int) -> tuple[Any, FC3D]:
 
 
 def by_islands(
-    problem: FC3D, r0: Array | None, tol: float, solve: Callable[[FC3D, Operator, Array, float], int]
+    problem: FC3D, r0: Array | None, tol: float, solve: Callable[[FC3D, Operator, Array, float], tuple[int, float]]
 ) -> Solution:
     """Solve a problem from r0, every island by itself, unless r0 solves it.
 
     `solve` takes an island's problem, its W, the impulse to improve in place, and its tolerance; it returns its
-    iterations. An island has its own norm of q, so that what each meets all meet together.
+    iterations and the measure of what it found. An island has its own norm of q, so that what each meets all meet
+    together.
     """
     start, count = clock(), 0
     r = np.zeros_like(problem.q) if r0 is None else problem.impulse(r0).copy()
@@ -159,7 +151,7 @@ def by_islands(
         for k in range(int(label.max()) + 1):
             i, own = part(problem, label, k)
             x = r[i]
-            count += solve(own, operator(own), x, MARGIN * tol)
+            count += solve(own, operator(own), x, MARGIN * tol)[0]
             r[i] = x
     return Solution.judge(problem, r, tol, count, clock() - start, Status.MAX_ITERATIONS)
 
@@ -193,8 +185,4 @@ class Newton:
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
-
-        def solve(part: FC3D, W: Operator, x: Array, tol: float) -> int:
-            return newton(part, W, x, tol, self.penalty, self.max_iter)[0]
-
-        return by_islands(problem, r0, self.tol, solve)
+        return by_islands(problem, r0, self.tol, partial(newton, penalty=self.penalty, most=self.max_iter))

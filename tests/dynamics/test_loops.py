@@ -199,7 +199,7 @@ def test_a_motion_that_does_not_settle_goes_in_pieces(turn, least, most, monkeyp
     monkeypatch.setattr(sliding, "PASSES", 30)
     end = q, v
     for h in done:
-        flow = given(t._weightless, t.data, closures, t._driven_rows, *end, h)
+        flow = given(t._weightless, t.data, closures, *end, h)
         end = flow.q, flow.v
     np.testing.assert_allclose(whole.v, end[1], rtol=0, atol=1e-10 * np.abs(v).max())
     np.testing.assert_allclose(whole.q, end[0], rtol=0, atol=1e-10)

@@ -285,7 +285,7 @@ def test_fixed_point_of_the_relaxed_sweep_is_the_solution():
 
 
 def test_exact_local_solver_against_the_roots_of_the_quartic(rng):
-    """Slip: u_N = 0, u_T = -α r_T, ‖r_T‖ = μ r_N is a quartic in α; what `solve_one` finds is one of its roots."""
+    """Slip: u_N = 0, u_T = -α r_T, ‖r_T‖ = μ r_N is a quartic in α; what `coulomb` finds is one of its roots."""
     slips = 0
     for _ in range(60):
         G = rng.normal(size=(3, 3))

@@ -12,18 +12,13 @@ from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
 
-@kernel
-def element(A, B, f, i, k):
-    """Element (i, k) of ``B[f] @ A[f].T``."""
-    return B[f, i, 0] * A[f, k, 0] + B[f, i, 1] * A[f, k, 1] + B[f, i, 2] * A[f, k, 2]
-
-
 @in_place
 def turn_between(A, B, f):
     """Rotation vector w, world axes, |w| ≤ π, with ``B[f] = exp([w]x) A[f]``."""
-    d11, d12, d13 = element(A, B, f, 0, 0), element(A, B, f, 0, 1), element(A, B, f, 0, 2)
-    d21, d22, d23 = element(A, B, f, 1, 0), element(A, B, f, 1, 1), element(A, B, f, 1, 2)
-    d31, d32, d33 = element(A, B, f, 2, 0), element(A, B, f, 2, 1), element(A, B, f, 2, 2)
+    # The rows of D = B Aᵀ.
+    d11, d12, d13 = to_world(A, f, row(B[f], 0))
+    d21, d22, d23 = to_world(A, f, row(B[f], 1))
+    d31, d32, d33 = to_world(A, f, row(B[f], 2))
     a = (0.5 * (d32 - d23), 0.5 * (d13 - d31), 0.5 * (d21 - d12))
     sine, cosine = math.sqrt(dot(a, a)), 0.5 * (d11 + d22 + d33 - 1.0)
     angle = math.atan2(sine, cosine)

@@ -81,14 +81,16 @@ def below(geometry, h, R, t, lower, upper):
 
 
 @kernel
-def append(codes, count, code):
-    """Array with the code at position `count`, grown when it is full."""
+def append(codes, count, code, excluded):
+    """The first `count` codes and this, unless it is excluded: (array, grown when it is full, their number)."""
+    if contains(excluded, code):
+        return codes, count
     if count == codes.size:
         grown = np.empty(2 * codes.size, dtype=np.int64)
         copy(codes, grown)
         codes = grown
     codes[count] = code
-    return codes
+    return codes, count + 1
 
 
 @in_place
@@ -144,10 +146,7 @@ def candidates(fields, R, t, lower, upper, excluded):
             continue
         for k in range(n):
             if geometry.frame[k] >= 0 and below(geometry, g, R[g], t[g], lower[k], upper[k]):
-                code = min(g, k) * n + max(g, k)
-                if not contains(excluded, code):
-                    codes = append(codes, count, code)
-                    count += 1
+                codes, count = append(codes, count, min(g, k) * n + max(g, k), excluded)
     a, b = (axis + 1) % 3, (axis + 2) % 3
     for p in range(m):
         i = solids[order[p]]
@@ -163,15 +162,8 @@ def candidates(fields, R, t, lower, upper, excluded):
                 and lower[i, b] <= upper[j, b]
                 and lower[j, b] <= upper[i, b]
             ):
-                code = min(i, j) * n + max(i, j)
-                if not contains(excluded, code):
-                    codes = append(codes, count, code)
-                    count += 1
-    out = np.empty(count, np.int64)
-    order = order_of(codes[:count])
-    for k in range(count):
-        out[k] = codes[order[k]]
-    return out
+                codes, count = append(codes, count, min(i, j) * n + max(i, j), excluded)
+    return codes[order_of(codes[:count])]
 
 
 @in_place

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn._kernels.collision.faces import dipping, next_feature
+from nsdyn._kernels.collision.faces import next_feature
 from nsdyn._kernels.collision.kinds import (
     HALFSPACE,
     POLYTOPE,
@@ -184,7 +184,7 @@ def over_face(geometry, i, j, margin, face1, face2, room):
                 if following == geometry.face_ptr[o]:
                     following += 1
                     count = other_feature(geometry, o, m, margin - above, room.limit, poly)
-            elif following > geometry.face_ptr[o] or dipping(geometry, o, main, m, margin - above):
+            else:
                 following = next_feature(geometry, o, following, main, m, margin - above)
                 if following < geometry.face_ptr[o + 1]:
                     count = corners(geometry, o, following, poly)

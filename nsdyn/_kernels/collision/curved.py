@@ -12,11 +12,7 @@ from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put,
 @in_place
 def curvatures(geometry, k, m, e1, e2):
     """`curvature` of the support point of a geom in the direction m, in two tangents: (e1 e1, e1 e2, e2 e2)."""
-    return (
-        curvature(geometry, k, m, e1, e1),
-        curvature(geometry, k, m, e1, e2),
-        curvature(geometry, k, m, e2, e2),
-    )
+    return curvature(geometry, k, m, e1, e1), curvature(geometry, k, m, e1, e2), curvature(geometry, k, m, e2, e2)
 
 
 @in_place
@@ -24,17 +20,16 @@ def newton(geometry, i, j, m, axes, start, valid):
     """Newton's step of m, in two tangents, to where the separation is stationary; `start` is the point of a segment."""
     e1, e2 = axes
     _, a, b = separation(geometry, i, j, m)
-    a11, a12, a22 = 0.0, 0.0, 0.0
+    bends = (0.0, 0.0, 0.0)
     if valid[0]:
         a = start
     else:
-        c11, c12, c22 = curvatures(geometry, i, m, e1, e2)
-        a11, a12, a22 = a11 + c11, a12 + c12, a22 + c22
+        bends = along(bends, 1.0, curvatures(geometry, i, m, e1, e2))
     if valid[1]:
         b = start
     else:
-        c11, c12, c22 = curvatures(geometry, j, times(-1.0, m), e1, e2)
-        a11, a12, a22 = a11 + c11, a12 + c12, a22 + c22
+        bends = along(bends, 1.0, curvatures(geometry, j, times(-1.0, m), e1, e2))
+    a11, a12, a22 = bends
     delta = minus(b, a)
     f1, f2, width, trace = dot(e1, delta), dot(e2, delta), dot(m, delta), a11 + a22
     # Where the separation is not concave enough, step as if it were.

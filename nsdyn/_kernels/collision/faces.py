@@ -71,17 +71,3 @@ def next_feature(geometry, g, face, main, m, low):
                     return face
         face += 1
     return last
-
-
-@in_place(forceinline=True)
-def dipping(geometry, g, main, m, low):
-    """Whether any corner of polytope g with m·corner ≤ low is not one of the face `main` (a row)."""
-    if geometry.size[g, 0] > 0.0:  # a box, faces two by two: the lowest of these corners is opposite the lowest of main
-        s, k = row(geometry.size, g), (main - geometry.face_ptr[g]) // 2
-        return s[k] * abs(m[k]) - 0.5 * (s[0] * abs(m[0]) + s[1] * abs(m[1]) + s[2] * abs(m[2])) <= low
-    count = 0
-    for k in range(geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]):
-        count += dot(row(geometry.vertices, k), m) <= low
-    for p in range(geometry.loop_ptr[main], geometry.loop_ptr[main + 1]):
-        count -= dot(row(geometry.vertices, geometry.vertex_ptr[g] + geometry.loop[p]), m) <= low
-    return count > 0

@@ -14,10 +14,10 @@ from nsdyn._kernels.vectors import dot, minus, put, row, to_local
 def match(geoms, tolerance, memory, next_key, names, points):
     """Give contacts the keys of those they continue; new ones count up from next_key, which is returned.
 
-    Both lists, (names, points) as of `collect`, are sorted by pair. Within a pair the closest old and new points are
-    matched first, by the smaller of the distances seen from geom 1 and from geom 2, up to `tolerance` times the radius
-    of the smaller geom and the `slack` (ngeoms,) of both, by which they may have moved; the only contact of a pair
-    continues the only one before. `geoms` are (radius, R, t, slack).
+    Both lists, (names, points) as of `search.gather`, are sorted by pair. Within a pair the closest old and new points
+    are matched first, by the smaller of the distances seen from geom 1 and from geom 2, up to `tolerance` times the
+    radius of the smaller geom and the `slack` (ngeoms,) of both, by which they may have moved; the only contact of a
+    pair continues the only one before. `geoms` are (radius, R, t, slack).
     """
     radius, R, t, slack = geoms
     first, second, key, point, local1, local2 = names[0], names[1], names[4], points[0], points[2], points[3]
@@ -62,45 +62,6 @@ def match(geoms, tolerance, memory, next_key, names, points):
                 next_key += 1
         a, o = b, q
     return next_key
-
-
-@in_place
-def collect(geoms, pairs, found, tolerance, memory, next_key, out):
-    """What `manifolds` found and what contacts have from pairs and geoms, into `out`; then `match`.
-
-    Parameters
-    ----------
-    geoms : tuple
-        frame, and what `match` takes.
-    pairs : tuple
-        first, second, mu and restitution.
-    found : tuple
-        As of `manifolds`.
-    tolerance : float
-    memory : tuple
-        (names, points) of the contacts before.
-    next_key : int
-    out : tuple
-        names, shape (5, nc), both geoms, both frames, key; points, shape (4, nc, 3), point, normal, the point in the
-        frames of both geoms; scalars, shape (3, nc), gap, mu, restitution.
-
-    Returns
-    -------
-    int
-        The next key.
-    """
-    frame, shapes = geoms
-    first, second, mu, restitution = pairs
-    point, normal, gap, pair = found
-    names, points, scalars = out
-    for c in range(names.shape[1]):
-        p = pair[c]
-        i, j = first[p], second[p]
-        names[0, c], names[1, c], names[2, c], names[3, c] = i, j, frame[i], frame[j]
-        scalars[0, c], scalars[1, c], scalars[2, c] = gap[c], mu[p], restitution[p]
-        put(points[0], c, row(point, c))
-        put(points[1], c, row(normal, c))
-    return match(shapes, tolerance, memory, next_key, names, points)
 
 
 @in_place

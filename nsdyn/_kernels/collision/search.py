@@ -1,40 +1,19 @@
 """The contacts of a configuration in one call: geoms in place, points of the candidate pairs, keys."""
 
 from nsdyn._kernels.collision.broadphase import follow
-from nsdyn._kernels.collision.keys import collect
+from nsdyn._kernels.collision.keys import match
 from nsdyn._kernels.collision.manifold import manifolds
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
+from nsdyn._kernels.vectors import put, row
 
 LEFT = -1
 """Instead of a number of contacts: a geom has left its fat box, and the pairs are to be renewed first."""
 
 # The arrays of floats and of integers that `Detector` packs, of the geoms and of the candidate pairs, in their order.
-(
-    SIZE,
-    OFFSET,
-    RADIUS,
-    VERTICES,
-    NORMALS,
-    OFFSETS,
-    PLACEMENT_R,
-    PLACEMENT_T,
-    ROTATION,
-    ORIGIN,
-    REACH,
-    SLACK,
-    BASE,
-    LOWER,
-    UPPER,
-    FAT_LOWER,
-    FAT_UPPER,
-    POLY,
-    OTHER,
-    VALUES,
-    POINTS,
-    HEIGHTS,
-    GEOMS,
-) = range(23)
+SIZE, OFFSET, RADIUS, VERTICES, NORMALS, OFFSETS, PLACEMENT_R, PLACEMENT_T = range(8)
+ROTATION, ORIGIN, REACH, SLACK, BASE, LOWER, UPPER, FAT_LOWER, FAT_UPPER = range(8, 17)
+POLY, OTHER, VALUES, POINTS, HEIGHTS, GEOMS = range(17, 23)
 KIND, VERTEX_PTR, FACE_PTR, LOOP_PTR, LOOP, FRAME = range(6)
 POINT, NORMAL, GAP, COAL, MARGIN, MU, RESTITUTION, PAIRS = range(8)
 PAIR, FIRST, SECOND, SLOT = range(4)
@@ -44,22 +23,12 @@ PAIR, FIRST, SECOND, SLOT = range(4)
 def fields_of(geoms):
     """What `Geometry` has of the geoms."""
     f, i = geoms
-    return (
-        indices(i, KIND, GEOMS),
-        triples(f, i, SIZE),
-        numbers(f, i, OFFSET),
-        numbers(f, i, RADIUS),
-        indices(i, VERTEX_PTR, GEOMS),
-        triples(f, i, VERTICES),
-        indices(i, FACE_PTR, GEOMS),
-        triples(f, i, NORMALS),
-        numbers(f, i, OFFSETS),
-        indices(i, LOOP_PTR, GEOMS),
-        indices(i, LOOP, GEOMS),
-        indices(i, FRAME, GEOMS),
-        matrices(f, i, PLACEMENT_R),
-        triples(f, i, PLACEMENT_T),
-    )
+    sizes = indices(i, KIND, GEOMS), triples(f, i, SIZE), numbers(f, i, OFFSET), numbers(f, i, RADIUS)
+    vertices = indices(i, VERTEX_PTR, GEOMS), triples(f, i, VERTICES)
+    faces = indices(i, FACE_PTR, GEOMS), triples(f, i, NORMALS), numbers(f, i, OFFSETS)
+    loops = indices(i, LOOP_PTR, GEOMS), indices(i, LOOP, GEOMS)
+    placements = indices(i, FRAME, GEOMS), matrices(f, i, PLACEMENT_R), triples(f, i, PLACEMENT_T)
+    return *sizes, *vertices, *faces, *loops, *placements
 
 
 @in_place
@@ -71,18 +40,10 @@ def room_of(geoms):
 
 @in_place
 def seek(geoms, pairs, limit, placed, poses):
-    """Number of contacts, or `LEFT`: `follow` first unless the geoms are `placed`, then `manifolds`.
+    """Number of contacts, or `LEFT`: `follow` first unless the geoms are `placed` at the poses, then `manifolds`.
 
-    Parameters
-    ----------
-    geoms, pairs : (ndarray, ndarray)
-        Real numbers and integers, packed by the detector, where the contacts are then.
-    limit : int
-        Most contacts of a pair.
-    placed : bool
-        Whether the geoms are where `poses` has them already.
-    poses : tuple
-        x (frames, 3), R (frames, 3, 3), reach (frames,) of the moving frames, m.
+    `geoms` and `pairs` are real numbers and integers, packed by the detector, where the contacts are then, at most
+    `limit` of a pair; `poses` (x, R, reach) of the moving frames, m.
     """
     (f, i), (p, j) = geoms, pairs
     fields, (R, t), reach = fields_of(geoms), room_of(geoms), numbers(f, i, REACH)
@@ -92,20 +53,15 @@ def seek(geoms, pairs, limit, placed, poses):
     found = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
     first, second, coal = indices(j, FIRST, PAIRS), indices(j, SECOND, PAIRS), numbers(p, j, COAL)
     asked = indices(j, SLOT, PAIRS), coal.reshape((coal.size // 10, 10)), numbers(p, j, MARGIN)
-    room = (
-        triples(f, i, POLY),
-        triples(f, i, OTHER),
-        numbers(f, i, VALUES),
-        triples(f, i, POINTS),
-        numbers(f, i, HEIGHTS),
-    )
+    polygons, points = (triples(f, i, POLY), triples(f, i, OTHER)), (triples(f, i, POINTS), numbers(f, i, HEIGHTS))
+    room = limit, *polygons, numbers(f, i, VALUES), *points
     placed = fields, R, t, reach, numbers(f, i, SLACK)
-    return manifolds(placed, (first, second, *asked), (limit, *room), found)
+    return manifolds(placed, (first, second, *asked), room, found)
 
 
 @in_place
 def gather(geoms, pairs, tolerance, memory, next_key, out):
-    """`collect` the contacts that were sought into out = (names, points, scalars), with room for just so many.
+    """The contacts that were sought, with what they have from pairs and geoms, into out; then `match`.
 
     Parameters
     ----------
@@ -118,22 +74,35 @@ def gather(geoms, pairs, tolerance, memory, next_key, out):
     next_key : int
         Key of the next new contact.
     out : tuple
+        With room for just so many: names, shape (5, nc), both geoms, both frames, key; points, shape (4, nc, 3), point,
+        normal, the point in the frames of both geoms; scalars, shape (3, nc), gap, mu, restitution.
 
     Returns
     -------
     int
         The next key.
     """
-    (f, i), (p, j) = geoms, pairs
-    found = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
-    own = indices(j, FIRST, PAIRS), indices(j, SECOND, PAIRS), numbers(p, j, MU), numbers(p, j, RESTITUTION)
+    (f, i), (p, j), (names, points, scalars) = geoms, pairs, out
+    point, normal, gap, pair = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
+    first, second, frame = indices(j, FIRST, PAIRS), indices(j, SECOND, PAIRS), indices(i, FRAME, GEOMS)
+    mu, restitution = numbers(p, j, MU), numbers(p, j, RESTITUTION)
+    for c in range(names.shape[1]):
+        k = pair[c]
+        names[0, c], names[1, c], names[2, c], names[3, c] = first[k], second[k], frame[first[k]], frame[second[k]]
+        scalars[0, c], scalars[1, c], scalars[2, c] = gap[c], mu[k], restitution[k]
+        put(points[0], c, row(point, c))
+        put(points[1], c, row(normal, c))
     shapes = numbers(f, i, RADIUS), *room_of(geoms), numbers(f, i, REACH)
-    return collect((indices(i, FRAME, GEOMS), shapes), own, found, tolerance, memory, next_key, out)
+    return match(shapes, tolerance, memory, next_key, names, points)
 
 
 @in_place
-def search(geoms, pairs, limit, tolerance, placed, poses, memory, next_key, out):
-    """`seek`, and `gather` if there is room for just so many; the number of contacts and the next key."""
+def search(searches, placed, poses, memory, next_key, out):
+    """`seek`, and `gather` if there is room for just so many; the number of contacts and the next key.
+
+    `searches` are (geoms, pairs, limit, tolerance) of these.
+    """
+    geoms, pairs, limit, tolerance = searches
     count = seek(geoms, pairs, limit, placed, poses)
     if count == out[0].shape[1]:
         next_key = gather(geoms, pairs, tolerance, memory, next_key, out)

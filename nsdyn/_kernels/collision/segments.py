@@ -4,19 +4,7 @@ from nsdyn._kernels.collision.geometry import smaller
 from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_corner, has_rim, is_round, segment, side
 from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.vectors import (
-    along,
-    cross,
-    dot,
-    minus,
-    perpendicular,
-    put,
-    row,
-    times,
-    to_local,
-    to_world,
-    unit,
-)
+from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, row, times, to_local, to_world, unit
 
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
 ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
@@ -78,8 +66,7 @@ def segments(geometry, i, j, lines, n, out, at):
     known = not (is_round(geometry, i) and is_round(geometry, j))
     d, length1 = unit(minus(q1, p1))
     e, length2 = unit(minus(q2, p2))
-    common = cross(d, e)
-    common, sine = unit(common)
+    common, sine = unit(cross(d, e))
     rounded, tiny = radius1 + radius2 > 0.0, SAME * smaller(geometry, i, j)
     if length1 > 0.0 and length2 > 0.0 and sine < PARALLEL:
         # Both ends of the overlap, as arc lengths on segment 1.
@@ -179,17 +166,14 @@ def ends(geometry, i, j, n, margin, out, at, count):
     e, length2 = unit(minus(q2, p2))
     if abs(dot(d, e)) < OBLIQUE:
         return count
-    for k in range(4):
-        # An end a of one segment (radius, kind), and the other from c on along f.
-        if k < 2:
-            a, radius, flat, opposite, sign = p1 if k == 0 else q1, radius1, has_rim(geometry, i), length1, 1.0
-            c, f, length, other = p2, e, length2, radius2
-        else:
-            a, radius, flat, opposite, sign = p2 if k == 2 else q2, radius2, has_rim(geometry, j), length2, -1.0
-            c, f, length, other = p1, d, length1, radius1
+    one = has_rim(geometry, i), radius1, d, length1, 1.0, p2, radius2, e, length2
+    two = has_rim(geometry, j), radius2, e, length2, -1.0, p1, radius1, d, length1
+    for a, lines in ((p1, one), (q1, one), (p2, two), (q2, two)):
+        # An end a of one segment, which is along g, and the other from c on along f.
+        flat, radius, g, opposite, sign, c, other, f, length = lines
         if flat:  # its end is a circle, not a ball
             m = minus(along(c, dot(f, minus(a, c)), f), a)
-            m, _ = unit(along(m, -dot(m, d if k < 2 else e), d if k < 2 else e))
+            m, _ = unit(along(m, -dot(m, g), g))
             a, radius = along(a, radius, m), 0.0
         s = dot(f, minus(a, c))
         foot = along(c, s, f)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.vectors import square
+from nsdyn._kernels.vectors import along, cross, dot, put, row, times
 
 
 @in_place
@@ -60,16 +60,13 @@ def rows(frame1, frame2, point, frame, first, support, J, start, H):
             f = frame1[c] if s == 0 else frame2[c]
             if f < first or f >= last:
                 continue
-            sign = -1.0 if s == 0 else 1.0
-            side = 0 if inside else s
-            p0, p1, p2 = point[c, 0], point[c, 1], point[c, 2]
             for i in range(3):
-                d0, d1, d2 = sign * frame[c, i, 0], sign * frame[c, i, 1], sign * frame[c, i, 2]
-                m0, m1, m2 = p1 * d2 - p2 * d1, p2 * d0 - p0 * d2, p0 * d1 - p1 * d0
-                row = start[c, side] + nv * i
+                d0, d1, d2 = d = times(-1.0 if s == 0 else 1.0, row(frame[c], i))
+                m0, m1, m2 = cross(row(point, c), d)
+                at = start[c, 0 if inside else s] + nv * i
                 for j in range(nv):
                     if support[f - first, j]:
-                        H[row + j] += (
+                        H[at + j] += (
                             d0 * J[0, j] + d1 * J[1, j] + d2 * J[2, j] + m0 * J[3, j] + m1 * J[4, j] + m2 * J[5, j]
                         )
 
@@ -84,10 +81,7 @@ def twists(x, support, J, v, linear, angular):
                 for i in range(3):
                     linear[f, i] += J[i, j] * v[j]
                     angular[f, i] += J[3 + i, j] * v[j]
-        w = angular[f]
-        linear[f, 0] += w[1] * x[f, 2] - w[2] * x[f, 1]
-        linear[f, 1] += w[2] * x[f, 0] - w[0] * x[f, 2]
-        linear[f, 2] += w[0] * x[f, 1] - w[1] * x[f, 0]
+        put(linear, f, along(row(linear, f), 1.0, cross(row(angular, f), row(x, f))))
 
 
 @in_place
@@ -123,10 +117,8 @@ def twists_of_all(trees, x, v, linear, angular):
 def reach(linear, angular, h, radius, fall, out):
     """How far any point of each link's shapes moves in a step of h at its `twists`, and by `fall`, m, into out (k,)."""
     for f in range(out.size):
-        a, w = linear[f], angular[f]
-        speed = math.sqrt(square(a[0]) + square(a[1]) + square(a[2]))
-        spin = math.sqrt(square(w[0]) + square(w[1]) + square(w[2]))
-        out[f] = h * (speed + spin * radius[f]) + fall
+        speed, spin = row(linear, f), row(angular, f)
+        out[f] = h * (math.sqrt(dot(speed, speed)) + math.sqrt(dot(spin, spin)) * radius[f]) + fall
 
 
 @kernel
@@ -139,24 +131,16 @@ def reach_of_all(trees, x, v, h, radius, fall, out):
 
 
 @in_place
-def closures(x, R, J, support, joints, points, rows, phi, G):
-    """Add to phi how far the points of two joints each are apart, and to G the rows of closed loops.
+def closures(tree, loops, phi, G):
+    """Add to phi (rows,) how far the points of two joints each are apart, and to G (rows, nv) the rows of closed loops.
 
-    Parameters
-    ----------
-    x, R : ndarray, shapes (n, 3), (n, 3, 3)
-        Of all joints, m.
-    J, support : ndarray, shapes (6, nv), (n, nv)
-        Velocity fields, and which coordinates move a joint, as of `rows`.
-    joints : ndarray of int, shape (loops, 2)
-    points : ndarray, shape (loops, 2, 3)
-        In the frames of the joints, m.
-    rows : ndarray of int, shape (loops + 1,)
-        Loop k has the rows rows[k] to rows[k + 1]: three of the points, and three of the turn where there are six.
-    phi, G : ndarray, shapes (rows,), (rows, nv)
+    tree = (x, R, J, support): poses of all joints, velocity fields, and which coordinates move a joint, as of `rows`.
+    loops = (joints, points, rows): two joints each, a point in the frame of each, and where their rows begin: three of
+    the points, and three of the turn where there are six.
     """
+    (x, R, J, support), (joints, points, rows) = tree, loops
     for k in range(joints.shape[0]):
-        row, turns = rows[k], rows[k + 1] - rows[k] > 3
+        first, turns = rows[k], rows[k + 1] - rows[k] > 3
         for side in range(2):
             at, sign = joints[k, side], 1.0 - 2.0 * side
             a, b, c = points[k, side]
@@ -166,10 +150,10 @@ def closures(x, R, J, support, joints, points, rows, phi, G):
                 x[at, 2] + R[at, 2, 0] * a + R[at, 2, 1] * b + R[at, 2, 2] * c,
             )
             for i in range(3):
-                phi[row + i] += sign * p[i]
+                phi[first + i] += sign * p[i]
                 j, l = (i + 1) % 3, (i + 2) % 3
                 for n in range(G.shape[1]):
                     if support[at, n]:
-                        G[row + i, n] += sign * (J[i, n] + J[3 + j, n] * p[l] - J[3 + l, n] * p[j])
+                        G[first + i, n] += sign * (J[i, n] + J[3 + j, n] * p[l] - J[3 + l, n] * p[j])
                         if turns:
-                            G[row + 3 + i, n] += sign * J[3 + i, n]
+                            G[first + 3 + i, n] += sign * J[3 + i, n]

@@ -9,17 +9,15 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.dynamics import rotation
 from nsdyn._kernels.reductions import copy
-from nsdyn._kernels.vectors import square
+from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, three, times, to_local, to_world
 
 
 @in_place
 def integrate(x, quaternion, v, h, x_out, quaternion_out):
     """Positions x + h v and rotations R exp([h omega]x), unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
     for b in range(x.shape[0]):
-        for i in range(3):
-            x_out[b, i] = x[b, i] + h * v[6 * b + i]
+        put(x_out, b, along(row(x, b), h, three(v, 6 * b)))
         a0, a1, a2 = 0.5 * h * v[6 * b + 3], 0.5 * h * v[6 * b + 4], 0.5 * h * v[6 * b + 5]
         half = math.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
         q0, q1, q2, q3 = quaternion[b, 0], quaternion[b, 1], quaternion[b, 2], quaternion[b, 3]
@@ -52,24 +50,8 @@ def rotations(quaternion, R):
 def place(x, quaternion, x_out, R):
     """Positions into x_out and `rotations` into R, which may have room for more."""
     for b in range(x.shape[0]):
-        for i in range(3):
-            x_out[b, i] = x[b, i]
+        put(x_out, b, row(x, b))
     rotations(quaternion, R)
-
-
-@in_place
-def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out, x_frames, R):
-    """`rotation.flow` of free bodies, and `place` where it ends.
-
-    Parameters
-    ----------
-    moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out
-        As of `rotation.flow`.
-    x_frames, R : ndarray, shapes (frames, 3), (frames, 3, 3)
-        Poses of the frames, written.
-    """
-    rotation.flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out)
-    place(x_out, quaternion_out, x_frames, R)
 
 
 @kernel
@@ -82,50 +64,37 @@ def keep_spin(J, inverse_J, quaternion, turned, v, out):
     rotations(quaternion, R)
     rotations(turned, S)
     copy(v, out)
-    spin, space = np.empty(3), np.empty(3)
     for b in range(J.shape[0]):
         f = 6 * b + 3
-        if v[f] == 0.0 and v[f + 1] == 0.0 and v[f + 2] == 0.0:
-            continue
-        for i in range(3):
-            spin[i] = J[b, i, 0] * v[f] + J[b, i, 1] * v[f + 1] + J[b, i, 2] * v[f + 2]
-        for i in range(3):
-            space[i] = R[b, i, 0] * spin[0] + R[b, i, 1] * spin[1] + R[b, i, 2] * spin[2]
-        for i in range(3):
-            spin[i] = S[b, 0, i] * space[0] + S[b, 1, i] * space[1] + S[b, 2, i] * space[2]
-        for i in range(3):
-            out[f + i] = inverse_J[b, i, 0] * spin[0] + inverse_J[b, i, 1] * spin[1] + inverse_J[b, i, 2] * spin[2]
+        spin = three(v, f)
+        if spin != (0.0, 0.0, 0.0):
+            momentum = to_local(S, b, to_world(R, b, to_world(J, b, spin)))
+            out[f], out[f + 1], out[f + 2] = to_world(inverse_J, b, momentum)
 
 
 @in_place
 def accelerate(inverse_mass, inverse_J, gravity, force, torque, h, v, out):
     """v + h M⁻¹ f of free bodies under gravity, forces (world axes) and torques (body axes), into out."""
     for b in range(inverse_mass.size):
-        for i in range(3):
-            out[6 * b + i] = v[6 * b + i] + h * (gravity[i] + inverse_mass[b] * force[b, i])
-            spin = 0.0
-            for j in range(3):
-                spin += inverse_J[b, i, j] * torque[b, j]
-            out[6 * b + 3 + i] = v[6 * b + 3 + i] + h * spin
+        i, push, turn = 6 * b, along(gravity, inverse_mass[b], row(force, b)), to_world(inverse_J, b, row(torque, b))
+        out[i], out[i + 1], out[i + 2] = along(three(v, i), h, push)
+        out[i + 3], out[i + 4], out[i + 5] = along(three(v, i + 3), h, turn)
 
 
 @in_place
 def twists(R, v, free, linear, angular):
     """Velocities of the centres of mass and angular velocities of free bodies in world axes, into (n, 3) each."""
     for b in range(free):
-        for i in range(3):
-            linear[b, i] = v[6 * b + i]
-            angular[b, i] = R[b, i, 0] * v[6 * b + 3] + R[b, i, 1] * v[6 * b + 4] + R[b, i, 2] * v[6 * b + 5]
+        put(linear, b, three(v, 6 * b))
+        put(angular, b, to_world(R, b, three(v, 6 * b + 3)))
 
 
 @in_place
 def reach(v, h, fall, radius, out):
     """How far any point of each free body moves in h seconds, and by `fall`, m, into out (n,)."""
     for b in range(radius.size):
-        i = 6 * b
-        speed = math.sqrt(square(v[i]) + square(v[i + 1]) + square(v[i + 2]))
-        spin = math.sqrt(square(v[i + 3]) + square(v[i + 4]) + square(v[i + 5]))
-        out[b] = h * (speed + spin * radius[b]) + fall
+        speed, spin = three(v, 6 * b), three(v, 6 * b + 3)
+        out[b] = h * (math.sqrt(dot(speed, speed)) + math.sqrt(dot(spin, spin)) * radius[b]) + fall
 
 
 @in_place
@@ -186,15 +155,11 @@ def free_rows(frame1, frame2, point, frame, x, R, free, start, H):
             b = frame1[c] if s == 0 else frame2[c]
             if b < 0 or b >= free:
                 continue
-            sign = -1.0 if s == 0 else 1.0
-            p0, p1, p2 = point[c, 0] - x[b, 0], point[c, 1] - x[b, 1], point[c, 2] - x[b, 2]
+            arm = minus(row(point, c), row(x, b))
             for i in range(3):
-                d0, d1, d2 = sign * frame[c, i, 0], sign * frame[c, i, 1], sign * frame[c, i, 2]
-                m0, m1, m2 = p1 * d2 - p2 * d1, p2 * d0 - p0 * d2, p0 * d1 - p1 * d0
-                row = start[c, s] + 6 * i
-                H[row], H[row + 1], H[row + 2] = d0, d1, d2
-                for j in range(3):
-                    H[row + 3 + j] = R[b, 0, j] * m0 + R[b, 1, j] * m1 + R[b, 2, j] * m2
+                d, at = times(-1.0 if s == 0 else 1.0, row(frame[c], i)), start[c, s] + 6 * i
+                H[at], H[at + 1], H[at + 2] = d
+                H[at + 3], H[at + 4], H[at + 5] = to_local(R, b, cross(arm, d))
 
 
 @in_place
@@ -203,11 +168,11 @@ def free_energies(mass, J, gravity, x, v):
     kinetic, potential = 0.0, 0.0
     for b in range(mass.size):
         i = 6 * b
-        kinetic += 0.5 * mass[b] * (v[i] * v[i] + v[i + 1] * v[i + 1] + v[i + 2] * v[i + 2])
+        kinetic += 0.5 * mass[b] * dot(three(v, i), three(v, i))
         for j in range(3):
             for k in range(3):
                 kinetic += 0.5 * v[i + 3 + j] * J[b, j, k] * v[i + 3 + k]
-        potential -= mass[b] * (gravity[0] * x[b, 0] + gravity[1] * x[b, 1] + gravity[2] * x[b, 2])
+        potential -= mass[b] * dot(gravity, row(x, b))
     return kinetic, potential
 
 
@@ -216,15 +181,12 @@ def pinocchio_layout(x, quaternion, v, q_out, v_out):
     """Free bodies in Pinocchio's layout: q = (x, quaternion), v = (Rᵀ v, omega), into q_out; all of v into v_out."""
     R = np.empty((x.shape[0], 3, 3))
     rotations(quaternion, R)
-    for i in range(6 * x.shape[0], v.size):
-        v_out[i] = v[i]
+    copy(v, v_out)
     for b in range(x.shape[0]):
-        for i in range(3):
-            q_out[7 * b + i] = x[b, i]
-            v_out[6 * b + i] = R[b, 0, i] * v[6 * b] + R[b, 1, i] * v[6 * b + 1] + R[b, 2, i] * v[6 * b + 2]
-            v_out[6 * b + 3 + i] = v[6 * b + 3 + i]
-        for i in range(4):
-            q_out[7 * b + 3 + i] = quaternion[b, i]
+        i = 6 * b
+        v_out[i], v_out[i + 1], v_out[i + 2] = to_local(R, b, three(v, i))
+        copy(x[b], q_out[7 * b :])
+        copy(quaternion[b], q_out[7 * b + 3 :])
 
 
 @in_place
@@ -255,35 +217,21 @@ def free_works(mass, gravity, force, torque, h, theta, v, v0, v1):
 
 
 @in_place
-def surface_velocities(geom, motion_of_geom, origin, linear, angular, slides, point, normal, sign, w):
-    """Add the velocity of prescribed bodies at the contacts, times sign, to w (nc, 3), world axes.
+def surface_velocities(contacts, surfaces, w):
+    """Add what prescribed bodies move at the contacts, that of geom 2 minus that of geom 1, to w (nc, 3), world axes.
 
-    Motion m has the velocity linear[m] + angular[m] x (p - origin[m]); where it slides in itself (a conveyor), only
-    the tangential part counts.
-
-    Parameters
-    ----------
-    geom : ndarray of int, shape (nc,)
-        Of each contact, on one side.
-    motion_of_geom : ndarray of int, shape (geoms,)
-        -1 where nothing is prescribed.
-    origin, linear, angular : ndarray, shape (motions, 3)
-        m, m/s, rad/s.
-    slides : ndarray of bool, shape (motions,)
-    point, normal : ndarray, shape (nc, 3)
-    sign : float
-    w : ndarray, shape (nc, 3)
+    Motion m has the velocity linear[m] + angular[m] x (p - origin[m]); where it `slides` in itself (a conveyor), only
+    the tangential part counts. `contacts` are (geom1, geom2, point, normal), `surfaces` (motion of every geom, -1 where
+    nothing is prescribed, origin, linear, angular, slides).
     """
-    for c in range(geom.size):
-        m = motion_of_geom[geom[c]]
-        if m < 0:
-            continue
-        p0, p1, p2 = point[c, 0] - origin[m, 0], point[c, 1] - origin[m, 1], point[c, 2] - origin[m, 2]
-        a = angular[m]
-        v0 = linear[m, 0] + a[1] * p2 - a[2] * p1
-        v1 = linear[m, 1] + a[2] * p0 - a[0] * p2
-        v2 = linear[m, 2] + a[0] * p1 - a[1] * p0
-        out = normal[c, 0] * v0 + normal[c, 1] * v1 + normal[c, 2] * v2 if slides[m] else 0.0
-        w[c, 0] += sign * (v0 - out * normal[c, 0])
-        w[c, 1] += sign * (v1 - out * normal[c, 1])
-        w[c, 2] += sign * (v2 - out * normal[c, 2])
+    (geom1, geom2, point, normal), (motion_of_geom, origin, linear, angular, slides) = contacts, surfaces
+    for c in range(geom1.size):
+        for s in range(2):
+            m = motion_of_geom[geom1[c] if s == 0 else geom2[c]]
+            if m < 0:
+                continue
+            p, n, l, a = minus(row(point, c), row(origin, m)), row(normal, c), linear[m], angular[m]
+            v = l[0] + a[1] * p[2] - a[2] * p[1], l[1] + a[2] * p[0] - a[0] * p[2], l[2] + a[0] * p[1] - a[1] * p[0]
+            if slides[m]:
+                v = along(v, -dot(n, v), n)
+            put(w, c, along(row(w, c), -1.0 if s == 0 else 1.0, v))

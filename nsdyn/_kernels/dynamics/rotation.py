@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.vectors import along, dot, minus, put, row, three, to_local, to_world
 
 PART = 0.5
 """Radians that one collocation turns at most: its error is then 1e-9, 1e-7 at worst, after some 13 iterations."""
@@ -145,19 +146,16 @@ def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
     w, e, stage, slope = np.empty(3), np.empty(4), np.empty((3, 3)), np.empty((3, 3))
     for b in range(x.shape[0]):
         o = 6 * b
-        for i in range(3):
-            x_out[b, i] = x[b, i] + h * v[o + i]
-            v_out[o + i] = v[o + i]
-        w0, w1, w2 = v[o + 3], v[o + 4], v[o + 5]
+        spin = w0, w1, w2 = three(v, o + 3)
+        put(x_out, b, along(row(x, b), h, three(v, o)))
         q0, q1, q2, q3 = quaternion[b, 0], quaternion[b, 1], quaternion[b, 2], quaternion[b, 3]
         quaternion_out[b, 0], quaternion_out[b, 1], quaternion_out[b, 2], quaternion_out[b, 3] = q0, q1, q2, q3
-        v_out[o + 3], v_out[o + 4], v_out[o + 5] = w0, w1, w2
+        for i in range(o, o + 6):
+            v_out[i] = v[i]
         if w0 == 0.0 and w1 == 0.0 and w2 == 0.0:
             continue
-        I, P = moments[b], axes[b]
-        for i in range(3):
-            w[i] = P[0, i] * w0 + P[1, i] * w1 + P[2, i] * w2
-        square = w0 * w0 + w1 * w1 + w2 * w2
+        I, square = moments[b], dot(spin, spin)
+        w[0], w[1], w[2] = to_local(axes, b, spin)
         gyroscopic = max(
             abs((I[1] - I[2]) * w[1] * w[2]), abs((I[2] - I[0]) * w[2] * w[0]), abs((I[0] - I[1]) * w[0] * w[1])
         )
@@ -170,19 +168,15 @@ def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
         else:
             left = h
             for _ in range(PARTS):
-                parts = max(1.0, np.ceil(left * math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]) / PART))
+                parts = max(1.0, np.ceil(left * math.sqrt(dot(w, w)) / PART))
                 part = left / parts
                 _collocate(I, w, part, stage, slope, e)
-                e0 = P[0, 0] * e[0] + P[0, 1] * e[1] + P[0, 2] * e[2]
-                e1 = P[1, 0] * e[0] + P[1, 1] * e[1] + P[1, 2] * e[2]
-                e2 = P[2, 0] * e[0] + P[2, 1] * e[1] + P[2, 2] * e[2]
+                e0, e1, e2 = to_world(axes, b, three(e, 0))
                 q0, q1, q2, q3 = _times(q0, q1, q2, q3, e0, e1, e2, e[3])
                 if parts == 1.0:
                     break
                 left -= part
             # Only the change goes back through the axes, whose round-off would otherwise add up.
-            for i in range(3):
-                w[i] -= P[0, i] * w0 + P[1, i] * w1 + P[2, i] * w2
-            for i in range(3):
-                v_out[o + 3 + i] += P[i, 0] * w[0] + P[i, 1] * w[1] + P[i, 2] * w[2]
+            change = to_world(axes, b, minus(w, to_local(axes, b, spin)))
+            v_out[o + 3], v_out[o + 4], v_out[o + 5] = along(spin, 1.0, change)
         quaternion_out[b, 0], quaternion_out[b, 1], quaternion_out[b, 2], quaternion_out[b, 3] = q0, q1, q2, q3

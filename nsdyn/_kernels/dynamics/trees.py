@@ -131,21 +131,6 @@ def linear_laws(M, springs, control, angle, turning, h, theta, laws):
 
 
 @in_place
-def implicit(M, laws, h, F, m, minv):
-    """The effective mass matrix m = M + h (β d + h α² k) of all `linear_laws` and minv = Fᵀ F, its inverse, all (n, n).
-
-    False when m is not positive definite.
-    """
-    n = M.shape[0]
-    for i in range(n):
-        for j in range(n):
-            m[i, j] = M[i, j]
-        for l in range(2):
-            m[i, i] += h * (laws[l, 3, i] * laws[l, 1, i] + h * square(laws[l, 2, i]) * laws[l, 0, i])
-    return factor(m, F, minv)
-
-
-@in_place
 def parts(laws, l, j, v0, v1, h):
     """(elastic, viscous) force of a law in joint j, from the velocities before and after the forces of a step."""
     k, d, alpha, beta, f = laws[l, 0, j], laws[l, 1, j], laws[l, 2, j], laws[l, 3, j], laws[l, 4, j]
@@ -175,25 +160,14 @@ def strained(laws, limit, last, v0, v1, h, over):
 
 
 @kernel
-def works(laws, push, limit, velocities, mean, impulse, h, start, joints):
+def works(loads, velocities, mean, impulse, h, start, joints):
     """Works of actuation, of damping and of an impulse on the mean velocity, J.
 
-    Parameters
-    ----------
-    laws : ndarray, shape (2, 5, n)
-        Of `linear_laws`.
-    push, limit : ndarray, shape (n,)
-        Joint forces of wrenches, and the most that actuators may give, N m or N.
-    velocities : (ndarray, ndarray)
-        Before and after the forces, (n,) each.
-    mean, impulse : ndarray, shape (n,)
-    h : float
-        s.
-    start : int
-    joints : ndarray, shape (7, .)
-        Rows 0, 3 and 5 take the impulses of actuation without wrenches, of wrenches, and the most that actuators may
-        give, from column `start` on.
+    loads = (laws, push, limit): as of `forces`, and the most that actuators may give, N m or N; velocities before and
+    after the forces. Rows 0, 3 and 5 of joints (7, .) take the impulses of actuation without wrenches, of wrenches, and
+    the most that actuators may give, from column `start` on.
     """
+    laws, push, limit = loads
     acting = np.empty((3, mean.size))
     forces(laws, push, velocities[0], velocities[1], h, acting)
     actuation, dissipation, pushed = 0.0, 0.0, 0.0
@@ -207,23 +181,13 @@ def works(laws, push, limit, velocities, mean, impulse, h, start, joints):
 
 
 @kernel
-def respond(start, minv, laws, push, weight, v0, h, v):
+def respond(start, minv, loads, v0, h, v):
     """Velocity v = start + h minv f after the forces of a step at the velocity v0, into v (n,).
 
-    Parameters
-    ----------
-    start : ndarray, shape (n,)
-        Velocity without them: v0 itself where nothing constrains the tree.
-    minv : ndarray, shape (n, n)
-    laws, push : ndarray, shapes (2, 5, n), (n,)
-        As of `forces`.
-    weight : ndarray, shape (n,)
-        Gravity terms, N m or N.
-    v0 : ndarray, shape (n,)
-    h : float
-        s.
-    v : ndarray, shape (n,)
+    `start` is the velocity without them: v0 itself where nothing constrains the tree. loads = (laws, push, weight): as
+    of `forces`, and gravity terms, N m or N.
     """
+    laws, push, weight = loads
     acting = np.empty((3, v.size))
     forces(laws, push, v0, v0, h, acting)
     for i in range(v.size):
@@ -233,11 +197,21 @@ def respond(start, minv, laws, push, weight, v0, h, v):
 
 
 @in_place
-def move_free(M, laws, push, weight, v0, h, F, m, minv, v):
-    """`implicit`, and `respond` of a tree that nothing constrains; False when m is not positive definite."""
-    if not implicit(M, laws, h, F, m, minv):
+def move_free(M, loads, v0, h, F, m, minv, v):
+    """What loads as of `respond` do to a tree that nothing constrains: its velocity after them, into v (n,).
+
+    Into m, F and minv, all (n, n), the effective mass matrix M + h (β d + h α² k) of all `linear_laws`, and its inverse
+    Fᵀ F. False when m is not positive definite.
+    """
+    n, laws = v.size, loads[0]
+    for i in range(n):
+        for j in range(n):
+            m[i, j] = M[i, j]
+        for l in range(2):
+            m[i, i] += h * (laws[l, 3, i] * laws[l, 1, i] + h * square(laws[l, 2, i]) * laws[l, 0, i])
+    if not factor(m, F, minv):
         return False
-    respond(v0, minv, laws, push, weight, v0, h, v)
+    respond(v0, minv, loads, v0, h, v)
     return True
 
 
@@ -348,20 +322,13 @@ def midpoint(v, a1, a2, h, tolerance, floor, x):
 
 
 @in_place
-def combine(v, a1, a2, a3, a4, h, tolerance, floor, x):
-    """Finish a Runge–Kutta step; its error as a fraction of what is allowed, see `nsdyn.dynamics.runge_kutta`.
+def combine(v, accelerations, h, tolerance, floor, x):
+    """Finish a Runge–Kutta step from v; its error as a fraction of what is allowed, see `nsdyn.dynamics.runge_kutta`.
 
-    Parameters
-    ----------
-    v : ndarray, shape (n,)
-        Velocity at its beginning.
-    a1, a2, a3, a4 : ndarray, shape (n,)
-        Accelerations of the stages.
-    h, tolerance, floor : float
-        Step, s; error allowed of the largest velocity, and at least.
-    x : ndarray, shape (7, n)
-        Of `stage`; takes two displacements, the velocity at the end and the mean velocity from row 3 on.
+    The accelerations are those of the four stages; allowed is an error of the largest velocity, and at least a floor.
+    Two displacements, the velocity at the end and the mean velocity go into x (7, n) of `stage` from row 3 on.
     """
+    a1, a2, a3, a4 = accelerations
     error, size = 0.0, 0.0
     for j in range(v.size):
         v2, v3, v4 = x[0, j], x[1, j], x[2, j]

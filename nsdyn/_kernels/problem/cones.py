@@ -22,14 +22,6 @@ def project(zn, z1, z2, mu):
 
 
 @in_place
-def project_all(z, mu, out):
-    """Projection of every contact of z (3 nc,) on its cone, into out (3 nc,)."""
-    for c in range(mu.size):
-        i = 3 * c
-        out[i], out[i + 1], out[i + 2] = project(z[i], z[i + 1], z[i + 2], mu[c])
-
-
-@in_place
 def projection_jacobian(zn, z1, z2, mu, D):
     """Element of the generalised Jacobian of the projection at z, into D (3, 3); symmetric, between 0 and I."""
     D[:] = 0.0
@@ -49,26 +41,20 @@ def projection_jacobian(zn, z1, z2, mu, D):
         D[1, 2] = D[2, 1] = e * a * b
 
 
-@in_place(inline="always")
-def _residual(scale, u, r, mu, i):
-    """|r - P_K(r - rho u_hat)| / rho with rho = 1 / scale, in m/s, of the contact whose rows begin at i.
+@in_place
+def natural_residual(W_diagonal, u, r, mu):
+    """Largest |r - P_K(r - rho u_hat)| / rho over contacts, with rho = 1 / W_diagonal[c], in m/s.
 
     At least the rounding of W_cc r_c: impulses so large that q drowns in u = W r + q solve nothing.
     """
-    rho = 1.0 / scale
-    s = mu * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-    pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu)
-    e = math.sqrt(square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)) / rho
-    floor = ROUNDING * math.sqrt(square(r[i]) + square(r[i + 1]) + square(r[i + 2])) / rho
-    return floor if e < floor else e
-
-
-@in_place
-def natural_residual(W_diagonal, u, r, mu):
-    """Largest residual over contacts, with rho = 1 / W_diagonal[c], in m/s."""
     worst = 0.0
     for c in range(mu.size):
-        e = _residual(W_diagonal[c], u, r, mu[c], 3 * c)
+        i, rho = 3 * c, 1.0 / W_diagonal[c]
+        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu[c])
+        e = math.sqrt(square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)) / rho
+        floor = ROUNDING * math.sqrt(square(r[i]) + square(r[i + 1]) + square(r[i + 2])) / rho
+        e = floor if e < floor else e
         if not e <= worst:  # a NaN is the worst
             worst = e
     return worst
@@ -227,12 +213,6 @@ def coulomb(W, q0, q1, q2, mu):
     if math.sqrt(r1 * r1 + r2 * r2) <= mu * rn:
         return rn, r1, r2
     return slide(W, q0, q1, q2, mu)
-
-
-@in_place
-def solve_one(W, q, mu, r):
-    """`coulomb` into r (3,)."""
-    r[0], r[1], r[2] = coulomb(W, q[0], q[1], q[2], mu)
 
 
 @in_place

@@ -8,7 +8,7 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity, relative_velocity_of, weighted_rows
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
 from nsdyn._kernels.reductions import largest
-from nsdyn._kernels.vectors import square
+from nsdyn._kernels.vectors import square, three
 
 UNITS = 4.0
 """Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
@@ -59,13 +59,6 @@ def _step_along(u, s, margin, o, mu, speed):
 
 
 @in_place
-def frozen_shift(u, mu, out):
-    """s = μ|u_T|, into out (nc,)."""
-    for c in range(mu.size):
-        out[c] = mu[c] * math.sqrt(u[3 * c + 1] * u[3 * c + 1] + u[3 * c + 2] * u[3 * c + 2])
-
-
-@in_place
 def _round_off(u, r, scales):
     """Round-off of velocities in the kinetic norm, √J: of M⁻¹ H_c r_c, up to √λ_max(W_cc) |r_c|, and of u.
 
@@ -90,10 +83,10 @@ def certificate(u, r, o, mu, scales):
     if shift == 0.0:
         return gap, shift, 0.0, 0.0, gap + least
     s, margin = np.empty(mu.size), np.empty(mu.size)
-    frozen_shift(u, mu, s)
     speed = ROUNDING * largest(u)
     for c in range(mu.size):
-        margin[c] = u[3 * c]
+        margin[c], x, y = three(u, 3 * c)
+        s[c] = mu[c] * math.sqrt(x * x + y * y)
         speed = max(speed, -margin[c])
     step, total = frozen(u, s, margin, r, o, mu, speed)
     return gap, shift, speed, step, total + least
@@ -125,24 +118,19 @@ def along_blocks(blocks, d, o):
     return total
 
 
-@in_place
+@kernel
 def certificate_of(blocks, u, r, mu, scales, d, out):
-    """`into_cones`, and the certificate of `certificate_along` if r is in K."""
+    """`into_cones`, and if r is in K its `certificate` with o = Hᵀ d, and ‖d‖²_M.
+
+    A d of other coordinates opens nothing.
+    """
     if into_cones(r, mu, out):
         return True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    gap, shift, speed, step, total, square = certificate_along(blocks, u, out, mu, scales, d)
-    return False, gap, shift, speed, step, total, square
-
-
-@kernel
-def certificate_along(blocks, u, r, mu, scales, d):
-    """`certificate` with o = Hᵀ d, and ‖d‖²_M; a d of other coordinates opens nothing."""
-    offset = blocks[0]
     o, square = np.zeros(u.size), 0.0
-    if d.size == offset[-1]:
+    if d.size == blocks[0][-1]:
         square = along_blocks(blocks, d, o)
-    gap, shift, speed, step, total = certificate(u, r, o, mu, scales)
-    return gap, shift, speed, step, total, square
+    gap, shift, speed, step, total = certificate(u, out, o, mu, scales)
+    return False, gap, shift, speed, step, total, square
 
 
 @in_place(inline="always")

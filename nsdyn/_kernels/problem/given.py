@@ -1,9 +1,6 @@
 """Products with a W that is given in 3 x 3 blocks: (rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3))."""
 
-import numpy as np
-
-from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.blocks import number, unite
+from nsdyn._kernels.compiled import in_place
 
 
 @in_place
@@ -25,14 +22,3 @@ def velocity(W, q, r, u):
     """u = W r + q, into u (3 nc,)."""
     for c in range(W[0].size - 1):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(W, q, r, c)
-
-
-@kernel
-def islands(W, label):
-    """Connected components of the pattern of W, by first contact, into label (nc,); returns their number."""
-    indptr, indices, _ = W
-    parent = np.arange(label.size)
-    for c in range(label.size):
-        for p in range(indptr[c], indptr[c + 1]):
-            unite(parent, c, indices[p])
-    return number(parent, label)

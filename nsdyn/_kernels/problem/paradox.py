@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import diagonal_block, widest
-from nsdyn._kernels.vectors import square
+from nsdyn._kernels.vectors import row, square, three
 
 
 @in_place
@@ -72,18 +72,18 @@ def ambiguous(blocks, mu, u, r, out):
 
 
 @in_place
-def _slipping(W, q, mu, t1, t2):
-    """(s, s u_T) of slip along t under an impulse r_N (1, -μ t) that leaves u_N = s r_N + q_N = 0."""
-    s = W[0, 0] - mu * (W[0, 1] * t1 + W[0, 2] * t2)
-    u1 = s * q[1] - q[0] * (W[0, 1] - mu * (W[1, 1] * t1 + W[1, 2] * t2))
-    u2 = s * q[2] - q[0] * (W[0, 2] - mu * (W[1, 2] * t1 + W[2, 2] * t2))
+def _slipping(w, q, mu, t1, t2):
+    """(s, s u_T) of slip along t under an impulse r_N (1, -μ t) that leaves u_N = s r_N + q_N = 0; w is half of W."""
+    s = w[0] - mu * (w[1] * t1 + w[2] * t2)
+    u1 = s * q[1] - q[0] * (w[1] - mu * (w[3] * t1 + w[4] * t2))
+    u2 = s * q[2] - q[0] * (w[2] - mu * (w[4] * t1 + w[5] * t2))
     return s, u1, u2
 
 
 @in_place
-def _across(W, q, mu, t1, t2):
+def _across(w, q, mu, t1, t2):
     """How far that is across t."""
-    _, u1, u2 = _slipping(W, q, mu, t1, t2)
+    _, u1, u2 = _slipping(w, q, mu, t1, t2)
     return t1 * u2 - t2 * u1
 
 
@@ -109,27 +109,24 @@ def solutions(W, q, mu, out):
         if normal > 0.0 and math.sqrt(first * first + second * second) <= (1.0 + ROUND_OFF) * mu * normal:
             out[found, 0], out[found, 1], out[found, 2] = normal, first, second
             found += 1
-    turned, w0, w1, w2 = np.empty(DIRECTIONS + 1), W[0, 0], W[0, 1], W[0, 2]
-    w11, w12, w22, q0, q1, q2 = W[1, 1], W[1, 2], W[2, 2], q[0], q[1], q[2]
-    for k in range(DIRECTIONS + 1):  # of numbers alone, which the compiler makes vectors of
-        t1, t2 = COS[k], SIN[k]
-        s = w0 - mu * (w1 * t1 + w2 * t2)
-        u1, u2 = s * q1 - q0 * (w1 - mu * (w11 * t1 + w12 * t2)), s * q2 - q0 * (w2 - mu * (w12 * t1 + w22 * t2))
-        turned[k] = t1 * u2 - t2 * u1
+    # Of numbers alone, so that the compiler makes vectors of the loop.
+    turned, w, q = np.empty(DIRECTIONS + 1), (*row(W, 0), W[1, 1], W[1, 2], W[2, 2]), three(q, 0)
+    for k in range(DIRECTIONS + 1):
+        turned[k] = _across(w, q, mu, COS[k], SIN[k])
     for k in range(DIRECTIONS):
         before, after = turned[k], turned[k + 1]
         if (after > 0.0) == (before > 0.0):
             continue
         a1, a2, b1, b2 = COS[k], SIN[k], COS[k + 1], SIN[k + 1]
-        might, may = w0 - mu * (w1 * a1 + w2 * a2), w0 - mu * (w1 * b1 + w2 * b2)
-        if might * q0 >= 0.0 and may * q0 >= 0.0:
+        might, may = _slipping(w, q, mu, a1, a2)[0], _slipping(w, q, mu, b1, b2)[0]
+        if might * q[0] >= 0.0 and may * q[0] >= 0.0:
             continue
         c1, c2, f, g, side = b1, b2, abs(before), abs(after), 0
         for _ in range(SECANTS):
             t1, t2 = g * a1 + f * c1, g * a2 + f * c2
             size = math.sqrt(t1 * t1 + t2 * t2)
             t1, t2 = t1 / size, t2 / size
-            across = _across(W, q, mu, t1, t2)
+            across = _across(w, q, mu, t1, t2)
             if abs(across) <= 1e-16 * (abs(before) + abs(after)):
                 break
             # An end that stays weighs half as much.
@@ -137,7 +134,7 @@ def solutions(W, q, mu, out):
                 a1, a2, f, g, side = t1, t2, abs(across), 0.5 * g if side < 0 else g, -1
             else:
                 c1, c2, g, f, side = t1, t2, abs(across), 0.5 * f if side > 0 else f, 1
-        s, u1, u2 = _slipping(W, q, mu, t1, t2)
+        s, u1, u2 = _slipping(w, q, mu, t1, t2)
         if s * q[0] < 0.0 and s * (t1 * u1 + t2 * u2) > 0.0 and found < MOST:
             normal = -q[0] / s
             out[found, 0], out[found, 1], out[found, 2] = normal, -mu * normal * t1, -mu * normal * t2

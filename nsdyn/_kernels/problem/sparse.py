@@ -19,18 +19,6 @@ def dense_pattern(offset, block):
 
 
 @in_place
-def used_of(H, begin, n):
-    """How many of n coordinates, the first ones, the three rows of a contact that begin there have."""
-    used = n
-    for i in range(n):
-        k = begin + n - 1 - i
-        if H[k] != 0.0 or H[k + n] != 0.0 or H[k + 2 * n] != 0.0:
-            break
-        used -= 1
-    return used
-
-
-@in_place
 def assemble(blocks, A, indptr, begin, slot, diagonal, data):
     """K = M + Σ H_c A_c H_cᵀ in such a layout, where block k begins at begin[k], into data."""
     offset, block, start, H, m_start, m, _ = blocks
@@ -56,9 +44,9 @@ def assemble(blocks, A, indptr, begin, slot, diagonal, data):
                 if l < 0:
                     continue
                 nl, hl, shift = offset[l + 1] - offset[l], start[c, t], slot[c, t, s]
-                used = nl
-                if nl > 6:  # a tree: what is beyond a link does not move it
-                    used = used_of(H, hl, nl)
+                used, end = nl, hl + nl
+                while nl > 6 and used > 0 and H[end - 1] == H[end + nl - 1] == H[end + 2 * nl - 1] == 0.0:
+                    used, end = used - 1, end - 1  # of a tree: what is beyond a link does not move it
                 # Views, so that no index may count from the end and loops along them become vectors.
                 h0, h1 = H[hl : hl + used], H[hl + nl : hl + nl + used]
                 h2 = H[hl + 2 * nl : hl + 2 * nl + used]

@@ -54,10 +54,10 @@ def factors(blocks):
 
 
 @kernel
-def rows_in_unit_mass(blocks, G, mu, order):
-    """Rows of Ĥᵀ, (nc, 3, 2, 8) made flat, zeros for a missing body, and where the bodies begin in v̂ (nc, 2).
+def unit_rows(blocks, G, mu, order):
+    """Rows of Ĥᵀ, (nc, 3, 2, 8) made flat, zeros for a missing body, where the bodies begin in v̂ (nc, 2), and v̂ = 0.
 
-    Both in the `order` of the contacts, of which those without friction have one row, the others zeros.
+    In the `order` of the contacts, of which those without friction have one row, the others zeros.
     """
     offset, block, start, H, m_start, _, _ = blocks
     out, body = np.zeros((block.shape[0], 3, 2, WIDTH)), np.empty((block.shape[0], 2), np.uint64)
@@ -72,13 +72,7 @@ def rows_in_unit_mass(blocks, G, mu, order):
                         x = H[start[c, s] + 6 * i + l]
                         for j in range(l + 1):
                             out[e, i, s, j] += x * G[m_start[k] + 6 * l + j]
-    return out.reshape(-1), body
-
-
-@kernel
-def room(blocks):
-    """v̂ = 0."""
-    return np.zeros(WIDTH * (blocks[0].size - 1 + STILL))
+    return out.reshape(-1), body, np.zeros(WIDTH * (offset.size - 1 + STILL))
 
 
 @in_place(inline="always")

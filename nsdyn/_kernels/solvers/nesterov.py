@@ -8,17 +8,7 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.lanes import dot
 from nsdyn._kernels.problem.cones import measure_at, project
 from nsdyn._kernels.problem.given import velocity, velocity_of
-from nsdyn._kernels.problem.unit_mass import (
-    CONTACT,
-    PAIR,
-    apply,
-    diagonal,
-    factors,
-    independent,
-    read,
-    room,
-    rows_in_unit_mass,
-)
+from nsdyn._kernels.problem.unit_mass import CONTACT, PAIR, apply, diagonal, factors, independent, read, unit_rows
 from nsdyn._kernels.reductions import copy
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
@@ -46,25 +36,15 @@ def local_steps(rows, mu):
 
 
 @in_place
-def sweep(awake, factors, q, mu, v, r, x, t, keep):
+def sweep(awake, factors, given, state, keep):
     """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
 
-    A contact takes its normal impulse exactly and its friction by a projected gradient step.
-
-    Parameters
-    ----------
-    awake : ndarray of uint, shape (any,)
-    factors : tuple of ndarray
-        rows, body and steps, as of `begin`.
-    q, r, x : ndarray, shape (nc, 3)
-        Free velocity, y, and the last sweep's result.
-    mu, t : ndarray, shape (nc,)
-        Friction, and the momentum's t, which shrinks to `keep` of itself where momentum was wrong.
-    v : ndarray
-        Ĥ y.
-    keep : float
+    A contact takes its normal impulse exactly and its friction by a projected gradient step. The factors are (rows,
+    body, steps) as of `begin`, given is (q (nc, 3), mu), the free velocity and friction; state = (r, x, v, t) with the
+    last sweep's result in x (nc, 3) and the momentum's t (nc,), which shrinks to `keep` of itself where momentum was
+    wrong.
     """
-    rows, body, steps = factors
+    (rows, body, steps), (q, mu), (r, x, v, t) = factors, given, state
     for c in awake:
         # Unsigned: the compiler need not ask whether an index counts from the end.
         o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
@@ -90,9 +70,9 @@ def sweep(awake, factors, q, mu, v, r, x, t, keep):
 
 
 @in_place
-def extrapolate(awake, factors, mu, v, r, x, t):
+def extrapolate(awake, factors, mu, state):
     """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it; of contacts awake."""
-    rows, body, _ = factors
+    (rows, body, _), (r, x, v, t) = factors, state
     for c in awake:
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
         b = (t[c] - 1.0) / (t[c] + 1.0)
@@ -106,9 +86,9 @@ def extrapolate(awake, factors, mu, v, r, x, t):
 
 
 @in_place
-def sweep_normals(awake, factors, q, v, r, x, t, keep):
+def sweep_normals(awake, factors, given, state, keep):
     """`sweep` where no contact has friction."""
-    rows, body, steps = factors
+    (rows, body, steps), (q, _), (r, x, v, t) = factors, given, state
     for c in awake:
         r0 = r[c, 0]
         u0 = dot(rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
@@ -121,9 +101,9 @@ def sweep_normals(awake, factors, q, v, r, x, t, keep):
 
 
 @in_place
-def extrapolate_normals(awake, factors, v, r, x, t):
+def extrapolate_normals(awake, factors, state):
     """`extrapolate` where no contact has friction."""
-    rows, body, _ = factors
+    (rows, body, _), (r, x, v, t) = factors, state
     for c in awake:
         r0 = r[c, 0]
         z0 = (t[c] - 1.0) / (t[c] + 1.0) * (r0 - x[c, 0])
@@ -180,30 +160,23 @@ def solve(given, state, so_far, limits):
     contacts are worth the next ones; best_r keeps the best, all else is in the `order` of the contacts. Stops after
     `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of the best, its measure, keep).
 
-    Parameters
-    ----------
-    given : tuple
-        order, factors and (q, mu, scales, q_norm), as of `begin`.
-    state : tuple of ndarray
-        best_r, y, x and v = Ĥ y, and t (nc,) of each contact; all are changed.
-    so_far : tuple
-        What the last call returned.
-    limits : tuple
-        tol, most, check and patience.
+    `given` are (order, factors, (q, mu, scales, q_norm)) as of `begin`, `state` (best_r, y, x, v = Ĥ y, t (nc,) of each
+    contact), which are changed, `so_far` is what the last call returned, `limits` are (tol, most, check, patience).
     """
     order, factors, (q, mu, scales, q_norm) = given
     best_r, y, x, v, t = state
     count, last, best, keep = so_far
     tol, most, check, patience = limits
+    moving = y, x, v, t
     u, before = np.full((mu.size, 3), -np.inf), np.empty((mu.size, 3))
     index, rough = np.arange(mu.size).astype(np.uint64), mu.any()
     awake = index
     while best > tol and count < most and count - last < patience:
         count += 1
         if rough:
-            sweep(awake, factors, q, mu, v, y, x, t, keep)
+            sweep(awake, factors, (q, mu), moving, keep)
         else:
-            sweep_normals(awake, factors, q, v, y, x, t, keep)
+            sweep_normals(awake, factors, (q, mu), moving, keep)
         if count % check == 0:
             refresh(factors, y, v)  # what the updates leave of round-off
             before, u = u, before
@@ -216,9 +189,9 @@ def solve(given, state, so_far, limits):
         if count - last > CYCLE:
             keep = 0.0
         if rough:
-            extrapolate(awake, factors, mu, v, y, x, t)
+            extrapolate(awake, factors, mu, moving)
         else:
-            extrapolate_normals(awake, factors, v, y, x, t)
+            extrapolate_normals(awake, factors, moving)
     return count, last, best, keep
 
 
@@ -229,11 +202,11 @@ def begin(blocks, q, mu, scales, q_norm, r):
     (order, (rows, bodies, steps), (q, mu, scales, q_norm)), then impulses, v̂ = Ĥ r, and the measure of r.
     """
     order = independent(blocks)
-    rows, body = rows_in_unit_mass(blocks, factors(blocks), mu, order)
+    rows, body, v = unit_rows(blocks, factors(blocks), mu, order)
     for c in range(mu.size):
         if mu[c] == 0.0:
             r[c, 1] = r[c, 2] = 0.0
-    given, y, v = (q[order], mu[order], scales[order], q_norm), r[order], room(blocks)
+    given, y = (q[order], mu[order], scales[order], q_norm), r[order]
     own = rows, body, local_steps(rows, given[1])
     refresh(own, y, v)
     best = measure(own, given, y, v, np.empty((mu.size, 3)))

@@ -26,17 +26,8 @@ PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one
 SHRINKAGE, LEAST = 0.3, 1e-3  # what is left of such a penalty, and at which no more is tried
 PART = 1e-2  # of the square of the multiplier step that the square of the defect is where F has settled
 
-
-@in_place
-def grown(penalty, inner):
-    """Next penalty after settling in `inner` steps: twice as large after a quick success."""
-    return min(2.0 * penalty, 1e8) if inner <= 2 else penalty
-
-
-@in_place
-def failed(inner, left, before):
-    """Whether a penalty is too large, after so many steps and with the squares of the defect now and before."""
-    return inner >= PATIENCE or not left <= DIVERGED * before
+GOES_ON, SETTLED, FAILED = range(3)
+"""Verdicts on a Newton step."""
 
 
 @in_place
@@ -138,16 +129,40 @@ def settled(scales, u, shown, own, P, estimate):
     return left <= max(PART * total, 1e-10 * weighed), left
 
 
+@in_place
+def judge(given, vectors, so_far):
+    """The verdict on a Newton step: (`GOES_ON`, `SETTLED` or `FAILED`, and what goes on from `so_far`).
+
+    Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps. Where it does not
+    settle, or diverges, the penalty is too large. The best P is kept in r. `given` are (mu, scales, q_norm) of the
+    problem, `vectors` (u, shown, own, P, estimate, r), the first as of `settled`, `so_far` (penalty, Newton steps with
+    it, square of the defect before, least measure).
+    """
+    (mu, scales, q_norm), (u, shown, own, P, estimate, r), (penalty, inner, before, best) = given, vectors, so_far
+    measure = measure_at(scales, shown, P, mu, q_norm)
+    if measure < best:
+        best = measure
+        copy(P, r)
+    done, left = settled(scales, u, shown, own, P, estimate)
+    if done:
+        copy(P, estimate)
+        copy(shown, own)
+        return SETTLED, (min(2.0 * penalty, 1e8) if inner <= 2 else penalty, 0, np.inf, best)
+    if inner >= PATIENCE or not left <= DIVERGED * before:
+        return FAILED, (SHRINKAGE * penalty, 0, np.inf, best)
+    return GOES_ON, (penalty, inner, left, best)
+
+
 @kernel
 def dense(problem, r, tol, penalty, most):
     """Solve (blocks, q, mu, scales, q_norm) by dense factorisations, in place of r; (factorisations, measure of r).
 
-    Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and where F
-    has settled the estimate moves to P. The penalty, `penalty` / lambda_max(W_cc) at first, doubles with every quick
-    success and falls after a failure, which goes back to where F had settled last. The loop is that of
-    `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes 35 and 60.
+    Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and after each
+    what `judge` says; a failure goes back to where F had settled last. The penalty is `penalty` / lambda_max(W_cc). The
+    loop is that of `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes
+    35 and 60.
     """
-    blocks, q, mu, scales, _ = problem
+    blocks, q, mu, scales, q_norm = problem
     n, nr = blocks[0][-1], q.size
     y, kept, F, work, own_y = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     u, own, shown, P = np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr)
@@ -158,9 +173,10 @@ def dense(problem, r, tol, penalty, most):
     copy(y, kept)
     copy(u, own)
     count, inner, before = 0, 0, np.inf
-    rho = penalty / scales
-    projected(u, estimate, rho, mu, P)
     while best > tol and count < most and penalty > LEAST:
+        if inner == 0:
+            rho = penalty / scales
+            projected(u, estimate, rho, mu, P)
         defect(blocks, y, P, F, work)
         stiffness(u, estimate, rho, mu, A)
         assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
@@ -169,31 +185,19 @@ def dense(problem, r, tol, penalty, most):
         substitute(K, pivot, low, end, F)
         y -= F
         count += 1
-        inner += 1
         relative_velocity(blocks, y, u)
         u += q
         projected(u, estimate, rho, mu, P)
-        measure = measure_of(problem, P, own_y, shown, work)
-        if measure < best:
-            best = measure
-            copy(P, r)
-        done, left = settled(scales, u, shown, own, P, estimate)
-        if done:
-            penalty = grown(penalty, inner)
-            copy(P, estimate)
-            copy(shown, own)
+        velocity(blocks, q, P, own_y, shown, work)
+        so_far = penalty, inner + 1, before, best
+        verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)
+        penalty, inner, before, best = so_far
+        if verdict == SETTLED:
             copy(y, kept)
-        elif failed(inner, left, before):
-            penalty *= SHRINKAGE
+        elif verdict == FAILED:
             copy(kept, y)
             relative_velocity(blocks, y, u)
             u += q
-        else:
-            before = left
-            continue
-        inner, before = 0, np.inf
-        rho = penalty / scales
-        projected(u, estimate, rho, mu, P)
     return count, best
 
 

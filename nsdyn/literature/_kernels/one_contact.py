@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.cones import project, projection_jacobian, solve_one
+from nsdyn._kernels.problem.cones import coulomb, project, projection_jacobian
 from nsdyn._kernels.problem.given import velocity_of
 from nsdyn._kernels.vectors import square
 
@@ -223,7 +223,7 @@ def solve(kind, W, q, mu, rho, goal, most, r):
     A Newton that does not come to its goal is replaced by one projection. Returns the local iterations.
     """
     if kind == EXACT:
-        solve_one(W, q, mu, r)
+        r[0], r[1], r[2] = coulomb(W, q[0], q[1], q[2], mu)
         return 1
     if kind == ITERATED:
         return iterate(W, q, mu, rho, goal, most, r)

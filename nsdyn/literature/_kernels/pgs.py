@@ -18,7 +18,7 @@ from nsdyn._kernels.problem.blocks import (
     relative_velocity_of,
     weighted_rows,
 )
-from nsdyn._kernels.problem.cones import coulomb, measure_at, project_all, slide
+from nsdyn._kernels.problem.cones import coulomb, measure_at, project, slide
 from nsdyn._kernels.problem.given import velocity
 from nsdyn._kernels.vectors import square
 from nsdyn.literature._kernels.anderson import mix
@@ -264,6 +264,7 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
         used = min(used + 1, m)
         mix(F, G, gram, slot, used, x)
         if used > 1:
-            project_all(x, mu, x)
+            for c in range(mu.size):
+                x[3 * c], x[3 * c + 1], x[3 * c + 2] = project(x[3 * c], x[3 * c + 1], x[3 * c + 2], mu[c])
         slot = (slot + 1) % m
     return k, best
