@@ -195,7 +195,6 @@ def stage_commands(view: View) -> list[Json]:
     R, camera = view.radius, "/Cameras/default/rotated/<object>"
     shadow = {
         "bias": -0.0002,
-        "normalBias": 0.001 * R,
         "mapSize": [2048, 2048],
         "camera": {
             "type": "OrthographicCamera",
