@@ -11,7 +11,7 @@ from pages import RESTED
 import nsdyn as nd
 from nsdyn.scene import meshes
 from nsdyn.tools.array_text import from_text
-from nsdyn.view import browser, looks
+from nsdyn.view import browser, looks, stage
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "demos" / "bench"))
 import fuzz
@@ -202,3 +202,18 @@ def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path, op
     assert page.run(shown) == [False, True]  # of the base, which has a visual shape, and of the arm
     page.run("document.querySelector('.tools .collision').click()")
     assert page.run(shown) == [True, True]
+
+
+def test_camera_is_near_to_a_mesh_that_is_far_from_its_origin(tmp_path):
+    """A tetrahedron a metre away: what a box about its origin would hold is ten times as large."""
+    corners = np.array([[1.0, 0, 0], [1.1, 0, 0], [1, 0.1, 0], [1, 0, 0.1]])
+    lines = [*(f"v {x} {y} {z}" for x, y, z in corners), "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    (tmp_path / "t.obj").write_text("\n".join(lines))
+    link = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    seen = '<visual><geometry><mesh filename="t.obj"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="base">{link}{seen}</link></robot>')
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_urdf("r", tmp_path / "r.urdf", base="free")
+    view = stage.View([nd.simulate(scene, 0.02, dt=0.01)])
+    assert view.radius < 0.09
+    np.testing.assert_allclose(view.centre, [1.05, 0.05, 0.05], atol=1e-6)
