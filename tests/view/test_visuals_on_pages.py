@@ -166,7 +166,7 @@ def test_meshes_are_whole_where_nothing_moves(tmp_path, window):
     scene = nd.Scene()
     scene.add_urdf("r", tmp_path / "r.urdf", base="free")
     nd.simulate(scene, 0.02, dt=0.01).to_html(tmp_path / "page.html")
-    window.open((tmp_path / "page.html").as_uri() + "#t=0", (640, 360))
+    window.open((tmp_path / "page.html").as_uri() + "#t=0", (480, 270))
     shown = "[m.geometry.attributes.position.count / 3, m.material.side === MeshCat.THREE.DoubleSide]"
     (late, _), (later, _), (whole, both) = (
         window.run(f"({draw}, (m => {shown})(nsdyn.panes[0].stage.meshes[0]))")
