@@ -271,9 +271,12 @@ def _cycle() -> list[Any]:
 
 
 def _shade(colour: Any) -> Any:
-    """A colour, or in styles of greys the grey in its place."""
+    """A colour, or in styles of greys the grey in its place; for black the ink of the style, which may be on black."""
+    from matplotlib import rcParams
     from matplotlib.colors import to_rgb
 
+    if colour == "k":
+        return rcParams["text.color"]
     grey = all(len(set(to_rgb(one))) == 1 for one in _cycle())
     return GREYS.get(colour, colour) if grey else colour
 

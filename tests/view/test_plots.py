@@ -444,6 +444,14 @@ def test_a_style_has_its_own_colours(arm, slide):
     assert to_rgb(panels.LEDGER["kinetic"]) == tuple(figure.axes[0].collections[0].get_facecolor()[0][:3])
 
 
+@pytest.mark.parametrize(("kind", "label"), [("energy", "sum"), ("friction", "Coulomb's limit")])
+def test_no_line_is_black_on_black(slide, kind, label):
+    with style.context(["default", "dark_background"]):
+        (ax,) = drawn(lambda figure: plots.draw(slide, kind, figure=figure)).axes
+    (line,) = [line for line in ax.lines if line.get_label() == label]
+    assert to_rgb(line.get_color()) == (1.0, 1.0, 1.0) and to_rgb(ax.get_facecolor()) == (0.0, 0.0, 0.0)
+
+
 def test_a_robot_that_all_names_begin_with_is_left_out(arm):
     for kind, name, labels in (
         ("joint", "*", ["shoulder", "elbow"]),
