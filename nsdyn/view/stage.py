@@ -201,6 +201,7 @@ def stage_commands(view: View) -> list[Json]:
     R, camera = view.radius, "/Cameras/default/rotated/<object>"
     shadow = {
         "bias": -0.0002,
+        "normalBias": 3.2 * R / 2048,  # a point of the map; by less, plates would be dotted with their own shadows
         "mapSize": [2048, 2048],
         "camera": {
             "type": "OrthographicCamera",

@@ -45,6 +45,27 @@ def test_arrays_of_meshes_are_those_of_the_recording(run):
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_a_window_shows_robots_as_a_page_does(tmp_path, window):
+    (tmp_path / "box.stl").write_bytes(fuzz.binary_stl())
+    (tmp_path / "r.urdf").write_text(URDF)
+    scene = nd.Scene()
+    scene.add_urdf("r", tmp_path / "r.urdf", base="free")
+    live = nd.Live(nd.Stepper(scene, dt=0.01))
+    try:
+        (tmp_path / "empty.html").write_text("<script>window.ready = true</script>")
+        window.open(tmp_path / "empty.html", (400, 300))
+        window.call("Page.navigate", url=live.url)
+        node = "viewer.scene_tree.find(['nsdyn', 'bodies', 'r.root_joint']).object"
+        soon = f"typeof viewer !== 'undefined' && {node}.children.length === 4"
+        window.run(f"new Promise(done => {{ const look = () => {soon} ? done() : setTimeout(look, 20); look(); }})")
+        count = "let n = 0; o.traverse(x => { if (x.isMesh) n += x.geometry.attributes.position.count / 3; }); return n"
+        shown = f"Array.from({node}.children).filter(o => o.visible).map(o => {{ {count}; }})"
+        assert window.run(shown) == [12, 12, 12]  # triangles of a box each; the ball is hidden
+    finally:
+        live.close()
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_visual_shapes_or_collision_shapes(run, opened):
     from PIL import Image
 

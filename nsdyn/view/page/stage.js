@@ -70,9 +70,10 @@ class Stage {
     this.viewer.controls.addEventListener("start", () => { for (const stage of this.together) stage.moved = true; });
     this.viewer.controls.addEventListener("change", () => this.share());
     this.viewer.renderer.shadowMap.type = MeshCat.THREE.PCFShadowMap;
-    if (film) sun.shadow.mapSize.set(1024, 1024);  // it has many pictures a second
-    const {camera: {left, right}, mapSize} = sun.shadow;
-    sun.shadow.normalBias = (right - left) / mapSize.x;  // by less, plates would be dotted with their own shadows
+    if (film) {  // it has many pictures a second
+      sun.shadow.mapSize.set(1024, 1024);
+      sun.shadow.normalBias *= 2;
+    }
     this.quality = {moving: 0, now: 0, last: null, late: 0, still: false};
     this.sun = sun;
     this.edges = [];
