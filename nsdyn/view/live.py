@@ -30,7 +30,7 @@ __all__ = ["Live"]
 class Live:
     """A window that follows a `Stepper`, seen from where its page would begin.
 
-Robots look as their files say, their meshes by flat triangles.
+    Robots look as their files say, their meshes by flat triangles.
 
     A cell of a notebook that ends with it has the window, anything else opens `url` in a browser. Cells that run later
     move what it shows. It is served by a process of meshcat on this machine until `close`, or this process ends.
