@@ -79,8 +79,8 @@ class Refinement:
 
     def __repr__(self) -> str:
         lines = self._lines()
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        return "\n".join([*("  ".join(map(str.rjust, line, widths)) for line in lines), self._title])
+        widths = [max(map(len, column)) + (column[0] != "order") for column in zip(*lines, strict=True)]
+        return "\n".join([*(" ".join(map(str.rjust, line, widths)) for line in lines), self._title])
 
     def _repr_html_(self) -> str:
         headers, *cells = self._lines()
