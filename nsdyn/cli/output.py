@@ -211,6 +211,10 @@ def _cell(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else as_text(value)
 
 
+SMALLEST = 0.7
+"""Of the size of a label, to make room."""
+
+
 def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int = 200) -> None:
     """Picture of what `draw` draws on a matplotlib figure of `size` in inches; ValueError where it has no room."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
@@ -219,12 +223,21 @@ def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], d
 
     figure = Figure(figsize=size, layout="constrained")
     draw(figure)
+    room = "{} leave no room for curves in {:.0f} by {:.0f} mm: a larger picture, or fewer {}"
     with files.writing(path, files.PICTURE) as part, warnings.catch_warnings():
         warnings.filterwarnings("error", "constrained_layout not applied")
         try:
+            figure.draw_without_rendering()
+            if not all(map(_fit_label, figure.axes)):
+                raise ValueError(room.format("labels", *(25.4 * side for side in size), "kinds"))
             figure.savefig(part, format=path.suffix.removeprefix(".") or "png", dpi=dpi)
         except UserWarning:
-            width, height = (25.4 * side for side in size)
-            raise ValueError(
-                f"names leave no room for curves in {width:.0f} by {height:.0f} mm: a larger picture, or fewer of them"
-            ) from None
+            raise ValueError(room.format("names", *(25.4 * side for side in size), "of them")) from None
+
+
+def _fit_label(ax: Any) -> bool:
+    """Make the label of an axis no longer than the axis, by smaller letters; whether they can still be read."""
+    label = ax.yaxis.label
+    part = min(1.0, float(ax.bbox.height / (label.get_window_extent().height or 1.0)))
+    label.set_fontsize(part * label.get_fontsize())
+    return part > SMALLEST

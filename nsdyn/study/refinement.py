@@ -15,6 +15,7 @@ from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import RunOptions, simulate
 from nsdyn.study.comparison import differences
+from nsdyn.tools import notebook
 from nsdyn.tools.naming import check_known
 
 __all__ = ["Refinement", "Row", "order", "refine"]
@@ -77,16 +78,35 @@ class Refinement:
         return {"scene": self.name, "units": ERRORS, "runs": [asdict(row) for row in self.rows]}
 
     def __repr__(self) -> str:
-        heads = {name: f"  {name} [{unit}]" for name, unit in ERRORS.items()}
-        lines = [f"{'dt [s]':>8}{'steps':>6}{''.join(f'{head} order' for head in heads.values())}{'time [s]':>9}"]
+        lines = self._lines()
+        widths = [max(map(len, column)) + (column[0] != "order") for column in zip(*lines, strict=True)]
+        return "\n".join([*(" ".join(map(str.rjust, line, widths)) for line in lines), self._title])
+
+    def _repr_html_(self) -> str:
+        headers, *cells = self._lines()
+        return notebook.table(self._title, headers, cells)
+
+    @property
+    def _title(self) -> str:
+        return f"{self.name}: largest differences from the run at dt = {self.rows[-1].dt:g} s"
+
+    def _lines(self) -> list[list[str]]:
+        """Headers and rows."""
+        out = [
+            [
+                "dt [s]",
+                "steps",
+                *(h for name, unit in ERRORS.items() for h in (f"{name} [{unit}]", "order")),
+                "time [s]",
+            ]
+        ]
         for row in self.rows:
-            text = f"{row.dt:8.3g}{row.steps:6d}"
-            for name, head in heads.items():
+            out.append([f"{row.dt:.3g}", str(row.steps)])
+            for name in ERRORS:
                 p = row.orders.get(name, math.nan)
-                text += f"{getattr(row, name):{len(head)}.2e} {'-' if math.isnan(p) else f'{p:.2f}':>5}"
-            lines.append(f"{text}{row.time:9.3g}")
-        lines.append(f"{self.name}: largest differences from the run at dt = {self.rows[-1].dt:g} s")
-        return "\n".join(lines)
+                out[-1] += [f"{getattr(row, name):.2e}", "-" if math.isnan(p) else f"{p:.2f}"]
+            out[-1].append(f"{row.time:.3g}")
+        return out
 
 
 def refine(

@@ -14,7 +14,7 @@ from nsdyn.recording import body_motion, link_names
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view import arrows, contact_points, curves, keyframes, marks, paths, payload, titles
 from nsdyn.view.commands import Json, as_hex
-from nsdyn.view.looks import look_path, mesh_arrays, visual_commands
+from nsdyn.view.looks import look_path, mesh_arrays, veiled, visual_commands
 from nsdyn.view.solids import body_path, colour, geom_path, shape_commands
 from nsdyn.view.stage import BACKGROUND, FIELD_OF_VIEW, View, stage_commands
 
@@ -142,7 +142,7 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
     scene = trajectory.scene
     labels = [geom.get("link", geom["name"]) for geom in scene["geoms"]]
     looks = scene.get("visuals", [])
-    drawn, seen = [*scene["geoms"], *looks], {(look["link"].partition("/")[0], look["frame"]) for look in looks}
+    drawn = [*scene["geoms"], *looks]
     carriers = [*labels, *(look["link"] for look in looks)]
     names = list(dict.fromkeys(carriers))
     bodies, joints, carried = [], _joints(scene), body_motion.carried(scene)
@@ -172,9 +172,9 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
                 "path": geom_path(scene, geom),
                 "body": names.index(label),
                 "solid": geom["shape"] != "halfspace",
-                "veiled": (geom.get("body"), geom["frame"]) in seen,
+                "veiled": behind,
             }
-            for geom, label in zip(scene["geoms"], labels, strict=True)
+            for geom, label, behind in zip(scene["geoms"], labels, veiled(scene), strict=True)
         ],
         "looks": [
             {"path": look_path(scene, k), "body": names.index(look["link"]), "mesh": look.get("mesh")}

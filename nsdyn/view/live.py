@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from nsdyn.recording.recorder import Recorder
 from nsdyn.tools.arrays import Array
 from nsdyn.view.commands import Json, as_three, by_columns, set_property
-from nsdyn.view.solids import body_path, shape_commands
+from nsdyn.view.looks import veiled, visual_commands
+from nsdyn.view.solids import body_path, geom_path, shape_commands
 from nsdyn.view.stage import View, stage_commands
 
 if TYPE_CHECKING:
@@ -27,7 +28,9 @@ __all__ = ["Live"]
 
 
 class Live:
-    """A window that follows a `Stepper`, seen from where its page would begin; shapes are those of contact.
+    """A window that follows a `Stepper`, seen from where its page would begin.
+
+    Robots look as their files say, their meshes by flat triangles.
 
     A cell of a notebook that ends with it has the window, anything else opens `url` in a browser. Cells that run later
     move what it shows. It is served by a process of meshcat on this machine until `close`, or this process ends.
@@ -65,7 +68,9 @@ class Live:
         self.url: str = self._window.web_url
         self._paths = [body_path(name) for name in scene["frames"]]
         self._wait, self._next = 1.0 / fps, 0.0
-        for command in stage_commands(view) + shape_commands(scene, view):
+        hidden = [geom_path(scene, geom) for geom, on in zip(scene["geoms"], veiled(scene), strict=True) if on]
+        commands = stage_commands(view) + shape_commands(scene, view) + visual_commands(scene, whole=True)
+        for command in commands + [set_property(path, "visible", False) for path in hidden]:
             self._send(command)
         # Camera and sun look at the origin; from farther off than a page, for it is not known where bodies will go.
         centre = np.eye(4)

@@ -11,7 +11,7 @@ from nsdyn.tools.array_text import from_text
 from nsdyn.view.commands import Json, as_buffer, by_columns, set_object
 from nsdyn.view.solids import body_path, solid, surface
 
-__all__ = ["look_path", "mesh_arrays", "visual_commands"]
+__all__ = ["look_path", "mesh_arrays", "veiled", "visual_commands"]
 
 PLAIN = (0.72, 0.73, 0.75)
 """Where a file gives no colour."""
@@ -30,14 +30,26 @@ def look_path(scene: Json, k: int) -> str:
     return f"{body_path(scene['frames'][frame]) if frame >= 0 else '/nsdyn/fixed'}/look {k}"
 
 
-def visual_commands(scene: Json) -> list[Json]:
-    """Objects of all visual shapes; those of meshes get their triangles, which may be shared, on the page."""
+def veiled(scene: Json) -> list[bool]:
+    """Which collision shapes are not shown, for their link has visual ones."""
+    seen = {(look["link"].partition("/")[0], look["frame"]) for look in scene.get("visuals", ())}
+    return [(geom.get("body"), geom["frame"]) in seen for geom in scene["geoms"]]
+
+
+def visual_commands(scene: Json, whole: bool = False) -> list[Json]:
+    """Objects of all visual shapes.
+
+    Those of meshes get their triangles, which may be shared, on the page; without its script they are `whole`, of flat
+    triangles.
+    """
     commands = []
     for k, visual in enumerate(scene.get("visuals", ())):
         rgba = visual["colour"] or PLAIN
         if visual["shape"] == "mesh":
-            node = surface(as_buffer(position=np.zeros((3, 3))), rgba)
-            node["material"] |= {"side": DOUBLE_SIDE, "shadowSide": BACK_SIDE}
+            mesh = scene["meshes"][visual["mesh"]]
+            triangles = from_text(mesh["triangles"], "<u4", 3).ravel() if whole else [0, 0, 0]
+            node = surface(as_buffer(position=from_text(mesh["vertices"], "<f4", 3)[triangles]), rgba)
+            node["material"] |= {"side": DOUBLE_SIDE, "shadowSide": BACK_SIDE, "flatShading": whole}
             matrix = by_columns(np.array(visual["placement"]))
             commands.append(set_object(look_path(scene, k), {"type": "Group", "matrix": matrix, "children": [node]}))
         else:

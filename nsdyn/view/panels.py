@@ -47,6 +47,12 @@ GREYS = {
 DASHES = "-", "--", ":", "-."
 """Of as many curves of one colour."""
 
+TURN = 4.0
+"""Length of a dash over its width, of curves on each other."""
+
+SAME, MOST = 5e-3, 0.9
+"""Curves that are no further apart, of the range of a panel, for that much of their time lie on each other."""
+
 NOISE = 1e-6
 """What spans less of what is at play is round-off, or the solver's tolerance."""
 
@@ -165,6 +171,22 @@ class Panel:
         if self.quiet:
             self._say_quiet(ax)
 
+    def take_turns(self, ax: Any) -> None:
+        """Dash whole curves that lie on others for nearly all of the time in which they are not 0: all are seen."""
+        if any(c.look.get("ls", "-") != "-" for c in self.curves):  # of many, dashes are names
+            return
+        low, high = self.range()
+        near, piles = SAME * (min(high, self.top) - low), list[list[int]]()
+        for k, c in ((k, c) for k, c in enumerate(self.curves) if "ls" in c.look):
+            on = (pile for pile in piles if _lies_on(c, self.curves[pile[0]], near))
+            if pile := next(on, None):
+                pile.append(k)
+            else:
+                piles.append([k])
+        for pile in piles:
+            for turn, k in enumerate(pile[1:], 1):
+                ax.lines[k].set_linestyle((TURN * (len(pile) - turn), (TURN, TURN * (len(pile) - 1))))
+
     def _set_x(self, ax: Any) -> None:
         if self.log == "xy":
             places = sorted({float(x) for c in self.curves for x in c.x})
@@ -222,6 +244,14 @@ class Panel:
         return f"peaks reach {with_unit(most, self._unit)}" if most > self.top and not self.quiet else ""
 
 
+def _lies_on(curve: Curve, other: Curve, near: float) -> bool:
+    """Whether two curves of the same times are no further apart at nearly all of those at which one is not 0."""
+    if not np.array_equal(curve.x, other.x):
+        return False
+    some = np.maximum(np.abs(curve.y), np.abs(other.y)) > near
+    return bool(some.any()) and bool(np.mean(np.abs(curve.y - other.y)[some] <= near) > MOST)
+
+
 def _lone(curve: Curve) -> dict[str, Any]:
     """Its look, with dots where a line would show nothing: at values between what is not known."""
     known = np.pad(np.isfinite(curve.y), 1)
@@ -241,9 +271,12 @@ def _cycle() -> list[Any]:
 
 
 def _shade(colour: Any) -> Any:
-    """A colour, or in styles of greys the grey in its place."""
+    """A colour, or in styles of greys the grey in its place; for black the ink of the style, which may be on black."""
+    from matplotlib import rcParams
     from matplotlib.colors import to_rgb
 
+    if colour == "k":
+        return rcParams["text.color"]
     grey = all(len(set(to_rgb(one))) == 1 for one in _cycle())
     return GREYS.get(colour, colour) if grey else colour
 
@@ -285,6 +318,8 @@ def draw(figure: Any, panels: Sequence[Panel]) -> Any:
         _legend(figure, handles, min(ROWS, PILED - len(shown)))
     elif handles:
         axes[0].set_title(next(iter(handles)), loc="left", fontsize="small")
+    for ax, panel in zip(axes, shown, strict=True):  # of which the legend has nothing
+        panel.take_turns(ax)
     return axes
 
 
@@ -293,13 +328,11 @@ def _legend(figure: Any, handles: Mapping[str, Any], rows: int) -> None:
     from matplotlib import font_manager  # heavy, and for pictures only
 
     size = font_manager.FontProperties(size="small").get_size_in_points() / 72.0
-    entry = (4.0 + LETTER * max(map(len, handles))) * size
-    width = figure.bbox.width / figure.dpi
-    columns = max(1, int(width / entry))
-    above = -(-len(handles) // columns) <= rows or entry > 0.4 * width
-    where = (
-        {"loc": "outside upper left", "ncols": min(columns, len(handles))} if above else {"loc": "outside right upper"}
-    )
+    entries = [(4.0 + LETTER * len(label)) * size for label in handles]
+    width, count = figure.bbox.width / figure.dpi, len(entries)
+    columns = next(n for n in range(count, 0, -1) if n == 1 or sum(map(max, np.array_split(entries, n))) <= width)
+    above = -(-count // columns) <= rows or max(entries) > 0.4 * width
+    where = {"loc": "outside upper left", "ncols": columns} if above else {"loc": "outside right upper"}
     figure.legend(
         handles.values(), handles, frameon=False, fontsize="small", handlelength=1.6, columnspacing=1.4, **where
     )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from nsdyn.recording.series import rotate
+from nsdyn.tools.array_text import from_text
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.view.commands import Json, as_buffer, as_hex, as_three, by_columns, set_object, set_property, shaded, uuid_of
 
@@ -63,7 +64,7 @@ class View:
         for trajectory in trajectories:
             every = 1 + trajectory.steps // 1000  # enough to see where a body goes
             motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
-            for geom in (*trajectory.scene["geoms"], *trajectory.scene.get("visuals", ())):
+            for geom in (*trajectory.scene["geoms"], *_visuals(trajectory.scene)):
                 if geom["shape"] == "halfspace":
                     continue
                 place, moves = np.array(geom["placement"]), geom["frame"] >= 0
@@ -160,6 +161,14 @@ def _direction(azimuth: float, elevation: float) -> Array:
     return np.array([flat * math.sin(azimuth), -flat * math.cos(azimuth), math.sin(elevation)])
 
 
+def _visuals(scene: Json) -> list[Json]:
+    """Visual shapes, those of meshes with the corners that reach farthest."""
+    corners = [from_text(mesh["vertices"], "<f4", 3).astype(float) for mesh in scene.get("meshes", ())]
+    ends = [_outline(x, np.zeros((len(x), 1)), SPANNED)[:, :3] for x in corners]
+    shapes = scene.get("visuals", ())
+    return [shape | {"vertices": ends[shape["mesh"]]} if shape["shape"] == "mesh" else shape for shape in shapes]
+
+
 def _radius(geom: Json) -> float:
     """Radius of a ball about the shape's origin that contains it."""
     size = geom["size"]
@@ -167,8 +176,6 @@ def _radius(geom: Json) -> float:
         return float(np.linalg.norm(geom["vertices"], axis=1).max())
     if geom["shape"] == "cylinder":
         return math.hypot(size[0], size[1])
-    if geom["shape"] == "mesh":
-        return float(np.linalg.norm(size))
     return float(size[0] + size[1]) if geom["shape"] == "capsule" else float(max(size))
 
 
@@ -184,9 +191,8 @@ def _balls(geom: Json) -> Array:
         turns = np.pi / 4 * np.arange(8)
         rim = size[0] / math.cos(np.pi / 8) * np.column_stack([np.cos(turns), np.sin(turns)])
         return np.array([[x, y, end * size[1], 0.0] for end in (-1, 1) for x, y in rim])
-    if kind in ("ellipsoid", "mesh"):
-        ends = _directions(SPANNED) if kind == "ellipsoid" else np.array(list(product((-1, 1), repeat=3)))
-        return np.column_stack([ends * size, np.zeros(len(ends))])
+    if kind == "ellipsoid":
+        return np.column_stack([_directions(SPANNED) * size, np.zeros(SPANNED)])
     return np.array([[0.0, 0.0, 0.0, _radius(geom)]])
 
 
@@ -195,7 +201,7 @@ def stage_commands(view: View) -> list[Json]:
     R, camera = view.radius, "/Cameras/default/rotated/<object>"
     shadow = {
         "bias": -0.0002,
-        "normalBias": 0.001 * R,
+        "normalBias": 3.2 * R / 2048,  # a point of the map; by less, plates would be dotted with their own shadows
         "mapSize": [2048, 2048],
         "camera": {
             "type": "OrthographicCamera",

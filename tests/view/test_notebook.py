@@ -68,12 +68,20 @@ def test_tutorial(tmp_path, monkeypatch):
     for value, outputs in zip(values, stored, strict=True):
         if type(value).__module__.startswith("nsdyn"):  # first lines, which have no figures of a machine
             assert first_words("".join(outputs[0]["data"]["text/plain"])) == first_words(repr(value))
-    assert sum(hasattr(value, "_repr_html_") for value in values) >= 4
+    assert sum(hasattr(value, "_repr_html_") for value in values) >= 7
     for value in values:
         if hasattr(value, "_repr_html_") and type(value).__module__.startswith("nsdyn"):
             assert shown(value)
     assert os.listdir(tmp_path)  # it saves a recording
     plt.close("all")
+
+
+def test_a_study_is_a_table():
+    found = nd.refine("four_bar", [2e-2, 1e-2], 0.04)
+    heads = ["dt [s]", "steps", "position [m]", "order"]
+    assert shown(found)[:4] == heads and shown(found)[11:13] == ["0.02", "2"] and shown(found)[22:24] == ["0.01", "4"]
+    lines = repr(found).split("\n")
+    assert len({len(line) for line in lines[:-1]}) == 1 and lines[-1].startswith("four_bar: largest differences")
 
 
 def test_outputs_of_the_tutorial_are_those_of_its_cells():

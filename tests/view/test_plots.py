@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib import style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -193,6 +194,23 @@ def test_curves_can_be_told_apart(arm, kind):
     for ax in figure.axes:
         looks = {(line.get_color(), line.get_linestyle()) for line in ax.lines}
         assert len(looks) == len(ax.lines) > 1
+
+
+def test_curves_on_each_other_are_all_seen():
+    """Fingers that move as one: of each colour a good part of the pixels, in the order of the curves."""
+    t = np.linspace(0.0, 1.0, 200)
+    curves = [panels.Curve(name, t, 1.0 + t, {"lw": 1.2, **panels.look(k)}) for k, name in enumerate("abc")]
+    apart = panels.Curve("d", t, 3.0 - t, {"lw": 1.2, **panels.look(3)})
+    figure = drawn(lambda figure: panels.draw(figure, [panels.Panel("speed [m/s]", [*curves, apart])]))
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3].astype(int)
+    box = figure.axes[0].bbox
+    pixels = pixels[pixels.shape[0] - int(box.y1) : pixels.shape[0] - int(box.y0), int(box.x0) : int(box.x1)]
+    seen = [(np.abs(pixels - 255 * np.array(c.look["color"])).max(axis=2) < 40).sum() for c in (*curves, apart)]
+    assert all(0.2 < count / sum(seen[:3]) < 0.5 for count in seen[:3])
+    assert figure.axes[0].lines[3].get_linestyle() == "-"
+    assert {line.get_linestyle() for line in legends(figure)[0].get_lines()} == {"-"}
 
 
 def test_works_of_pairs_are_their_power(slide):
@@ -394,6 +412,7 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
         (["--size", "39x60"], "--size must be two lengths of 40 to 2000 mm, got 39x60"),
         (["--size", "nanx60"], "--size must be two lengths of 40 to 2000 mm, got nanx60"),
         (["--size", "85"], "--size must be WIDTHxHEIGHT in mm, such as 85x60, got 85"),
+        (["--size", "85x60"], "labels leave no room for curves in 85 by 60 mm: a larger picture, or fewer kinds"),
         (["--size", "40x40"], "names leave no room for curves in 40 by 40 mm: a larger picture, or fewer of them"),
     ):
         assert main(["plot", "run.h5", "-o", "no.png", *given]) == 2
@@ -423,6 +442,14 @@ def test_a_style_has_its_own_colours(arm, slide):
         assert panels.look(0)["color"] == panels.look(1)["color"] == "#123456"
         figure = drawn(lambda figure: plots.draw(slide, "energy", figure=figure))
     assert to_rgb(panels.LEDGER["kinetic"]) == tuple(figure.axes[0].collections[0].get_facecolor()[0][:3])
+
+
+@pytest.mark.parametrize(("kind", "label"), [("energy", "sum"), ("friction", "Coulomb's limit")])
+def test_no_line_is_black_on_black(slide, kind, label):
+    with style.context(["default", "dark_background"]):
+        (ax,) = drawn(lambda figure: plots.draw(slide, kind, figure=figure)).axes
+    (line,) = [line for line in ax.lines if line.get_label() == label]
+    assert to_rgb(line.get_color()) == (1.0, 1.0, 1.0) and to_rgb(ax.get_facecolor()) == (0.0, 0.0, 0.0)
 
 
 def test_a_robot_that_all_names_begin_with_is_left_out(arm):

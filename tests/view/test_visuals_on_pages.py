@@ -11,7 +11,7 @@ from pages import RESTED
 import nsdyn as nd
 from nsdyn.scene import meshes
 from nsdyn.tools.array_text import from_text
-from nsdyn.view import browser, looks
+from nsdyn.view import browser, looks, stage
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "demos" / "bench"))
 import fuzz
@@ -42,6 +42,27 @@ def test_arrays_of_meshes_are_those_of_the_recording(run):
     (mesh,) = run.scene["meshes"]
     np.testing.assert_array_equal(arrays["meshes/position"], from_text(mesh["vertices"], "<f4", 3))
     assert arrays["meshes/position_ends"].tolist() == [24] and arrays["meshes/index_ends"].tolist() == [36]
+
+
+@pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
+def test_a_window_shows_robots_as_a_page_does(tmp_path, window):
+    (tmp_path / "box.stl").write_bytes(fuzz.binary_stl())
+    (tmp_path / "r.urdf").write_text(URDF)
+    scene = nd.Scene()
+    scene.add_urdf("r", tmp_path / "r.urdf", base="free")
+    live = nd.Live(nd.Stepper(scene, dt=0.01))
+    try:
+        (tmp_path / "empty.html").write_text("<script>window.ready = true</script>")
+        window.open(tmp_path / "empty.html", (400, 300))
+        window.call("Page.navigate", url=live.url)
+        node = "viewer.scene_tree.find(['nsdyn', 'bodies', 'r.root_joint']).object"
+        soon = f"typeof viewer !== 'undefined' && {node}.children.length === 4"
+        window.run(f"new Promise(done => {{ const look = () => {soon} ? done() : setTimeout(look, 20); look(); }})")
+        count = "let n = 0; o.traverse(x => { if (x.isMesh) n += x.geometry.attributes.position.count / 3; }); return n"
+        shown = f"Array.from({node}.children).filter(o => o.visible).map(o => {{ {count}; }})"
+        assert window.run(shown) == [12, 12, 12]  # triangles of a box each; the ball is hidden
+    finally:
+        live.close()
 
 
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
@@ -166,7 +187,7 @@ def test_meshes_are_whole_where_nothing_moves(tmp_path, window):
     scene = nd.Scene()
     scene.add_urdf("r", tmp_path / "r.urdf", base="free")
     nd.simulate(scene, 0.02, dt=0.01).to_html(tmp_path / "page.html")
-    window.open((tmp_path / "page.html").as_uri() + "#t=0", (640, 360))
+    window.open((tmp_path / "page.html").as_uri() + "#t=0", (480, 270))
     shown = "[m.geometry.attributes.position.count / 3, m.material.side === MeshCat.THREE.DoubleSide]"
     (late, _), (later, _), (whole, both) = (
         window.run(f"({draw}, (m => {shown})(nsdyn.panes[0].stage.meshes[0]))")
@@ -202,3 +223,18 @@ def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path, op
     assert page.run(shown) == [False, True]  # of the base, which has a visual shape, and of the arm
     page.run("document.querySelector('.tools .collision').click()")
     assert page.run(shown) == [True, True]
+
+
+def test_camera_is_near_to_a_mesh_that_is_far_from_its_origin(tmp_path):
+    """A tetrahedron a metre away: what a box about its origin would hold is ten times as large."""
+    corners = np.array([[1.0, 0, 0], [1.1, 0, 0], [1, 0.1, 0], [1, 0, 0.1]])
+    lines = [*(f"v {x} {y} {z}" for x, y, z in corners), "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    (tmp_path / "t.obj").write_text("\n".join(lines))
+    link = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    seen = '<visual><geometry><mesh filename="t.obj"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="base">{link}{seen}</link></robot>')
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_urdf("r", tmp_path / "r.urdf", base="free")
+    view = stage.View([nd.simulate(scene, 0.02, dt=0.01)])
+    assert view.radius < 0.09
+    np.testing.assert_allclose(view.centre, [1.05, 0.05, 0.05], atol=1e-6)

@@ -25,6 +25,19 @@ class Coarse {
     }
   }
 
+  // Shadows, of which the map has fewer points than a picture, are cast by meshes as they need to be for so many pixels.
+  cast(pixelsPerMetre) {
+    const {meshes, viewer: {renderer: {shadowMap}}} = this.stage;
+    const render = shadowMap.render.bind(shadowMap);
+    const casting = meshes.map(object => this.get(object.userData.full.geometry, object, pixelsPerMetre));
+    shadowMap.render = (...scene) => {
+      const shown = meshes.map(object => object.geometry);
+      meshes.forEach((object, k) => { object.geometry = casting[k]; });
+      render(...scene);
+      meshes.forEach((object, k) => { object.geometry = shown[k]; });
+    };
+  }
+
   get(geometry, object, pixelsPerMetre) {
     if (!this.made.has(geometry)) this.made.set(geometry, new Map());
     const levels = this.made.get(geometry);

@@ -34,6 +34,10 @@ class Film {
     this.bodies = [];
     for (const node of others) node.traverse(object => { if (object.geometry) this.bodies.push(object); });
     for (const {geometry} of this.bodies) if (!geometry.boundingSphere) geometry.computeBoundingSphere();
+    // Bodies from the front to the back: what others hide need not be shaded.
+    const away = ({geometry: {boundingSphere: {center}}, matrixWorld}) => (
+      center.clone().applyMatrix4(matrixWorld).distanceTo(stage.camera.position));
+    viewer.renderer.setOpaqueSort((a, b) => a.renderOrder - b.renderOrder || away(a.object) - away(b.object));
   }
 
   // The next picture changes nothing outside of the rectangle around bodies and shadows.

@@ -16,13 +16,17 @@ const FILTERED = /shadow = \(\s*texture2DCompare\( shadowMap, shadowCoord\.xy \+
 const FINE = 2;  // pixels of a film of meshes for each that it shows, each way
 const NIGHT = 0.14;  // how bright the ground is in the dark
 
-// Of the 17 places of a shadow's map that three.js asks for each pixel, four tell nearly everywhere what all would.
+// What four points of a shadow's map tell, weighted by how near they are, in place of the 17 that three.js asks for.
 const chunks = MeshCat.THREE.ShaderChunk;
-chunks.shadowmap_pars_fragment = chunks.shadowmap_pars_fragment.replace(FILTERED, all => {
-  const at = ["dx0, dy0", "dx1, dy0", "dx0, dy1", "dx1, dy1"];
-  const four = at.map(d => `texture2DCompare(shadowMap, shadowCoord.xy + vec2(${d}), shadowCoord.z)`).join(" + ");
-  return `float four = ${four};\nshadow = 0.25 * four;\nif (four > 0.0 && four < 4.0) { ${all} }`;
-});
+chunks.shadowmap_pars_fragment = chunks.shadowmap_pars_fragment.replace(FILTERED, `
+  vec2 at = shadowCoord.xy * shadowMapSize - 0.5;
+  vec2 part = fract(at);
+  vec2 low = (at - part + 0.5) * texelSize;
+  vec2 high = low + texelSize;
+  float z = shadowCoord.z;
+  shadow = mix(
+    mix(texture2DCompare(shadowMap, low, z), texture2DCompare(shadowMap, vec2(high.x, low.y), z), part.x),
+    mix(texture2DCompare(shadowMap, vec2(low.x, high.y), z), texture2DCompare(shadowMap, high, z), part.x), part.y);`);
 
 class Stage {
   constructor(place, recording) {
@@ -66,7 +70,10 @@ class Stage {
     this.viewer.controls.addEventListener("start", () => { for (const stage of this.together) stage.moved = true; });
     this.viewer.controls.addEventListener("change", () => this.share());
     this.viewer.renderer.shadowMap.type = MeshCat.THREE.PCFShadowMap;
-    if (film) sun.shadow.mapSize.set(1024, 1024);  // it has many pictures a second
+    if (film) {  // it has many pictures a second
+      sun.shadow.mapSize.set(1024, 1024);
+      sun.shadow.normalBias *= 2;
+    }
     this.quality = {moving: 0, now: 0, last: null, late: 0, still: false};
     this.sun = sun;
     this.edges = [];
@@ -117,6 +124,7 @@ class Stage {
   // For a film, in which the camera stands still.
   begin() {
     this.coarse.show(this.pixelsPerMetre);
+    this.coarse.cast(0.5 * this.pixelsPerMetre);
     this.film = new Film(this);
   }
 
