@@ -41,11 +41,50 @@ from nsdyn._kernels.stepping.quiet_response import (
 
 
 @in_place
-def depart(num, size, bodies, movers, forces, arm, old, f, w):
+def opened(system):
+    """Views of the packed arrays of a system.
+
+    (numbers, size); (arm, nowhere, inscribed); (mass, J); bodies as of `free.half`; (gravity, push, twist); masses and
+    movers as of `free.meet`, the latter where the impulses act and where the move begins.
+    """
+    sf, si = system
+    num, mass, J = numbers(sf, si, col.NUMBERS), numbers(sf, si, col.MASS), matrices(sf, si, col.INERTIA)
+    near = numbers(sf, si, col.ARM), numbers(sf, si, col.NOWHERE), numbers(sf, si, col.INSCRIBED)
+    offset = indices(si, col.OFFSET, col.SYSTEM)
+    trees = indices(si, col.TREES, col.SYSTEM), indices(si, col.SUPPORT, col.SYSTEM)
+    bodies = (
+        triples(sf, si, col.MOMENTS),
+        matrices(sf, si, col.AXES),
+        numbers(sf, si, col.INVERSE_MASS),
+        matrices(sf, si, col.INVERSE_J),
+        numbers(sf, si, col.RADIUS),
+    )
+    masses = (
+        indices(si, col.BLOCK_OF_FRAME, col.SYSTEM),
+        offset,
+        indices(si, col.M_START, col.SYSTEM),
+        numbers(sf, si, col.M),
+        numbers(sf, si, col.MINV),
+    )
+    return (
+        (num, (near[0].size, offset[offset.size - 1], mass.size)),
+        near,
+        (mass, J),
+        bodies,
+        (numbers(sf, si, col.GRAVITY), triples(sf, si, col.PUSH), triples(sf, si, col.TWIST)),
+        masses,
+        (mass.size, (*trees, numbers(sf, si, col.JACOBIAN))),
+        (mass.size, (*trees, numbers(sf, si, col.BEGUN))),
+    )
+
+
+@in_place
+def depart(s, old, f, w):
     """The first half of a move: how far it reaches, and whether contacts are those where it begins.
 
-    It may be given: Python makes its motion where there are trees, and under the forces of the user.
+    It may be given: Python makes its motion where there are trees, and under the forces of the user. s as of `opened`.
     """
+    (num, size), (arm, _, _), _, bodies, (gravity, push, _), _, movers, _ = s
     n, reach = size[0], col.column(w, col.REACH, size[0])
     there = (
         col.vectors(w, col.X, n),
@@ -58,27 +97,148 @@ def depart(num, size, bodies, movers, forces, arm, old, f, w):
         col.velocity(w, col.V_FREE, size),
         col.placed(old, col.LOOKED, n),
     )
+    h, theta, near = num[col.STEP], num[col.THETA], (arm, num[col.STILL])
     if num[col.GIVEN] > 0.0:
-        return free.given(
-            movers,
-            (bodies[4], num[col.WEIGHT]),
-            (there[0], there[3], there[2], v_free),
-            num[col.STEP],
-            num[col.THETA],
-            looked,
-            (arm, num[col.STILL]),
-            (rate, reach),
-        )
-    return free.half(
-        bodies,
-        forces,
-        (col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, size)),
-        num[col.STEP],
-        num[col.THETA],
-        looked,
-        (arm, num[col.STILL]),
-        (*there, v_free, rate, reach),
+        loads, position = (bodies[4], num[col.WEIGHT]), (there[0], there[3], there[2], v_free)
+        return free.given(movers, loads, position, h, theta, looked, near, (rate, reach))
+    begin = col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, size)
+    loads = gravity, push, num[col.WEIGHT]
+    return free.half(bodies, loads, begin, h, theta, looked, near, (*there, v_free, rate, reach))
+
+
+@in_place
+def set_out(s, first, warm, next_key, barred, asks, step, room):
+    """`depart`, and where contacts are looked for then: `DONE`, `LOOK`, or `OTHERWISE` where something strikes at once.
+
+    first = contacts where the move begins, warm = (keys, pairs, states) of what acted last; room = (old state, results,
+    state, what is at work, integers).
+    """
+    (num, size), (arm, nowhere, _), _, _, _, _, _, movers_begun = s
+    (b_old, out, b, w, head), n = room, size[0]
+    if step and strikes_at_once(num, first, warm, b_old, n):
+        return OTHERWISE
+    far, same = depart(s, b_old, b, w)
+    if step and num[col.ELASTIC] > 0.0 and rebounds(s[0], movers_begun, first, b_old, w):
+        return OTHERWISE
+    out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
+    head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]
+    reach, near = col.column(w, col.REACH, n), col.column(w, col.NEAR, n)
+    for k in range(n):
+        near[k] = 2.0 * reach[k] if barred.size else nowhere[k]
+    there = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), reach
+    touching.look(col.placed(b_old, col.LOOKED, n), there, arm, num[col.STILL], col.placed(w, col.LOOKED_THERE, n))
+    return LOOK if asks and not same else DONE
+
+
+@in_place
+def meet(s, contacts, warm, rooms, flags, barred, b_old, w, head):
+    """Which of the contacts, (where the move begins, found), it meets, if not all: `DONE`, or `MORE` without room.
+
+    rooms = (of what is met, numbers in the rows of W of a contact).
+    """
+    scene, (_, _, inscribed), _, _, _, _, movers, movers_begun = s
+    num, (first, found), (room, wide) = scene[0], contacts, rooms
+    nc = found[0].shape[1]
+    head[col.MET], head[col.SOME], head[col.NEEDED] = nc, 0, nc
+    if num[col.ELASTIC] == 0.0 and touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
+        return DONE
+    kept = flags[col.OFF, :nc]
+    head[col.MET] = catch(scene, (movers_begun, movers, inscribed), contacts, warm, b_old, w, barred, kept)
+    if head[col.MET] < nc:
+        if wide * head[col.MET] > room[0].size:
+            return MORE
+        take(found, kept, col.contacts(room, head[col.MET]))
+        room[1][col.FOUND_NAMES * head[col.MET] + col.MADE], head[col.SOME] = 0, 1
+    return DONE
+
+
+@in_place
+def posed(s, first, last, met, rows, acted, flags, room):
+    """The problem of the move, as foreseen: `DONE`, or `OTHERWISE` where it is none, or something strikes.
+
+    last = (warm, forces of what acted last), acted = (keys, pairs, states) of what acts, room = (old state, results and
+    contacts that act, what is at work, of the contacts, places, integers).
+    """
+    (num, size), _, _, _, _, masses, movers, _ = s
+    (warm, force), (frame, block, start, H, scales, made) = last, rows
+    (b_old, out, a, w, own, place, head), status, nc = room, acted[2], acted[2].size
+    b, q = out[col.RESULTS :], a[col.FREE * nc : col.U_END * nc]
+    of = frame, block, start, H[: made[col.SIZE]] if made[col.MADE] else H, scales, made[col.MADE] > 0
+    begin, pressed = (first, b_old), (warm[0], force, warm[2])
+    into = place, flags[col.SLIDES, :nc], q
+    made[col.SIZE], _, good = pose(s[0], (masses, movers), begin, pressed, met, of, (w, own), into)
+    made[col.MADE] = 1
+    for c in range(nc):
+        acted[0][c], acted[1][c] = met[0][4, c], met[0][0, c] * int(num[col.GEOMS]) + met[0][1, c]
+    names = (first[0][4], first[2][0]), (acted[0], acted[1]), warm
+    if not good or not lasting(num, met, names, own, flags, status, q):
+        return OTHERWISE
+    local, rate = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, size)
+    end_gap = col.column(own, col.FORESEEN, nc)
+    if num[col.ELASTIC] > 0.0 and strikes(num, size[0], movers, met, local, end_gap, rate, w):
+        return OTHERWISE
+    copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
+    a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
+    col.velocity(w, col.TURN, size)[:] = 0.0
+    head[col.GAPS_LEFT], head[col.TURNED], head[col.SOLVED] = law.GAPS, 0, 0
+    out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = 0.0, 0.0, 0.0
+    norm, _ = _blocks.size_of(q, met[2][1])
+    out[col.NORM] = norm if norm > 0.0 else 1.0
+    return DONE
+
+
+@in_place
+def solved(s, rows, met, flags, known, label, head, room):
+    """Impulses, of a problem of which so much is `known`, as of `respond`, or nothing, `DONE`; how that ends.
+
+    `DONE` where free bodies are at the end of the move, `MOVE` where trees are to be moved there.
+    """
+    scene, (arm, _, _), _, bodies, _, _, movers, _ = s
+    (num, size), nc, (out, w, _, a) = scene, met[0].shape[1], room
+    began, code = seconds(head[col.CLOCK :]), known
+    if known == DONE:
+        code = first_solve(scene, rows, met, flags, label, room)
+        if code == SOLVE:
+            return SOLVE
+    if code != DONE:
+        code = respond(scene, (bodies[3], arm), rows, met, flags, code, head, room)
+        if code != DONE:
+            return code
+    out[col.TIME] += seconds(head[col.CLOCK :]) - began
+    if movers[1][0].size > 0:
+        push(size, rows[0], a[col.IMPULSE * nc : col.U * nc], w)
+        return MOVE
+    arrive(num, size, bodies, out[col.RESULTS :], w)
+    return DONE
+
+
+@in_place
+def told(s, rows, met, now, direction, flags, status, head, b_old, room):
+    """What a step did, if it met nothing: `DONE`, `EVENT`, or `OTHERWISE` where contacts add too much energy."""
+    scene, (_, nowhere, inscribed), inertia, _, loads, _, movers, _ = s
+    (num, size), (out, w, _, a), nc = scene, room, status.size
+    b, n = out[col.RESULTS :], size[0]
+    spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
+    if not eventless(num, inscribed, met, now, flags, status, spins, room):
+        return EVENT
+    book(scene, (*inertia, *loads, nowhere[:0]), rows, met, flags, direction, head, status, room)
+    out[col.SUSPECT] = 0.0
+    if nc > 0 and num[col.FEWEST] >= 0.0:
+        r, u, q = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+        out[col.SUSPECT] = suspect(rows[0], met[2][1], q, u, r, int(num[col.FEWEST]))
+    if movers[1][0].size > 0:
+        return DONE
+    works, fallen = (
+        (col.column(a, col.NORMAL_WORK, nc), col.column(a, col.FRICTION_WORK, nc)),
+        col.velocity(w, col.CHANGE, size),
     )
+    rate = col.velocity(b, col.RATE, size)
+    for i in range(fallen.size):
+        fallen[i] = num[col.STEP] * rate[i]
+    velocities = col.velocity(b_old, col.V, size), fallen
+    if may_gain(inertia[0], works, fallen) and gains(num, inertia, rows[0], met, flags, status, works, velocities):
+        return OTHERWISE
+    return DONE
 
 
 @in_place
@@ -120,56 +280,19 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     int
         `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD`, `MORE`, `MOVE` or `EVENT`.
     """
-    (sf, si), (f, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = system, new, old, work
-    num, arm, nowhere = numbers(sf, si, col.NUMBERS), numbers(sf, si, col.ARM), numbers(sf, si, col.NOWHERE)
-    mass, J = numbers(sf, si, col.MASS), matrices(sf, si, col.INERTIA)
-    offset = indices(si, col.OFFSET, col.SYSTEM)
-    size = arm.size, offset[offset.size - 1], mass.size
-    scene = num, size
-    n, room, was, out, head = arm.size, states.size, status_old.size, f, whole[: col.HEAD]
-    table, support = indices(si, col.TREES, col.SYSTEM), indices(si, col.SUPPORT, col.SYSTEM)
-    movers, trees = (mass.size, (table, support, numbers(sf, si, col.JACOBIAN))), table.size > 0
-    movers_begun = mass.size, (table, support, numbers(sf, si, col.BEGUN))
-    moments, axes = triples(sf, si, col.MOMENTS), matrices(sf, si, col.AXES)
-    inverse_mass, inverse_J = numbers(sf, si, col.INVERSE_MASS), matrices(sf, si, col.INVERSE_J)
-    bodies = moments, axes, inverse_mass, inverse_J, numbers(sf, si, col.RADIUS)
-    gravity, force, torque = numbers(sf, si, col.GRAVITY), triples(sf, si, col.PUSH), triples(sf, si, col.TWIST)
-    masses = (
-        indices(si, col.BLOCK_OF_FRAME, col.SYSTEM),
-        offset,
-        indices(si, col.M_START, col.SYSTEM),
-        numbers(sf, si, col.M),
-        numbers(sf, si, col.MINV),
-    )
-    begin, last = col.RESULTS, col.RESULTS + col.FRAME * n + col.COORDINATE * size[1]
-    inscribed, wide = numbers(sf, si, col.INSCRIBED), int(num[col.WIDE])
-    b, b_old, a, own = (
-        f[begin:last],
-        f_old[begin:last],
-        f[last:],
-        w[col.FRAME_WORK * n + col.COORDINATE_WORK * size[1] :],
-    )
+    s, (out, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = opened(system), new, old, work
+    (num, size), (arm, _, _), masses = s[0], s[1], s[5]
+    n, room, was, head, wide = size[0], states.size, status_old.size, whole[: col.HEAD], col.ROWS + int(num[col.WIDE])
+    last = col.RESULTS + col.FRAME * n + col.COORDINATE * size[1]
+    b, b_old, a = out[col.RESULTS : last], f_old[col.RESULTS : last], out[last:]
+    own = w[col.FRAME_WORK * n + col.COORDINATE_WORK * size[1] :]
     first, warm = col.contacts(begun, begun[1].size // col.FOUND_NAMES), (acted_old[:was], acted_old[was:], status_old)
+    starts, work_room = stage == DONE or stage == LOOK, (out, w, own, a)
 
     if stage == DONE:
-        if step and strikes_at_once(num, first, warm, b_old, n):
-            return OTHERWISE
-        far, same = depart(num, size, bodies, movers, (gravity, force, num[col.WEIGHT]), arm, b_old, b, w)
-        if step and num[col.ELASTIC] > 0.0 and rebounds(scene, movers_begun, first, b_old, w):
-            return OTHERWISE
-        out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
-        head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]
-        reach, near = col.column(w, col.REACH, n), col.column(w, col.NEAR, n)
-        for k in range(n):
-            near[k] = 2.0 * reach[k] if barred.size else nowhere[k]
-        there, looked = (
-            (col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), reach),
-            col.placed(w, col.LOOKED_THERE, n),
-        )
-        touching.look(col.placed(b_old, col.LOOKED, n), there, arm, num[col.STILL], looked)
-        if not same and asks:
-            return LOOK
-    starts, work_room = stage == DONE or stage == LOOK, (f, w, own, a)
+        code = set_out(s, first, warm, next_key, barred, asks, step, (b_old, out, b, w, head))
+        if code != DONE:
+            return code
     if starts and out[col.WENT] > 0.0:
         looked = col.placed(w, col.LOOKED_THERE, n)
         code = look(detection, ready, looked, (first, next_key), rooms[0], head, col.MIDDLE, (room, wide))
@@ -180,74 +303,36 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         met_of = rooms[0]
     found = col.contacts(met_of, head[col.MIDDLE])
     if starts:
-        head[col.MET], head[col.SOME], head[col.NEEDED] = found[0].shape[1], 0, found[0].shape[1]
-        if num[col.ELASTIC] > 0.0 or not touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
-            kept = flags[col.OFF, : head[col.MET]]
-            moved = movers_begun, movers, inscribed
-            head[col.MET] = catch(scene, moved, (first, found), warm, b_old, w, barred, kept)
-            if head[col.MET] < found[0].shape[1]:
-                if (col.ROWS + wide) * head[col.MET] > rooms[1][0].size:
-                    return MORE
-                take(found, kept, col.contacts(rooms[1], head[col.MET]))
-                rooms[1][1][col.FOUND_NAMES * head[col.MET] + col.MADE], head[col.SOME] = 0, 1
+        code = meet(s, (first, found), warm, (rooms[1], wide), flags, barred, b_old, w, head)
+        if code != DONE:
+            return code
     nc = head[col.MET]
     if head[col.SOME]:
         met_of = rooms[1]
     met, (frame, block, start, H, scales, made) = col.contacts(met_of, nc), col.rows(met_of, nc)
-    q = a[col.FREE * nc : col.U_END * nc]
-    gap, status, acted = col.column(a, col.GAP_END, nc), states[:nc], (keys_of[:nc], keys_of[nc : 2 * nc])
+    gap, acted = col.column(a, col.GAP_END, nc), (keys_of[:nc], keys_of[nc : 2 * nc], states[:nc])
     if starts:
-        pressed = warm[0], col.vectors(f_old[last:], col.FORCE, was), status_old
-        of = frame, block, start, H[: made[col.SIZE]] if made[col.MADE] else H, scales, made[col.MADE] > 0
-        slides, place = flags[col.SLIDES, :nc], whole[col.HEAD : col.HEAD + nc]
-        made[col.SIZE], _, good = pose(
-            scene, (masses, movers), (first, b_old), pressed, met, of, (w, own), (place, slides, q)
-        )
-        made[col.MADE] = 1
-        for c in range(nc):
-            acted[0][c], acted[1][c] = met[0][4, c], met[0][0, c] * int(num[col.GEOMS]) + met[0][1, c]
-        if not good or not lasting(num, met, ((first[0][4], first[2][0]), acted, warm), own, flags, status, q):
-            return OTHERWISE
-        local, rate = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, size)
-        end_gap = col.column(own, col.FORESEEN, nc)
-        if num[col.ELASTIC] > 0.0 and strikes(num, n, movers, met, local, end_gap, rate, w):
-            return OTHERWISE
-        copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
-        a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
-        col.velocity(w, col.TURN, size)[:] = 0.0
-        head[col.GAPS_LEFT], head[col.TURNED], head[col.SOLVED] = law.GAPS, 0, 0
-        out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = 0.0, 0.0, 0.0
-        norm, _ = _blocks.size_of(q, met[2][1])
-        out[col.NORM] = norm if norm > 0.0 else 1.0
-    blocks, now = (offset, block, start, H[: made[col.SIZE]], *masses[2:]), found
-    of_rows = blocks, frame, scales
+        before, place = (warm, col.vectors(f_old[last:], col.FORCE, was)), whole[col.HEAD : col.HEAD + nc]
+        of_rows = frame, block, start, H, scales, made
+        code = posed(s, first, before, met, of_rows, acted, flags, (b_old, out, a, w, own, place, head))
+        if code != DONE:
+            return code
+    blocks, now = (masses[1], block, start, H[: made[col.SIZE]], *masses[2:]), found
+    rows, label = (blocks, frame, scales), whole[col.HEAD + room : col.HEAD + room + nc]
     if starts and not step and too_wide(num, blocks):
         return OTHERWISE
+    known = DONE if starts else AGAIN if stage == SOLVE else SOLVE
     while True:
         if stage != LOOK_AHEAD:
             if stage != MOVE:
-                began = seconds(head[col.CLOCK :])
-                code = AGAIN if stage == SOLVE else SOLVE
-                if starts:
-                    label = whole[col.HEAD + room : col.HEAD + room + nc]
-                    code = first_solve(scene, of_rows, met, flags, label, work_room)
-                    if code == SOLVE:
-                        return SOLVE
+                code = solved(s, rows, met, flags, known, label, head, work_room)
                 if code != DONE:
-                    code = respond(scene, (inverse_J, arm), of_rows, met, flags, code, head, work_room)
-                    if code != DONE:
-                        return code
-                out[col.TIME] += seconds(head[col.CLOCK :]) - began
-                if trees:
-                    push(size, blocks, a[col.IMPULSE * nc : col.U * nc], w)
-                    return MOVE
-                arrive(num, size, bodies, b, w)
-            there = col.vectors(b, col.X, n), col.rotations(b, col.R, n), col.column(w, col.NEAR, n)
-            same = touching.unmoved(col.placed(w, col.LOOKED_THERE, n), there, arm, num[col.STILL])
-            out[col.GOES] = 0.0 if same else 1.0
-            looked = col.placed(b, col.LOOKED, n)
-            touching.look(col.placed(w, col.LOOKED_THERE, n), there, arm, num[col.STILL], looked)
-            if not same and asks:
+                    return code
+            there, looked = (col.vectors(b, col.X, n), col.rotations(b, col.R, n)), col.placed(b, col.LOOKED, n)
+            where, near = col.placed(w, col.LOOKED_THERE, n), (*there, col.column(w, col.NEAR, n))
+            out[col.GOES] = 0.0 if touching.unmoved(where, near, arm, num[col.STILL]) else 1.0
+            touching.look(where, near, arm, num[col.STILL], looked)
+            if out[col.GOES] > 0.0 and asks:
                 return LOOK_AHEAD
         now = found
         if out[col.GOES] > 0.0:
@@ -261,28 +346,5 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
             copy(met[2][0], gap)
         if head[col.GAPS_LEFT] == 0 or not corrects(num, n, met, now, flags, work_room):
             break
-        head[col.GAPS_LEFT], stage, starts = head[col.GAPS_LEFT] - 1, DONE, False
-    if not step:
-        return DONE
-    spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
-    if not eventless(num, inscribed, met, now, flags, status, spins, work_room):
-        return EVENT
-    inertia = mass, J, gravity, force, torque, nowhere[:0]
-    book(scene, inertia, of_rows, met, flags, direction, head, status, work_room)
-    out[col.SUSPECT] = 0.0
-    if nc > 0 and num[col.FEWEST] >= 0.0:
-        r, u = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc]
-        out[col.SUSPECT] = suspect(blocks, met[2][1], q, u, r, int(num[col.FEWEST]))
-    if trees:
-        return DONE
-    works, fallen = (
-        (col.column(a, col.NORMAL_WORK, nc), col.column(a, col.FRICTION_WORK, nc)),
-        col.velocity(w, col.CHANGE, size),
-    )
-    rate = col.velocity(b, col.RATE, size)
-    for i in range(fallen.size):
-        fallen[i] = num[col.STEP] * rate[i]
-    velocities = col.velocity(b_old, col.V, size), fallen
-    if may_gain(mass, works, fallen) and gains(num, inertia[:2], blocks, met, flags, status, works, velocities):
-        return OTHERWISE
-    return DONE
+        head[col.GAPS_LEFT], stage, known = head[col.GAPS_LEFT] - 1, DONE, SOLVE
+    return told(s, rows, met, now, direction, flags, acted[2], head, b_old, work_room) if step else DONE

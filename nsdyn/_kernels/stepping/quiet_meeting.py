@@ -19,14 +19,14 @@ done."""
 def look(detection, ready, looked, begun, into, head, which, room):
     """Find contacts, which go on from begun = (some, next key), and `DONE`; else `LOOK`, or `MORE` if they are many.
 
-    room = (most contacts, most numbers in the rows of W of each).
+    room = (most contacts, most numbers of each).
     """
     (geoms, pairs, limit, tolerance), (before, next_key), (most, wide) = detection, begun, room
     count = seek(geoms, pairs, limit, ready, looked)
     if count == LEFT:
         return LOOK
     head[which] = head[col.NEEDED] = count
-    if count > most or (col.ROWS + wide) * count > into[0].size:
+    if count > most or wide * count > into[0].size:
         return MORE
     found = col.contacts(into, count)
     head[col.KEY_MIDDLE + which - col.MIDDLE] = gather(geoms, pairs, tolerance, (before[0], before[1]), next_key, found)
