@@ -173,15 +173,16 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
         if not some[on].any():
             continue
         j, pull, speeds = on[0], drag[on], a.along[:, on]
-        over = float(np.linalg.norm(pull)) - most_drag[j]
-        bound = over / max(most_drag[j], NOTHING * a.most, 1e-300), over, a.step, a.label[j]
+        least, most = most_drag[on].min(), most_drag[on].max()
+        over = float(np.linalg.norm(pull)) - least
+        bound = over / max(least, NOTHING * a.most, 1e-300), over, a.step, a.label[j]
         # Within a piece that begins and ends with other signs anything may be against the motion.
         speed = np.linalg.norm(speeds, axis=1)
         # What sticks takes any friction within its bound.
-        wasted = float(np.where(speed > STICKS, most_drag[j] * speed + speeds @ pull, 0.0).min())
+        wasted = float(np.where(speed > STICKS, most * speed + speeds @ pull, 0.0).min())
         turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
-        most = dt * a.m.friction[j] * (float(speed.max()) + CREEP)
-        figure = 0.0 if turns else wasted / max(most, 1e-300)
+        largest = dt * a.m.friction[on].max() * (float(speed.max()) + CREEP)
+        figure = 0.0 if turns else wasted / max(largest, 1e-300)
         yield bound, (figure, wasted, a.step, a.label[j])
 
 
