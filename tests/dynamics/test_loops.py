@@ -225,6 +225,21 @@ def test_a_motion_on_loops_that_cannot_be_followed_is_named():
         t.flow(q, v, 1e-2)
 
 
+def test_driven_joints_that_open_a_gear_are_told():
+    model = limit(pin.Model())
+    for name in ("a", "b"):
+        joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), name)
+        model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
+    scene = nd.Scene()
+    add(scene, "wheels", model)
+    scene.add_gear("wheels", "a", "b", 2.0)
+    for name in ("a", "b"):
+        scene.set_motion(f"wheels/{name}", velocity=1.0)
+    told = r"prescribed motions contradict: in 'wheels' they open loops or gears by .* rad/s .*gear 'wheels/b'"
+    with pytest.raises(ValueError, match=told):
+        nd.simulate(scene, 0.1, 5e-3)
+
+
 def test_loops_that_cannot_close_are_refused():
     model = limit(pin.Model())
     joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "j")
