@@ -173,7 +173,7 @@ def audits():
 @pytest.mark.parametrize(
     "seed",
     [
-        *(3094, 2050, 2173, 20160, 70087),
+        *(3094, 2050, 2173, 20160, 70087, 90053),
         *(
             pytest.param(seed, marks=pytest.mark.slow)
             for seed in (1, 4, 6, 2071, 5079, 40004, 99, 65, 127, 175, 3108, 2113)
@@ -186,7 +186,8 @@ def test_random_robots_pass(audits, seed):
     And contacts that do nothing at θ = 0.7 (3094), steps cut where a driven joint varies (2050), forces that work while
     joints turn fast (2071), small angles by cosine and sine (2173, 3108), a limit met on the way there and back (5079),
     an end of loops that one pass finds (20160), impacts where θ = 1 has other impulses at the same time (40004), a dry
-    joint that has stopped where a move begins (99), pieces of 1e-15 s (2113), and a limit struck at 27 rad/s (70087).
+    joint that has stopped where a move begins (99), pieces of 1e-15 s (2113), a limit struck at 27 rad/s (70087),
+    and a start at a velocity that a gear beside a driven joint does not admit (90053).
     """
     audit = nd.check(audits.random_run(seed))
     assert audit.passed, audit
