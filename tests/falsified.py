@@ -148,8 +148,19 @@ def _snake():
     return nd.simulate(scene, 0.46, 5e-3, external_force=lambda t, q, v: {"snake/s3": (np.sin(9 * t), 0.5, 0.0)})
 
 
+def _ball():
+    """A link on a ball joint with dry friction."""
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelSpherical(), at((0, 0, 0)), "ball")
+    model.appendBodyToJoint(1, rod((0, 0, -0.5)), at((0, 0, 0)))
+    scene = nd.Scene(name="ball")
+    add(scene, "ball", limit(model), v=(1.0, 2.0, 0.5), limits=False, friction=0.2)
+    return nd.simulate(scene, 0.1, 5e-3)
+
+
 RUNS = {
     "arm": _arm,
+    "ball": _ball,
     "bars": _bars,
     "cart": _cart,
     "quadruped": lambda: _named("quadruped", 0.15, 5e-3, 0.3),
@@ -504,6 +515,19 @@ def _spread(c, scene):
     r[most] *= 0.9
 
 
+def _rougher(c, scene):
+    """Friction of all materials larger, where what slides shows how large it is."""
+    for geom in scene["geoms"]:
+        geom["mu"] *= 1.2
+    c["contacts/mu"] *= 1.2
+
+
+def _elsewhere(c, scene):
+    """A free body across the normals of its contacts."""
+    c["q"][10:, 1] += 1e-6
+    c["frames/x"][10:, 0, 1] += 1e-6
+
+
 LAST = slice(None), -1
 KINDS = {
     "velocities times 3": ("arm", _times("v", 3.0)),
@@ -606,6 +630,11 @@ KINDS = {
     "limits that are said not to rebound": ("arm", _told("restitution", lambda e: 0.0)),
     "points of impulses off the bodies": ("gripper", _along_normals),
     "lengths of pieces": ("machine", _lengths),
+    "rougher materials": ("quadruped", _rougher),
+    "a box that is not where its frame is": ("gripper", _plus("q", 1e-9, (slice(10, None), 0))),
+    "a box that is somewhere else": ("gripper", _elsewhere),
+    "another bound about one axis of a ball joint": ("ball", _told("friction", lambda x: [*x[:2], 1.01 * x[2]])),
+    "less of it": ("ball", _told("friction", lambda x: [*x[:2], 0.99 * x[2]])),
     "friction of other materials": ("quadruped", _times("contacts/mu", 1.2)),
     "contacts that are said to rebound": ("quadruped", _plus("contacts/restitution", 0.5)),
     "a ball joint turned by 1e-7 rad in one state": ("snake", lambda c, s: _spun(c["q"][40, 7:11])),

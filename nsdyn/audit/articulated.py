@@ -68,15 +68,17 @@ def _who(names: list[str], which: Index) -> Callable[[int], list[str]]:
 
 
 def _places(poses: Poses, found: Trees) -> Iterator[Found]:
-    """Frames of links, gaps of loops and limits, in all states."""
-    t, frames = poses.trajectory, poses.scene["frames"]
-    states, size = range(t.steps + 1), np.zeros((t.steps + 1, len(found.links)))
-    off, far = np.zeros_like(size), np.zeros_like(size)
-    order = {frame: k for k, frame in enumerate(found.links)}
-    radius = np.zeros(len(order))
-    for geom, frame in enumerate(poses.frame):
-        if int(frame) in order:
-            radius[order[int(frame)]] = max(radius[order[int(frame)]], poses.bounding_radius[geom])
+    """Frames of bodies and links, gaps of loops and limits, in all states."""
+    t, frames, free = poses.trajectory, poses.scene["frames"], poses.free
+    states, off, far = range(t.steps + 1), *np.zeros((2, t.steps + 1, len(frames)))
+    radius = np.zeros(len(frames))
+    moving = poses.frame >= 0
+    np.maximum.at(radius, poses.frame[moving], poses.bounding_radius[moving])
+    if free and "frames/x" in t.columns:
+        off[:, :free] = np.linalg.norm(t.columns["frames/x"][:, :free] - poses.x[:, :free], axis=2)
+        turned = np.linalg.norm(t.columns["frames/quat"][:, :free] - poses.quaternion[:, :free], axis=2)
+        off[:, :free] += radius[:free] * turned
+        far[:, :free] = np.linalg.norm(poses.x[:, :free], axis=2)
     gaps, beyond, scales, ranges, labels = [], [], [], [], []
     for i, m in enumerate(found.mechanisms):
         own = [(frame, joint) for frame, (tree, joint) in found.links.items() if tree == i]
@@ -86,13 +88,13 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
             q = found.state(i, k)[0]
             m.place(q)
             for frame, joint in own:
-                pose, column = m.pose(joint), order[frame]
+                pose = m.pose(joint)
                 turn = matrix(poses.quaternion[k, frame]) - pose.rotation
                 norm = abs(float(np.linalg.norm(poses.quaternion[k, frame])) - 1.0)
-                off[k, column] = np.linalg.norm(poses.x[k, frame] - pose.translation) + radius[column] * (
+                off[k, frame] = np.linalg.norm(poses.x[k, frame] - pose.translation) + radius[frame] * (
                     np.linalg.norm(turn) + norm
                 )
-                far[k, column] = np.linalg.norm(pose.translation)
+                far[k, frame] = np.linalg.norm(pose.translation)
             angle = m.angle(q)
             beyond.append(np.maximum(m.lower - angle, angle - m.upper) / np.where(width > 0.0, width, 1.0))
             gaps.append(np.abs(m.constraints(q)[0]).max(initial=0.0))
@@ -100,10 +102,8 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
             ranges.append(width)
             labels.append((k, i))
     steps, which = np.indices(off.shape)
-    names = [frames[frame] for frame in found.links]
-    yield worst_of(
-        "links", (off / (radius + far + 1e-300)).ravel(), off.ravel(), "m", steps.ravel(), _who(names, which.ravel())
-    )
+    figure = (off / (radius + far + 1e-300)).ravel()
+    yield worst_of("links", figure, off.ravel(), "m", steps.ravel(), _who(frames, which.ravel()))
     k, i = np.array(labels).T
     trees_ = [m.name for m in found.mechanisms]
     looped = np.array([found.mechanisms[tree].loops > 0 for tree in i])

@@ -17,6 +17,9 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["energies", "momenta", "plain"]
 
+PARALLEL = 1e-6
+"""Square of the angle between normals, rad², that count as one."""
+
 
 def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     """Momentum and angular momentum of free bodies in every step, and how they move; None as of `contacts`."""
@@ -24,6 +27,10 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     reason = left_out(t)
     missing = not_audited("motion", "m", f"of every {t.every} steps one is recorded")
     yield _motion(poses, flight) if t.every == 1 else missing
+    if flight is None or not flight.timed:
+        yield not_audited("sideways", "m", reason or "when impulses acted is not recorded")
+    else:
+        yield _sideways(poses, flight)
     if t.meta.get("external_force", True) and free:
         known = "external_force" in t.meta
         reason = "external forces act" if known else "whether external forces act is not recorded"
@@ -89,6 +96,28 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
         extent[body] = min(extent[body], solid.extent)
     amount = np.maximum(left, (angles(there, back) - later) * radius)
     return of_bodies(poses, "motion", amount, np.broadcast_to(extent, amount.shape), "m")
+
+
+def _sideways(poses: Poses, flight: Flight) -> Found:
+    """How free bodies move otherwise than projections lift them, which is along normals of their contacts, m.
+
+    These turn as bodies roll, so that what is across them in the middle of a step may be as much as what is along.
+    """
+    t, free, eps = poses.trajectory, poses.free, float(np.finfo(float).eps)
+    normal, lines = t.columns["contacts/normal"], np.zeros((t.steps, free, 3, 3))
+    step = np.repeat(np.arange(t.steps), np.diff(t.columns["contacts/offset"]))
+    for geom in ("geom1", "geom2"):
+        body = poses.frame[t.columns[f"contacts/{geom}"].astype(np.int64)]
+        own = (body >= 0) & (body < free)
+        np.add.at(lines, (step[own], body[own]), normal[own, :, None] * normal[own, None])
+    sizes, axes = np.linalg.eigh(lines)
+    open_to = sizes > PARALLEL * np.maximum(sizes[..., -1:], 1.0)
+    parts = np.abs(np.einsum("nbij,nbi->nbj", axes, flight.lift))
+    along, across = (np.linalg.norm(np.where(some, parts, 0.0), axis=2) for some in (open_to, ~open_to))
+    speed = np.linalg.norm(velocities(poses), axis=2)
+    moved = t.dt * (speed[:-1] + speed[1:] + t.dt * float(np.linalg.norm(poses.scene["gravity"])))
+    rounded = 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
+    return of_bodies(poses, "sideways", across - along - flight.unknown - rounded, moved, "m")
 
 
 def _falls(t: Trajectory) -> Array:

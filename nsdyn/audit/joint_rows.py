@@ -68,6 +68,8 @@ class Acted(NamedTuple):
         Speeds up to which joints rest at their limits: what the forces before it change them by in two steps.
     most : float
         Largest impulse of the step, or momentum at its beginning, N·m·s.
+    doubt : ndarray, shape (nv,)
+        Of the velocities before and after the kick.
     """
 
     m: Mechanism
@@ -78,6 +80,7 @@ class Acted(NamedTuple):
     end: Array
     rest: Array
     most: float
+    doubt: Array
 
 
 def on_joints(found: Retraced) -> Iterator[Found]:
@@ -100,11 +103,13 @@ def _all(found: Retraced) -> Iterator[Acted]:
             q, begin = found.trees.state(i, k)[:2]
             sizes = [m.mass(q) @ begin, *(kick.given[:4] for kick in way.kicks)]
             most = max(float(np.abs(size).max(initial=0.0)) for size in sizes)
-            for kick, last in zip(way.kicks, way.flows[1::2], strict=True):
+            doubt = np.zeros(m.nv)
+            for kick, first, last in zip(way.kicks, way.flows[::2], way.flows[1::2], strict=True):
+                doubt = doubt + first.doubted[1]
                 before, after = kick.before, kick.after
                 along = np.array([begin, before, after, last.v, 0.5 * (before + after), after + before - begin])
-                yield Acted(m, label, k + 1, kick, along, m.angle(last.q), rest, most)
-                begin = last.v
+                yield Acted(m, label, k + 1, kick, along, m.angle(last.q), rest, most, doubt)
+                begin, doubt = last.v, doubt + last.doubted[1]
                 if kick.h:
                     rest = SOLVED + 2.0 * found.trees.trajectory.dt * np.abs(kick.rate)
 
@@ -145,6 +150,7 @@ def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
                 off = min(off, max(parted - ON, 0.0) / kick.h)
             elif abs(kick.before[j]) <= a.rest[j]:
                 off = min(off, abs(kick.after[j]))
+            off -= (1.0 + e) * a.doubt[j]
             rows.append((off / max(float(np.abs(a.along[:4]).max()), CREEP), off, a.step, a.label[j]))
     yield _worst("rebounds", rows)
     if shared:
@@ -167,15 +173,16 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
         if not some[on].any():
             continue
         j, pull, speeds = on[0], drag[on], a.along[:, on]
-        over = float(np.linalg.norm(pull)) - most_drag[j]
-        bound = over / max(most_drag[j], NOTHING * a.most, 1e-300), over, a.step, a.label[j]
+        least, most = most_drag[on].min(), most_drag[on].max()
+        over = float(np.linalg.norm(pull)) - least
+        bound = over / max(least, NOTHING * a.most, 1e-300), over, a.step, a.label[j]
         # Within a piece that begins and ends with other signs anything may be against the motion.
         speed = np.linalg.norm(speeds, axis=1)
         # What sticks takes any friction within its bound.
-        wasted = float(np.where(speed > STICKS, most_drag[j] * speed + speeds @ pull, 0.0).min())
+        wasted = float(np.where(speed > STICKS, most * speed + speeds @ pull, 0.0).min())
         turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
-        most = dt * a.m.friction[j] * (float(speed.max()) + CREEP)
-        figure = 0.0 if turns else wasted / max(most, 1e-300)
+        largest = dt * a.m.friction[on].max() * (float(speed.max()) + CREEP)
+        figure = 0.0 if turns else wasted / max(largest, 1e-300)
         yield bound, (figure, wasted, a.step, a.label[j])
 
 

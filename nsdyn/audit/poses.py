@@ -35,12 +35,11 @@ class Poses:
         self.trajectory, self.scene = trajectory, trajectory.scene
         t, n = trajectory, trajectory.steps
         self.free: int = self.scene["free"]
-        self.x, self.quaternion = (
-            t.q[:, : 7 * self.free].reshape(n + 1, -1, 7)[..., :3],
-            t.q[:, : 7 * self.free].reshape(n + 1, -1, 7)[..., 3:],
-        )
+        pose = t.q[:, : 7 * self.free].reshape(n + 1, -1, 7)
+        self.x, self.quaternion = pose[..., :3], pose[..., 3:]
         if "frames/x" in t.columns:
-            self.x, self.quaternion = t.columns["frames/x"], t.columns["frames/quat"]
+            links = t.columns["frames/x"][:, self.free :], t.columns["frames/quat"][:, self.free :]
+            self.x, self.quaternion = np.hstack([self.x, links[0]]), np.hstack([self.quaternion, links[1]])
         self.v = t.v[:, : 6 * self.free].reshape(n + 1, -1, 6)
         geoms = self.scene["geoms"]
         self.names = [geom["name"] for geom in geoms]

@@ -120,8 +120,7 @@ def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
         for part in (*kick.given, kick.pushed, *kick.stiff, kick.h * m.weight(kick.q))
     )
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
-    # The constants of two rules of one order differ by some times.
-    doubt = 10.0 * doubt if m.loops else np.minimum(10.0 * doubt, COARSE * speed * np.array([h, 1.0]))
+    doubt = doubt if m.loops else np.minimum(doubt, COARSE * speed * np.array([h, 1.0]))
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
     # What is left of the gaps of loops is looked at by itself.
     off = size(displacement(m.model, way.q, close(m, q)))

@@ -144,10 +144,17 @@ class Linkage:
         return np.array((np.abs(Z) <= HELD).all(axis=1)), np.array((np.abs(fields) <= HELD).all(axis=(1, 2)))
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Initial configuration and velocity with closed loops and driven joints at their speed."""
-        v = v.copy()
-        v[self._driven_at] = [motion.rate(0.0) for motion in self.driven]
-        return self.close(q), v
+        """Initial configuration and velocity with closed loops and driven joints at their speed.
+
+        Of a tree with loops or gears the velocity is the closest that they admit, in the kinetic metric.
+        """
+        v, q = v.copy(), self.close(q)
+        v[self._driven_at] = rates = [motion.rate(0.0) for motion in self.driven]
+        if self.closures is not None:
+            M, F, _ = factored(self.model, self.data, q)
+            B, P, Z = self._restrict(q, F)
+            v = Z @ (Z.T @ (M @ v)) + P @ np.concatenate((np.zeros(len(B) - len(rates)), rates))
+        return q, v
 
     def speeding(self, v: Array, rates: Array) -> Array:
         """Changes of v that bring the driven joints to their rates, shape (nv,), rad/s or m/s; 0 of others."""

@@ -25,6 +25,9 @@ RESOLVED = 0.1
 """Most that later passes may change the velocity that the first one, a linear one, foresees, as a fraction of it: a
 vibration may turn by a third of a rad, where the midpoint rule errs by a thousandth."""
 
+APART = 1e-6
+"""Speed at which loops open, as a fraction of the largest: without driven joints against them it is round-off."""
+
 
 def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Array, h: float) -> Flow:
     """Motion in pieces where a step of the implicit midpoint rule is too long to be solved or resolved.
@@ -45,6 +48,8 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Arr
     ------
     ArithmeticError
         Where no piece is short enough.
+    ValueError
+        Where driven joints keep loops from staying closed.
     """
     left, piece, mean, work = h, h, np.zeros_like(v), 0.0
     while True:
@@ -52,6 +57,12 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Arr
             new = _midpoint(model, data, closures, q, v, piece)
         except (ValueError, ArithmeticError) as failure:
             if piece <= h * 0.5**HALVINGS:
+                opening = _few.largest(closures.at(q)[1] @ v)
+                if closures.driven.size and opening > APART * _few.largest(v):
+                    raise ValueError(
+                        f"prescribed motions contradict: in {model.name!r} they open loops or gears by {opening:.3g} "
+                        f"rad/s or m/s: {failure}"
+                    ) from failure
                 raise ArithmeticError(
                     f"in {model.name!r} {fastest(model, v)}, too wildly to follow its loops in {piece:.3g} s: {failure}"
                 ) from failure

@@ -88,7 +88,7 @@ class Blocks(NamedTuple):
         # What each block of coordinates couples, then the sum where two contacts share both.
         codes, parts = [np.empty(0, np.int64)], [np.empty((0, 3, 3))]
         for n, m, a, b in zip(np.diff(self.offset), self.m_start, ends[:-1], ends[1:], strict=True):
-            H = self.H[start[a:b, None] + np.arange(3 * n)].reshape(-1, n)
+            H = self.H[start[a:b, None] + np.arange(3 * n)].reshape(3 * (b - a), n)
             W = H @ self.minv[m : m + n * n].reshape(n, n) @ H.T
             parts.append(0.5 * (W + W.T).reshape(b - a, 3, b - a, 3).swapaxes(1, 2).reshape(-1, 3, 3))
             codes.append((contact[a:b, None] * self.nc + contact[a:b]).ravel())

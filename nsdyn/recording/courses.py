@@ -16,8 +16,12 @@ __all__ = ["Course", "close", "move", "respond"]
 TURN, PARTS = 0.1, 64
 """Most that a part of a motion turns, rad, and most parts that it is begun with."""
 
-FINE, DOUBLINGS = 1e-11, 6
-"""Error by step doubling, as a fraction of the velocity, at which a motion is fine enough, and most doublings."""
+FINE, DOUBLINGS, HALVINGS = 1e-11, 7, 12
+"""Error by step doubling, as a fraction of the velocity, at which a motion is fine enough; most doublings to get there;
+and how often a motion that needs more of them is halved, as light links are fast for a short time."""
+
+CONSTANTS = 10.0
+"""How many times more the rule of the step may err than another of its order changes with half the step."""
 
 SLOW = 1e-10
 """Motion, rad or m, in which v changes by so small a fraction that it may be taken as constant."""
@@ -42,7 +46,7 @@ class Course(NamedTuple):
     mean : ndarray, shape (nv,)
         Mean velocity.
     doubted : ndarray, shape (2, nv)
-        How far the displacement and v change with half the step.
+        How far the displacement and v may differ by the rule of the step.
     work : float
         Of driven joints, J.
     """
@@ -63,20 +67,30 @@ def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, d
         return Course(np.array(pin.integrate(m.model, q, h * v)), v, v, np.zeros((2, m.nv)), 0.0)
     if m.loops:
         return _slide(m, q, v, h)
+    return _fly(m, q, v, h, tau, drive, HALVINGS)
+
+
+def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: Array | float, halvings: int) -> Course:
+    """Without loops: in parts that are doubled, in halves where that many would not do."""
     parts = min(PARTS, 1 + int(h * float(np.max(np.abs(v) * (m.turns > 0.0))) / TURN))
-    coarse, first = _fly(m, q, v, h, tau, drive, parts), np.empty(0)
-    for _ in range(DOUBLINGS):
+    coarse, first = _in_parts(m, q, v, h, tau, drive, parts), np.empty(0)
+    for k in reversed(range(DOUBLINGS)):
         parts *= 2
-        fine = _fly(m, q, v, h, tau, drive, parts)
+        fine = _in_parts(m, q, v, h, tau, drive, parts)
         change = np.abs([displacement(m.model, coarse[0], fine[0]), coarse[1] - fine[1]])
         first = first if first.size else change
         coarse = fine
         if change[1].max() <= FINE * np.abs(fine[1]).max():
             break
-    return Course(coarse[0], coarse[1], coarse[2], first, coarse[3])
+        if halvings and np.isfinite(v).all() and not change[1].max() <= 16.0**k * FINE * np.abs(fine[1]).max():
+            one = _fly(m, q, v, 0.5 * h, tau, drive, halvings - 1)
+            two = _fly(m, one.q, one.v, 0.5 * h, tau, drive, halvings - 1)
+            mean, doubted = 0.5 * (one.mean + two.mean), one.doubted + two.doubted
+            return Course(two.q, two.v, mean, doubted, one.work + two.work)
+    return Course(coarse[0], coarse[1], coarse[2], CONSTANTS * first, coarse[3])
 
 
-def _fly(
+def _in_parts(
     m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: Array | float, parts: int
 ) -> tuple[Array, Array, Array, float]:
     """The classical method of Runge and Kutta, on the displacement in each part, v and the work of driven joints."""
@@ -93,7 +107,7 @@ def _fly(
             power = float((M @ a - left)[m.driven] @ v[m.driven])
         else:
             a = pin.aba(model, m.data, there, v, force)
-        return (v if m.flat else np.linalg.solve(pin.dIntegrate(model, q, x, pin.ARG1), v)), a, power
+        return (v if m.flat else _in_chart(pin.dIntegrate(model, q, x, pin.ARG1), v)), a, power
 
     for _ in range(parts):
         x1, a1, p1 = rate(m.zero, v)
@@ -110,6 +124,14 @@ def _fly(
     return q, v, mean, work
 
 
+def _in_chart(turned: Array, v: Array) -> Array:
+    """Rate of a displacement that moves with v; NaN after a whole turn, where there is none."""
+    try:
+        return np.asarray(np.linalg.solve(turned, v), dtype=float)
+    except np.linalg.LinAlgError:
+        return np.full(v.size, np.nan)
+
+
 def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
     """On loops and gears, driven joints keeping their speed: one midpoint step, by which that motion is defined.
 
@@ -118,8 +140,8 @@ def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
     end, new, mean, work = _midpoint(m, q, v, h)
     there, half, _, _ = _midpoint(m, q, v, 0.5 * h)
     fine, last, _, _ = _midpoint(m, there, half, 0.5 * h)
-    doubted = np.abs([displacement(m.model, end, fine), new - last])
-    if not m.winding and doubted[1].max() <= RESOLVED * np.abs(v).max():
+    doubted = CONSTANTS * np.abs([displacement(m.model, end, fine), new - last])
+    if not m.winding and doubted[1].max() <= CONSTANTS * RESOLVED * np.abs(v).max():
         doubted[:] = 0.0
     return Course(end, new, mean, doubted, work)
 

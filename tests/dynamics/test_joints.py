@@ -511,6 +511,20 @@ def test_driven_bodies_do_not_go_through_each_other():
         nd.simulate(scene, 0.1, 5e-2)
 
 
+def test_a_box_that_driven_fingers_squeeze_is_told():
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("box", (0.1, 0.1, 0.1), 1.0, position=(0, 0, 0.05))
+    for name, side in (("left", -1.0), ("right", 1.0)):
+        model = pin.Model()
+        model.addJoint(0, pin.JointModelPX(), at((0.07 * side, 0, 0.05)), "slide")
+        model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), at((0, 0, 0)))
+        add(scene, name, limit(model), collisions={"slide": [shapes.box((0.02, 0.05, 0.05))]})
+        scene.set_motion(f"{name}/slide", velocity=-0.1 * side)
+    with pytest.raises(nd.NotConverged, match=r"prescribed motions that contradict each other.*'box'"):
+        nd.simulate(scene, 0.2, 5e-3, on_fail="raise")
+
+
 def test_a_driven_joint_ends_at_its_limit():
     def driven(upper):
         scene, model = nd.Scene(), pendulum(1)

@@ -225,6 +225,39 @@ def test_a_motion_on_loops_that_cannot_be_followed_is_named():
         t.flow(q, v, 1e-2)
 
 
+def test_a_start_has_velocities_that_gears_admit():
+    """The closest in the kinetic metric, beside a driven joint its own; sliders turn nothing."""
+    model = limit(pin.Model())
+    for name, mass in (("a", 1.0), ("b", 2.0)):
+        joint = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), name)
+        model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    for driven in (False, True):
+        scene = nd.Scene()
+        add(scene, "a", model, v=(1.0, 0.5))
+        scene.add_gear("a", "a", "b", 2.0)
+        if driven:
+            scene.set_motion("a/a", velocity=0.3)
+        run = nd.simulate(scene, 0.02, 5e-3)
+        speed = 0.3 if driven else (1.0 * 1.0 + 2.0 * 2.0 * 0.5) / (1.0 + 2.0 * 2.0**2)
+        np.testing.assert_allclose(run.v, np.tile((speed, 2.0 * speed), (5, 1)), rtol=0, atol=1e-14)
+        assert nd.check(run).passed and abs(run.energy.constraint.sum()) <= 1e-15
+
+
+def test_driven_joints_that_open_a_gear_are_told():
+    model = limit(pin.Model())
+    for name in ("a", "b"):
+        joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), name)
+        model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
+    scene = nd.Scene()
+    add(scene, "wheels", model)
+    scene.add_gear("wheels", "a", "b", 2.0)
+    for name in ("a", "b"):
+        scene.set_motion(f"wheels/{name}", velocity=1.0)
+    told = r"prescribed motions contradict: in 'wheels' they open loops or gears by .* rad/s .*gear 'wheels/b'"
+    with pytest.raises(ValueError, match=told):
+        nd.simulate(scene, 0.1, 5e-3)
+
+
 def test_loops_that_cannot_close_are_refused():
     model = limit(pin.Model())
     joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "j")

@@ -97,10 +97,10 @@ def test_gap_bounds_the_velocity_error(rng):
 
 
 def test_blocks_against_dense(rng):
-    """H, M⁻¹ and W of random blocks of different sizes, fixed sides included; W is symmetric to the last bit."""
-    sizes, nc = np.array([6, 3, 6, 7]), 9
+    """H, M⁻¹ and W of random blocks of different sizes, fixed sides and driven trees included; W is symmetric."""
+    sizes, nc = np.array([6, 3, 6, 7, 0]), 10
     offset = np.concatenate(([0], np.cumsum(sizes)))
-    block = np.array([[0, 1], [1, -1], [-1, 2], [2, 3], [3, 0], [0, -1], [1, 2], [3, -1], [0, 1]])
+    block = np.array([[0, 1], [1, -1], [-1, 2], [2, 3], [3, 0], [0, -1], [1, 2], [3, -1], [0, 1], [4, 2]])
     start, h = np.zeros((nc, 2), np.int64), []
     for c in range(nc):
         for s in range(2):

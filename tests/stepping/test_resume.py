@@ -249,7 +249,7 @@ def test_every_nth_step_keeps_the_ledger_closed(tmp_path):
     audit = nd.check(few)
     assert audit.passed and audit["balance"].looked_at == 8 and not audit["overlap"].reason
     left_out = {f.name for f in audit.findings if f.reason}
-    assert left_out == {"distance", "normal", "points", "motion", "momentum", "spin", "works"}
+    assert left_out == {"distance", "normal", "points", "motion", "sideways", "momentum", "spin", "works"}
 
 
 def test_recording_without_contacts(tmp_path):
