@@ -112,9 +112,8 @@ def _solve(
             r, u = solution.r.copy(), solution.u.copy()
             _workless.thaw(label, off, islands, (kept.r, kept.u), (r, u))
             solution = solution._replace(r=r, u=u)
-        shown = solution.r, solution.u, problem.q
-        own = label, islands, changed
-        if not _workless.reconsider_some(*shown, met.mu, met.local, slides, back or k > 0, *own):
+        shown, own = (solution.r, solution.u, problem.q, met.mu), (label, islands, changed)
+        if not _workless.reconsider_some(shown, met.local, slides, back or k > 0, *own):
             return problem, _held(met, solver, problem, solution), False
         if k < most:
             kept, off = solution, changed.copy()

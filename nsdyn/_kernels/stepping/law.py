@@ -287,13 +287,13 @@ def pose(blocks, here, begin, velocities, warm, laws, scales, out):
 
 
 @in_place
-def reconsider(r, y, b, mu, local, slides, back):
-    """Change `slides` (nc,) where the solution y = W r + b shows otherwise, and tell whether any has.
+def reconsider(solution, local, slides, back):
+    """Change `slides` (nc,) where the solution (r, y, b, mu), y = W r + b, shows otherwise, and tell whether any has.
 
     One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
     stop but slips on in the direction it had slides through, unless it is only looked `back`.
     """
-    u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
+    (r, y, b, mu), (u_begin, u, u_free, drift) = solution, (local[0], local[1], local[2], local[3])
     some = False
     for c in range(slides.size):
         i = 3 * c

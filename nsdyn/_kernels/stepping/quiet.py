@@ -131,13 +131,13 @@ def set_out(s, first, warm, next_key, barred, asks, step, room):
 
 
 @in_place
-def meet(s, contacts, warm, rooms, flags, barred, b_old, w, head):
+def meet(s, contacts, warm, rooms, flags, barred, room):
     """Which of the contacts, (where the move begins, found), it meets, if not all: `DONE`, or `MORE` without room.
 
-    rooms = (of what is met, numbers in the rows of W of a contact).
+    rooms = (of what is met, most numbers of a contact), room = (old state, what is at work, integers).
     """
     scene, (_, _, inscribed), _, _, _, _, movers, movers_begun = s
-    num, (first, found), (room, wide) = scene[0], contacts, rooms
+    num, (first, found), (into, wide), (b_old, w, head) = scene[0], contacts, rooms, room
     nc = found[0].shape[1]
     head[col.MET], head[col.SOME], head[col.NEEDED] = nc, 0, nc
     if num[col.ELASTIC] == 0.0 and touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
@@ -145,10 +145,10 @@ def meet(s, contacts, warm, rooms, flags, barred, b_old, w, head):
     kept = flags[col.OFF, :nc]
     head[col.MET] = catch(scene, (movers_begun, movers, inscribed), contacts, warm, b_old, w, barred, kept)
     if head[col.MET] < nc:
-        if wide * head[col.MET] > room[0].size:
+        if wide * head[col.MET] > into[0].size:
             return MORE
-        take(found, kept, col.contacts(room, head[col.MET]))
-        room[1][col.FOUND_NAMES * head[col.MET] + col.MADE], head[col.SOME] = 0, 1
+        take(found, kept, col.contacts(into, head[col.MET]))
+        into[1][col.FOUND_NAMES * head[col.MET] + col.MADE], head[col.SOME] = 0, 1
     return DONE
 
 
@@ -213,10 +213,26 @@ def solved(s, rows, met, flags, known, label, head, room):
 
 
 @in_place
-def told(s, rows, met, now, direction, flags, status, head, b_old, room):
-    """What a step did, if it met nothing: `DONE`, `EVENT`, or `OTHERWISE` where contacts add too much energy."""
+def goes(s, b, w, out):
+    """Whether contacts are others where the move ends than where its impulses act, and where they are looked for."""
+    (num, size), (arm, _, _) = s[0], s[1]
+    n = size[0]
+    there = col.vectors(b, col.X, n), col.rotations(b, col.R, n), col.column(w, col.NEAR, n)
+    looked = col.placed(w, col.LOOKED_THERE, n)
+    out[col.GOES] = 0.0 if touching.unmoved(looked, there, arm, num[col.STILL]) else 1.0
+    touching.look(looked, there, arm, num[col.STILL], col.placed(b, col.LOOKED, n))
+    return out[col.GOES] > 0.0
+
+
+@in_place
+def told(s, rows, contacts, begun, flags, status, head, room):
+    """What a step did, if it met nothing: `DONE`, `EVENT`, or `OTHERWISE` where contacts add too much energy.
+
+    contacts = (met, found at its end), begun = (old state, direction of the last certificate).
+    """
     scene, (_, nowhere, inscribed), inertia, _, loads, _, movers, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
+    (met, now), (b_old, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
     if not eventless(num, inscribed, met, now, flags, status, spins, room):
@@ -281,7 +297,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD`, `MORE`, `MOVE` or `EVENT`.
     """
     s, (out, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = opened(system), new, old, work
-    (num, size), (arm, _, _), masses = s[0], s[1], s[5]
+    (num, size), masses = s[0], s[5]
     n, room, was, head, wide = size[0], states.size, status_old.size, whole[: col.HEAD], col.ROWS + int(num[col.WIDE])
     last = col.RESULTS + col.FRAME * n + col.COORDINATE * size[1]
     b, b_old, a = out[col.RESULTS : last], f_old[col.RESULTS : last], out[last:]
@@ -303,7 +319,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         met_of = rooms[0]
     found = col.contacts(met_of, head[col.MIDDLE])
     if starts:
-        code = meet(s, (first, found), warm, (rooms[1], wide), flags, barred, b_old, w, head)
+        code = meet(s, (first, found), warm, (rooms[1], wide), flags, barred, (b_old, w, head))
         if code != DONE:
             return code
     nc = head[col.MET]
@@ -328,11 +344,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
                 code = solved(s, rows, met, flags, known, label, head, work_room)
                 if code != DONE:
                     return code
-            there, looked = (col.vectors(b, col.X, n), col.rotations(b, col.R, n)), col.placed(b, col.LOOKED, n)
-            where, near = col.placed(w, col.LOOKED_THERE, n), (*there, col.column(w, col.NEAR, n))
-            out[col.GOES] = 0.0 if touching.unmoved(where, near, arm, num[col.STILL]) else 1.0
-            touching.look(where, near, arm, num[col.STILL], looked)
-            if out[col.GOES] > 0.0 and asks:
+            if goes(s, b, w, out) and asks:
                 return LOOK_AHEAD
         now = found
         if out[col.GOES] > 0.0:
@@ -347,4 +359,4 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         if head[col.GAPS_LEFT] == 0 or not corrects(num, n, met, now, flags, work_room):
             break
         head[col.GAPS_LEFT], stage, known = head[col.GAPS_LEFT] - 1, DONE, SOLVE
-    return told(s, rows, met, now, direction, flags, acted[2], head, b_old, work_room) if step else DONE
+    return told(s, rows, (met, now), (b_old, direction), flags, acted[2], head, work_room) if step else DONE

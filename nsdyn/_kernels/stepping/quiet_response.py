@@ -59,7 +59,7 @@ def first_solve(scene, rows, met, flags, label, room):
         return SOLVE
     out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
     copy(slides, before)
-    if law.reconsider(r, u, b, mu, local, slides, False):
+    if law.reconsider((r, u, b, mu), local, slides, False):
         copy(before, slides)
         return SOLVED
     _blocks.velocity_change(blocks, r, change)
@@ -69,20 +69,41 @@ def first_solve(scene, rows, met, flags, label, room):
 
 
 @kernel
-def slip_otherwise(blocks, solution, local, slides, solved, before, changed):
-    """Whether contacts slip otherwise than foreseen, into `changed` (nc,), after so many solves more for them.
+def slip_otherwise(blocks, solution, laws, kept, flags, head, out):
+    """Whether contacts slip otherwise than a solution of Python foresaw; then that is the next problem.
 
-    What those before changed nothing of is as it was `before`, (r, u); then that is what it is now. solution = (r, u,
-    b, mu).
+    What the problems before it changed nothing of is as it was `kept`, (r, u); then that is what it is now. solution =
+    (r, u, b, mu, local), laws as of `law.offsets`.
     """
-    r, u, b, mu = solution
-    label, n = np.empty(slides.size, np.int64), r.size
+    (r, u, b, mu, local), nc, n = solution, solution[3].size, solution[0].size
+    slides, changed, solved = flags[col.SLIDES, :nc], flags[col.OTHER, :nc], head[col.SOLVED]
+    label = np.empty(nc, np.int64)
     islands = np.ones(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
     if solved > 0:
-        thaw(label, changed, islands, (before[:n], before[n:]), (r, u))
-    copy(r, before[:n])
-    copy(u, before[n:])
-    return reconsider_some(r, u, b, mu, local, slides, solved > 0, label, islands, changed)
+        thaw(label, changed, islands, (kept[:n], kept[n:]), (r, u))
+    copy(r, kept[:n])
+    copy(u, kept[n:])
+    if not reconsider_some((r, u, b, mu), local, slides, solved > 0, label, islands, changed):
+        return False
+    law.offsets(local, laws, flags[col.STAYS, :nc], slides, b)
+    norm, _ = _blocks.size_of(b, mu)
+    out[col.NORM] = norm if norm > 0.0 else 1.0
+    head[col.SOLVED] += 1
+    return True
+
+
+@kernel
+def pose_anew(blocks, solution, alone, laws, dv, flags, head):
+    """The problem with the gaps that contacts were found to end with, and what couples add; from the last impulses."""
+    (r, u, b, _, local), nc = solution, solution[3].size
+    for k in range(5):
+        copy(alone[k], local[k])
+    if head[col.TURNED]:
+        _blocks.relative_velocity(blocks, dv, u)
+        for i in range(u.size):
+            local[2, i] += u[i]
+    law.offsets(local, laws, flags[col.STAYS, :nc], flags[col.SLIDES, :nc], b)
+    copy(local[4], r)
 
 
 @kernel
@@ -93,64 +114,42 @@ def respond(scene, bodies, rows, met, flags, known, head, room):
     were found to end with. scene = (numbers, size), bodies = (inverse_J, arm).
     """
     (num, size), (inverse_J, arm), (blocks, _, scales), (out, w, own, a) = scene, bodies, rows, room
-    nc, none = scales.size, own[:0]
-    n, mu, laws_of = size[0], met[2][1], met[2][2]
-    v, v_free, turned = (
-        col.velocity(w, col.V_THERE, size),
-        col.velocity(w, col.V_FREE, size),
-        col.velocity(w, col.V_TURNED, size),
-    )
-    local, alone = (
-        own[: col.ALONE * nc].reshape((5, 3 * nc)),
-        own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc)),
-    )
-    end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
-    slides, stays, off = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.OFF, :nc]
-    couple, dv, change = (
+    nc, mu, R = scales.size, met[2][1], col.rotations(w, col.R_THERE, size[0])
+    alone = own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc))
+    stays, other = flags[col.STAYS, :nc], flags[col.OTHER, :nc]
+    couple, dv, change, mean, left_over = (
         col.vectors(a, col.COUPLE, nc),
         col.velocity(w, col.TURN, size),
         col.velocity(w, col.CHANGE, size),
+        col.velocity(w, col.V_MEAN, size),
+        col.column(own, col.LEFT_OVER, nc),
     )
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    mean = col.velocity(w, col.V_MEAN, size)
-    laws = end_gap, laws_of, none, late, closing_of(num)
-    kept_r, kept_u, left_over = r, u, col.column(own, col.LEFT_OVER, nc)
+    local = own[: col.ALONE * nc].reshape((5, 3 * nc))
+    laws = col.column(own, col.FORESEEN, nc), met[2][2], own[:0], col.column(own, col.LATE, nc), closing_of(num)
+    solution, last, off = (r, u, b, mu, local), (r, u), flags[col.OFF, :0]
     left_over[:] = np.inf
     if known == AGAIN:
-        before = own[col.KEPT * nc : (col.KEPT + 6) * nc]
-        if slip_otherwise(blocks, (r, u, b, mu), local, slides, head[col.SOLVED], before, flags[col.OTHER, :nc]):
-            if head[col.SOLVED] == SOLVES:
-                return OTHERWISE
-            law.offsets(local, laws, stays, slides, b)
-            head[col.SOLVED] += 1
-            norm, _ = _blocks.size_of(b, mu)
-            out[col.NORM] = norm if norm > 0.0 else 1.0
-            return SOLVE
+        if slip_otherwise(blocks, solution, laws, own[col.KEPT * nc : (col.KEPT + 6) * nc], flags, head, out):
+            return SOLVE if head[col.SOLVED] <= SOLVES else OTHERWISE
         _blocks.velocity_change(blocks, r, change)
     elif known == SOLVE:
-        kept_r, kept_u = r.copy(), u.copy()
-        for k in range(5):
-            copy(alone[k], local[k])
-        if head[col.TURNED]:
-            _blocks.relative_velocity(blocks, dv, u)
-            for i in range(u.size):
-                local[2, i] += u[i]
-        law.offsets(local, laws, stays, slides, b)
-        copy(local[4], r)
+        last, off = (r.copy(), u.copy()), flags[col.OFF, :nc]
+        pose_anew(blocks, solution, alone, laws, dv, flags, head)
     passes = PASSES if stays.any() else 0
     limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
     code, left, _, solved, error, residual, count = workless(
         blocks,
         (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
-        (v, v_free),
-        (col.rotations(w, col.R_THERE, n), inverse_J, arm, num[col.STEP]),
-        (mu, scales, alone, kept_r, kept_u),
-        (stays, flags[col.STICKS, :nc], slides),
+        (col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
+        (R, inverse_J, arm, num[col.STEP]),
+        (mu, scales, alone, *last),
+        (stays, flags[col.STICKS, :nc], flags[col.SLIDES, :nc]),
         laws,
-        off if known == SOLVE else off[:0],
+        off,
         (num[col.OWN] > 0.0, num[col.ENOUGH], num[col.GOOD], limits, num[col.TOL], SOLVES),
         (known != AGAIN, False, passes, (known == SOLVED, int(out[col.COUNT]), out[col.ERROR], out[col.RESIDUAL])),
-        (couple, dv, change, mean, left_over, flags[col.OTHER, :nc], local, b, r, u),
+        (couple, dv, change, mean, left_over, other, local, b, r, u),
     )
     if code == UNSOLVED:
         return OTHERWISE
@@ -159,8 +158,8 @@ def respond(scene, bodies, rows, met, flags, known, head, room):
     if left < passes:
         head[col.TURNED] = 1
     if head[col.TURNED]:
-        R, works = col.rotations(w, col.R_THERE, n), col.column(own, col.COUPLE_WORK, nc)
-        persistence.works(met[0][2], met[0][3], size[2], R, mean, couple, works)
+        persistence.works(met[0][2], met[0][3], size[2], R, mean, couple, col.column(own, col.COUPLE_WORK, nc))
+        v_free, turned = col.velocity(w, col.V_FREE, size), col.velocity(w, col.V_TURNED, size)
         for i in range(turned.size):
             turned[i] = v_free[i] + dv[i]
     norm, _ = _blocks.size_of(b, mu)

@@ -37,14 +37,14 @@ def thaw(label, some, islands, before, after):
 
 
 @in_place
-def reconsider_some(r, u, b, mu, local, slides, back, label, islands, changed):
+def reconsider_some(solution, local, slides, back, label, islands, changed):
     """`reconsider` the contacts of some `islands` alone, by labels (nc,), of all if it is empty.
 
     Into changed (nc,) which slide otherwise.
     """
     for c in range(slides.size):
         changed[c] = slides[c]
-    reconsider(r, u, b, mu, local, slides, back)
+    reconsider(solution, local, slides, back)
     some = False
     for c in range(slides.size):
         if islands.size > 0 and not islands[label[c]]:
@@ -52,6 +52,33 @@ def reconsider_some(r, u, b, mu, local, slides, back, label, islands, changed):
         changed[c] = slides[c] != changed[c]
         some = some or changed[c]
     return some
+
+
+@kernel
+def turn_otherwise(blocks, contacts, mean, bodies, pressed, flags, laws, alone, state):
+    """`turn`, where others do less work in place of what acts; whether any do.
+
+    Parameters
+    ----------
+    blocks, contacts, mean, bodies, pressed, flags, laws : tuple
+        As of `turn`.
+    alone : ndarray, shape (5, 3 rows)
+        `local` without couples.
+    state : tuple
+        As of `workless`.
+    """
+    couple, dv, _, _, left, other, local, b, _, _ = state
+    turned, acting, met, q = couple.copy(), dv.copy(), alone.copy(), b.copy()
+    found = turned, acting, left, other
+    if not turn(blocks, contacts, mean, bodies, pressed, flags, laws, found, (met, q)):
+        return False
+    copy(acting, dv)
+    copy(q, b)
+    for k in range(local.shape[0]):
+        copy(met[k], local[k])
+    for c in range(couple.shape[0]):
+        copy(turned[c], couple[c])
+    return True
 
 
 @kernel
@@ -90,7 +117,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
     (before, free), (first, back, passes, (known, count, error, residual)) = velocities, begin
     (mu, scales, alone, last_r, last_u), (stays, _, slides) = given, flags
     own, enough, good, limits, tol, most = solver
-    couple, dv, change, mean, left, other, local, b, r, u = state
+    _, dv, change, mean, _, other, local, b, r, u = state
     names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
     label, changed = np.empty(mu.size, np.int64), np.empty(slides.size, np.bool_)
     islands = np.empty(0, np.bool_)
@@ -103,17 +130,9 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
                 mean[i] = 0.5 * (before[i] + (free[i] + dv[i]) + change[i])
             if passes == 0 or not turns(mean, bodies[1].shape[0], bodies[3]):
                 break
-            turned, acting, met, q = couple.copy(), dv.copy(), alone.copy(), b.copy()
-            others = turned, acting, left, other
-            if not turn(blocks, contacts, mean, bodies, (r, mu), flags, laws, others, (met, q)):
+            if not turn_otherwise(blocks, contacts, mean, bodies, (r, mu), flags, laws, alone, state):
                 break
             passes, back = passes - 1, True
-            copy(acting, dv)
-            copy(q, b)
-            for k in range(local.shape[0]):
-                copy(met[k], local[k])
-            for c in range(couple.shape[0]):
-                copy(turned[c], couple[c])
             last_r, last_u, off = r.copy(), u.copy(), other
         if not own:
             return SOLVE, passes, otherwise, solved, error, residual, count
@@ -136,7 +155,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
             solved, known = solved + 1, False
             if some.size:
                 thaw(label, some, islands, (kept_r, kept_u), (r, u))
-            if not reconsider_some(r, u, b, mu, local, slides, back or k > 0, label, islands, changed):
+            if not reconsider_some((r, u, b, mu), local, slides, back or k > 0, label, islands, changed):
                 break
             if k < most:
                 offsets(local, laws, stays, slides, b)
