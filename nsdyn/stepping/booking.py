@@ -111,11 +111,25 @@ def tree_works(
 ) -> tuple[Works, Energies]:
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
-    From their energies `before`. Trees that are not among the nodes `left` are passed over.
-
-    The forces leave v, with the impulses H r of contacts and joint rows; acted = (joints, links), as of `Impulses`:
-    those of actuation, of external wrenches and the most that actuators may give go into rows 0, 3 and 5 of the joints,
-    the change of velocity of driven joints into row 6, the wrenches into the links.
+    Parameters
+    ----------
+    s : System
+    before : tuple of (float, float)
+        Their energies where the move begins.
+    half : Half
+    v : ndarray, shape (n,)
+        What the forces leave, with the impulses.
+    ends : tuple of TreeEnd
+    impulse : ndarray, shape (n,)
+        H r of contacts and joint rows.
+    lifted : Position
+    acted : (ndarray, ndarray)
+        (joints, links), as of `Impulses`. The impulses of actuation, of external wrenches and the most that actuators
+        may give go into rows 0, 3 and 5 of the joints, the change of velocity of driven joints into row 6, the wrenches
+        into the links.
+    own : Works
+    left : ndarray of bool, optional
+        Nodes; trees that are not among them are passed over.
     """
     external, normal, friction, damping, constraint, integration, projection = own
     energies, (joints, links), link = [], acted, 0

@@ -167,7 +167,7 @@ class Encounter(NamedTuple):
         full, nc = rows.full, contacts.gap.size
         if closing is not None and rows.blocks is full and full.nc == nc and not dynamics.surfaces.count:
             velocities = v_begin, middle.v, forces.v
-            return cls._posed(contacts, rows, frame, velocities, there.x, begin, reach, h, closing)
+            return cls._posed(contacts, (rows, frame), velocities, there.x, begin, reach, h, closing)
         nr = full.nc
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
@@ -206,8 +206,7 @@ class Encounter(NamedTuple):
     def _posed(
         cls,
         c: ContactSet,
-        rows: Rows,
-        frame: Array,
+        made: tuple[Rows, Array],
         velocities: tuple[Array, Array, Array],
         x: Array,
         begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
@@ -215,8 +214,8 @@ class Encounter(NamedTuple):
         h: float,
         closing: Closing,
     ) -> Encounter:
-        """Contacts alone of bodies that nothing constrains nor drives, with their problem."""
-        old, _, place, twists, _, warm = begin
+        """Contacts alone of bodies that nothing constrains nor drives, with their problem; made = (rows, frames)."""
+        (rows, frame), (old, _, place, twists, _, warm) = made, begin
         full, nc = rows.full, c.gap.size
         scales, local, end_gap, b = np.empty(nc), np.empty((5, 3 * nc)), np.empty(nc), np.empty(3 * nc)
         where, slides = np.empty(nc, np.int64), np.empty(nc, np.bool_)

@@ -183,25 +183,15 @@ def _respond(
     not where nodes have a label (nodes,), that of their island. Then nothing is done to an island because of another,
     and that is left to see who asks.
     """
-    d, middle, forces, (contacts, joints, found, memory, looked) = s.dynamics, half.middle, half.forces, reach
-    closing = s.closing(half.h, barred is None)
-    start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
-    every, at, moving = d.with_actuators(joints, forces), middle.seen(looked), half.surfaces[1:]
-    met = Encounter.of(d, contacts, every, at, forces, start, half.reach, moving, half.h, half.ahead, closing)
-    impact: Impact | None = None
-    kick: Array | float = 0.0
-    if label is None:
-        met, impact, kick = caught_impacts(s, met, middle.placement, half.rate, half.h)
-    pair = s.detector.codes(contacts)
-    before = begin.contacts, _limits(s, met.joints, begin.placement)
-    met = met.lasting(pair, begin.warm, before, s.closed, half.h, impact is not None)
+    d, middle, forces, found, looked = s.dynamics, half.middle, half.forces, reach.found, reach.looked
+    met, impact, kick = _encounter(s, begin, half, reach, barred, label)
     slides = foresee(met)
     if last is not None:
         met = met.otherwise()
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if rough or barred is None else (SOLVES, last is not None)
-    way = Way(closing, back, most, rough, SHARES if label is None else 0)
+    way = Way(s.closing(half.h, barred is None), back, most, rough, SHARES if label is None else 0)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     alone, couple = met, NO_COUPLE
@@ -218,24 +208,13 @@ def _respond(
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
         twists, same = d.twists(there, v_end), s.unmoved(looked, there, near)
         if same:
-            moved = Placed(end, there, found, d.limits(there), memory, looked, True)
+            moved = Placed(end, there, found, d.limits(there), reach.memory, looked, True)
         else:
-            moved = place(d, s.detector, end, there, memory, s.look(looked, there.x, there.R, near))
-        if not left or not met.stays.any():
+            moved = place(d, s.detector, end, there, reach.memory, s.look(looked, there.x, there.R, near))
+        ending = _ending(s, half, alone, solution.r, moved, v_end) if left and met.stays.any() else None
+        if ending is None:
             break
-        gap = s.detector.gaps(contacts, moved.contacts, Poses(there.x, there.R))
-        if met.joints is not None:
-            gap = np.concatenate((gap, _limits(s, met.joints, there)))
-        off = alone.off(gap, solution.r, s.closed)
-        if off is None:
-            break
-        parts = parting(d, moved.contacts, there, v_end, end.driven_x, half.surfaces[2])
-        rates = NOTHING if met.joints is None else d.joints.rates(met.joints.slot, v_end)
-        ended = moved.contacts.key, parts, rates
-        further = alone.corrected(gap, off, solution.r, s.closed, half.ahead, ended)
-        if further is None:
-            break
-        alone, known = further, solution
+        (alone, off), known = ending, solution
     return half, Response(
         met=met,
         impact=impact,
@@ -251,8 +230,42 @@ def _respond(
         trees=trees,
         twists=twists,
         moved=moved,
-        normal=solution.r[0 : 3 * contacts.gap.size : 3],
+        normal=solution.r[0 : 3 * reach.contacts.gap.size : 3],
     )
+
+
+def _encounter(
+    s: System, begin: Instant, half: Half, reach: Reach, barred: Index | None, label: Index | None
+) -> tuple[Encounter, Impact | None, Array | float]:
+    """What the second half meets, with impacts that it catches and their change of v."""
+    d, contacts, closing = s.dynamics, reach.contacts, s.closing(half.h, barred is None)
+    start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
+    every, at = d.with_actuators(reach.joints, half.forces), half.middle.seen(reach.looked)
+    where = half.reach, half.surfaces[1:], half.h, half.ahead
+    met = Encounter.of(d, contacts, every, at, half.forces, start, *where, closing)
+    impact: Impact | None = None
+    kick: Array | float = 0.0
+    if label is None:
+        met, impact, kick = caught_impacts(s, met, half.middle.placement, half.rate, half.h)
+    before = begin.contacts, _limits(s, met.joints, begin.placement)
+    pair = s.detector.codes(contacts)
+    return met.lasting(pair, begin.warm, before, s.closed, half.h, impact is not None), impact, kick
+
+
+def _ending(
+    s: System, half: Half, met: Encounter, r: Array, moved: Placed, v_end: Array
+) -> tuple[Encounter, Bools] | None:
+    """What is met with the gaps that rows end with, and which rows these are; None where they end as they should."""
+    d, there, joints = s.dynamics, moved.placement, met.joints
+    gap = s.detector.gaps(met.contacts, moved.contacts, Poses(there.x, there.R))
+    if joints is not None:
+        gap = np.concatenate((gap, _limits(s, joints, there)))
+    if (off := met.off(gap, r, s.closed)) is None:
+        return None
+    parts = parting(d, moved.contacts, there, v_end, moved.position.driven_x, half.surfaces[2])
+    rates = NOTHING if joints is None else d.joints.rates(joints.slot, v_end)
+    further = met.corrected(gap, off, r, s.closed, half.ahead, (moved.contacts.key, parts, rates))
+    return None if further is None else (further, off)
 
 
 def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:

@@ -171,16 +171,22 @@ class Mover:
                     self._load(motion, work[0])
                 stage, ready, head = _meeting.DONE, False, work[1]
                 continue
-            if code == _meeting.MOVE:
-                if motion is None or not self._move(motion, new[0], work[0]):
-                    return None
-            elif code != _meeting.SOLVE:
-                ahead = code == _meeting.LOOK_AHEAD
-                columns = new[0][_col.RESULTS :] if ahead else work[0]
-                detector.ask(*looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, self._size[0]))
-            elif not self._solve(self._made(new, rooms, work, begun, False)):
+            if code == _meeting.SOLVE:
+                good = self._solve(self._made(new, rooms, work, begun, False))
+            else:
+                good = self._go_on(code, motion, new[0], work[0])
+            if not good:
                 return None
             stage, ready = code, True
+
+    def _go_on(self, code: int, motion: Motion | None, floats: Array, work: Array) -> bool:
+        """Do what the kernel asks for, but for a solve; whether the move goes on."""
+        if code == _meeting.MOVE:
+            return motion is not None and self._move(motion, floats, work)
+        ahead = code == _meeting.LOOK_AHEAD
+        columns = floats[_col.RESULTS :] if ahead else work
+        self._detector.ask(*looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, self._size[0]))
+        return True
 
     def _load(self, motion: Motion, work: Array) -> None:
         """Where a step has come to halfway, and what acts there."""

@@ -163,7 +163,20 @@ def _moves(
 ) -> tuple[Passage, bool]:
     """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
 
-    Where they were goes into the path. Of a move all the way, without impacts before it, something may be known.
+    Parameters
+    ----------
+    s : System
+    loads : callable
+    begin : Instant
+    end, h : float
+        s.
+    rate : ndarray, shape (n,)
+        Free acceleration at the beginning, m/s² and rad/s².
+    path : list of Placement
+        Where bodies were goes into it.
+    effort : Effort
+    begun : Begun
+        With a move all the way, without impacts before it.
     """
     now, left, clear, sunk = begin, h, True, False
     done: list[Impulses] = []
@@ -215,8 +228,22 @@ def _until_event(
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
-    Or to where a slip turns round, but not `soon`, s. Of the move of h seconds something may be known. Too long take
-    so many moves as would be too much to try, and what has just `struck` may be in a row of impacts.
+    Or to where a slip turns round. Too long take so many moves as would be too much to try.
+
+    Parameters
+    ----------
+    s : System
+    loads : callable
+    begin : Instant
+    t, h : float
+        Where it begins and how long it lasts at most, s.
+    soon : float
+        Before this, s, slip that turns round is not located.
+    effort : Effort
+    begun : Begun
+        With the move of h seconds.
+    struck : bool
+        Whether anything has just struck, and may be in a row of impacts.
     """
 
     def capture(begun: Begun) -> tuple[float, Trial]:

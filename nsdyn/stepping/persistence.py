@@ -122,11 +122,15 @@ def solve_workless(
         most = left if again.converged and way.most else min(left, int(again.accepted))
         solution, passes, first = again, most, False
         r[:], u[:], change[:] = again.r, again.u, rows.velocity_change(again.r)
-    if made:
-        start, R = Couple(couple, np.empty(nc), dv), half.middle.placement.R
-        _persistence.works(c.frame1, c.frame2, d.free, R, mean, couple, start.work)
     assert solution is not None  # there was none to go on from, and so a solve
-    return met, problem, solution, otherwise, start
+    return met, problem, solution, otherwise, _acting(s, met, half, couple, dv, mean) if made else start
+
+
+def _acting(s: System, met: Encounter, half: Half, couple: Array, dv: Array, mean: Array) -> Couple:
+    """Couples that act, whose change of v is dv, with their works at the mean velocity."""
+    work, c = np.empty(len(couple)), met.contacts
+    _persistence.works(c.frame1, c.frame2, s.dynamics.free, half.middle.placement.R, mean, couple, work)
+    return Couple(couple, work, dv)
 
 
 def _means(s: System, met: Encounter, most: int) -> tuple[bool, float, float, tuple[int, float, int, int], float, int]:

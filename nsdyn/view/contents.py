@@ -111,20 +111,26 @@ def _packed(
     }
     notes = _notes(trajectory, rows.size, arrays["ledger/t"].size, int(hits.step.size))
     if trajectory.has_contacts:
-        stride = max(1, -(-int(contact_points.counts(trajectory, rows).sum()) // MAX_CONTACTS))
-        if stride > 1:
-            notes.append(f"contacts of one in {stride} of them")
-        found = contact_points.at(trajectory, rows[::stride])
-        arrays |= {"contacts/t": t[rows[::stride]]} | _contacts(found)
-        pushes, usual, left = _forces(trajectory, rows[::stride], "point" if forces == "point" else "pair")
-        if left:
-            notes.append(f"the {MAX_CONTACTS} largest of {left + MAX_CONTACTS} forces")
-        arrays |= pushes
-        units = {"forces": usual, "cones": _usual(found["r"][:, 0] / trajectory.dt)}
-        lengths = {"forces": view.radius / 5, "cones": min(view.radius / 5, view.body_radius)}
-        values |= {"forces": bool(forces), "units": units, "lengths": lengths}
+        more, shown, told = _contacts_of(trajectory, rows, forces, view)
+        arrays, values, notes = arrays | more, values | shown, notes + told
     values |= {"label": label or values["name"], "picture": at is not None, "notes": [] if at is not None else notes}
     return payload.pack(values, arrays)
+
+
+def _contacts_of(trajectory: Trajectory, rows: Index, forces: bool | str, view: View) -> tuple[Arrays, Json, list[str]]:
+    """Contacts and forces of the states shown, how to show them, and what is left out."""
+    notes: list[str] = []
+    stride = max(1, -(-int(contact_points.counts(trajectory, rows).sum()) // MAX_CONTACTS))
+    if stride > 1:
+        notes.append(f"contacts of one in {stride} of them")
+    found = contact_points.at(trajectory, rows[::stride])
+    arrays = {"contacts/t": trajectory.t[rows[::stride]]} | _contacts(found)
+    pushes, usual, left = _forces(trajectory, rows[::stride], "point" if forces == "point" else "pair")
+    if left:
+        notes.append(f"the {MAX_CONTACTS} largest of {left + MAX_CONTACTS} forces")
+    units = {"forces": usual, "cones": _usual(found["r"][:, 0] / trajectory.dt)}
+    lengths = {"forces": view.radius / 5, "cones": min(view.radius / 5, view.body_radius)}
+    return arrays | pushes, {"forces": bool(forces), "units": units, "lengths": lengths}, notes
 
 
 def _chosen(t: Array, fps: float, most: int, at: float | None, needed: list[int]) -> Index:

@@ -52,10 +52,17 @@ def given(movers, loads, position, h, theta, looked, near, out):
 def meet(masses, movers, here, begin, velocities, warm, laws, rows, out):
     """What a move meets at its contacts and the problem that it poses; the size of H, the norm of b and its validity.
 
-    masses = (block_of_frame, offset, m_start, m, minv), movers = (free bodies, trees as of `links.rows_of_all`); here =
-    (key, frame1, frame2, point, normal, gap, x, R) where the impulses act; all others as in `law.pose`, and out. Into
-    rows = (frame, block, start, H, scales, again), H with room enough, unless they are those of the same contacts met
-    `again`.
+    Parameters
+    ----------
+    masses, movers : tuple
+        (block_of_frame, offset, m_start, m, minv), and (free bodies, trees as of `links.rows_of_all`).
+    here : tuple
+        (key, frame1, frame2, point, normal, gap, x, R) where the impulses act.
+    begin, velocities, warm, laws, out : tuple
+        As in `law.pose`.
+    rows : tuple
+        Room for (frame, block, start, H, scales), with enough for H, and whether they are made: the contacts are those
+        that were met before.
     """
     block_of_frame, offset, m_start, m, minv = masses
     key, frame1, frame2, point, normal, gap, x, R = here

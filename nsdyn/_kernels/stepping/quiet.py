@@ -4,7 +4,7 @@ Each stage is made of the kernels that the general step of `nsdyn.stepping.move`
 """
 
 from nsdyn._kernels.clock import seconds
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.paradox import suspect
@@ -40,7 +40,7 @@ from nsdyn._kernels.stepping.quiet_response import (
 )
 
 
-@in_place
+@kernel(inline="always")
 def opened(system):
     """Views of the packed arrays of a system.
 
@@ -78,7 +78,7 @@ def opened(system):
     )
 
 
-@in_place
+@kernel(inline="always")
 def depart(s, old, f, w):
     """The first half of a move: how far it reaches, and whether contacts are those where it begins.
 
@@ -106,7 +106,7 @@ def depart(s, old, f, w):
     return free.half(bodies, loads, begin, h, theta, looked, near, (*there, v_free, rate, reach))
 
 
-@in_place
+@kernel(inline="always")
 def set_out(s, first, warm, next_key, barred, asks, step, room):
     """`depart`, and where contacts are looked for then: `DONE`, `LOOK`, or `OTHERWISE` where something strikes at once.
 
@@ -130,7 +130,7 @@ def set_out(s, first, warm, next_key, barred, asks, step, room):
     return LOOK if asks and not same else DONE
 
 
-@in_place
+@kernel(inline="always")
 def meet(s, contacts, warm, rooms, flags, barred, room):
     """Which of the contacts, (where the move begins, found), it meets, if not all: `DONE`, or `MORE` without room.
 
@@ -152,7 +152,30 @@ def meet(s, contacts, warm, rooms, flags, barred, room):
     return DONE
 
 
-@in_place
+@kernel(inline="always")
+def seen(s, detection, stage, move, last, rooms, flags, room):
+    """What the move meets where its impulses act, found there: `DONE`, or what else that takes.
+
+    stage = (stage, ready), move = (next_key, barred, asks, step), last = (what was found where it begins, warm), rooms
+    = (room for what is found, and for what is met, most contacts and most numbers of one), room as of `set_out`.
+    """
+    (now, ready), (next_key, barred, asks, step), (begun, warm), (all_found, some, most) = stage, move, last, rooms
+    (b_old, out, _, w, head), first = room, col.contacts(begun, begun[1].size // col.FOUND_NAMES)
+    if now == DONE:
+        code = set_out(s, first, warm, next_key, barred, asks, step, room)
+        if code != DONE:
+            return code
+    found_in = begun
+    if out[col.WENT] > 0.0:
+        looked, found_in = col.placed(w, col.LOOKED_THERE, s[0][1][0]), all_found
+        code = look(detection, ready, looked, (first, next_key), all_found, head, col.MIDDLE, most)
+        if code != DONE:
+            return code
+    found = col.contacts(found_in, head[col.MIDDLE])
+    return meet(s, (first, found), warm, (some, most[1]), flags, barred, (b_old, w, head))
+
+
+@kernel(inline="always")
 def posed(s, first, last, met, rows, acted, flags, room):
     """The problem of the move, as foreseen: `DONE`, or `OTHERWISE` where it is none, or something strikes.
 
@@ -187,7 +210,7 @@ def posed(s, first, last, met, rows, acted, flags, room):
     return DONE
 
 
-@in_place
+@kernel(inline="always")
 def solved(s, rows, met, flags, known, label, head, room):
     """Impulses, of a problem of which so much is `known`, as of `respond`, or nothing, `DONE`; how that ends.
 
@@ -212,7 +235,7 @@ def solved(s, rows, met, flags, known, label, head, room):
     return DONE
 
 
-@in_place
+@kernel(inline="always")
 def goes(s, b, w, out):
     """Whether contacts are others where the move ends than where its impulses act, and where they are looked for."""
     (num, size), (arm, _, _) = s[0], s[1]
@@ -224,7 +247,7 @@ def goes(s, b, w, out):
     return out[col.GOES] > 0.0
 
 
-@in_place
+@kernel(inline="always")
 def told(s, rows, contacts, begun, flags, status, head, room):
     """What a step did, if it met nothing: `DONE`, `EVENT`, or `OTHERWISE` where contacts add too much energy.
 
@@ -305,23 +328,15 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     first, warm = col.contacts(begun, begun[1].size // col.FOUND_NAMES), (acted_old[:was], acted_old[was:], status_old)
     starts, work_room = stage == DONE or stage == LOOK, (out, w, own, a)
 
-    if stage == DONE:
-        code = set_out(s, first, warm, next_key, barred, asks, step, (b_old, out, b, w, head))
-        if code != DONE:
-            return code
-    if starts and out[col.WENT] > 0.0:
-        looked = col.placed(w, col.LOOKED_THERE, n)
-        code = look(detection, ready, looked, (first, next_key), rooms[0], head, col.MIDDLE, (room, wide))
+    if starts:
+        move, into = (next_key, barred, asks, step), (rooms[0], rooms[1], (room, wide))
+        code = seen(s, detection, (stage, ready), move, (begun, warm), into, flags, (b_old, out, b, w, head))
         if code != DONE:
             return code
     met_of = begun
     if out[col.WENT] > 0.0:
         met_of = rooms[0]
     found = col.contacts(met_of, head[col.MIDDLE])
-    if starts:
-        code = meet(s, (first, found), warm, (rooms[1], wide), flags, barred, (b_old, w, head))
-        if code != DONE:
-            return code
     nc = head[col.MET]
     if head[col.SOME]:
         met_of = rooms[1]

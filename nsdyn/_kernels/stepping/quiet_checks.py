@@ -163,7 +163,25 @@ def gains(num, bodies, blocks, met, flags, status, works, velocities):
 
 @in_place
 def book(scene, bodies, rows, met, flags, direction, head, status, room):
-    """What the step did: works, states, forces, energies and the certificate."""
+    """What the step did: works, states, forces, energies and the certificate.
+
+    Parameters
+    ----------
+    scene : (numbers, size)
+    bodies : tuple
+        mass, inertia, gravity, push, twist, and an empty array.
+    rows : (blocks, frame, scales)
+    met : tuple
+        The contacts.
+    flags : ndarray of bool, shape (FLAGS, nc)
+    direction : ndarray
+        Of the last certificate.
+    head : ndarray of int
+    status : ndarray of int8, shape (nc,)
+        What the contacts were, then what they are.
+    room : tuple
+        The state, what is at work, that of the contacts, and what acts on them.
+    """
     (num, size), (mass, J, gravity, force, torque, none) = scene, bodies
     (blocks, frame, scales), (f, w, own, acted) = rows, room
     n, nc, out, h = size[0], status.size, f, num[col.STEP]
