@@ -28,11 +28,15 @@ class Tuning:
     lengths: tuple[int, ...] = (8, 24, 72, 216, 648, 1944)
     """What Newton takes in each round. It goes on where it was, unless another has found better meanwhile."""
 
-    sweep: int = 20
-    """What sweeps with momentum take in each round."""
+    sweeps: tuple[int, int] = (20, 60)
+    """What sweeps with momentum take in the first round, and in each after it."""
 
     path: tuple[int, int] = (40, 500)
-    """What the path of smoothed laws takes at least, unless it is not begun, and at most; once, in the second round."""
+    """What a path of smoothed laws takes at least, unless it is not begun, and at most: one from the best impulse, in
+    the second round, and one from nothing, in the third."""
+
+    near: tuple[float, int] = (100.0, 150)
+    """Smoothing of the one from the best, over what that misses, and what it takes at most."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -93,6 +97,7 @@ class Search:
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, np.inf
         self._sweeps: Sweeps | None = None
         self._newton: Multipliers | None = None
+        self._kept = np.inf, self.r
         _, error, residual, _ = problem.solved(r, tol)
         self._note(max(error, residual), 0, 0)
 
@@ -143,11 +148,14 @@ class Search:
         used = run.count - before
         self._note(run.best, used, used, run.r)
 
-    def follow(self, most: float) -> None:
-        """The path of smoothed laws from nothing, if there is enough for it."""
-        x, most = np.zeros_like(self.r), int(self._most(most))
+    def follow(self, most: float, speed: float = 0.0) -> None:
+        """The path of smoothed laws from nothing, or from the best at a smoothing of that speed, m/s.
+
+        Where there is enough for it.
+        """
+        x, most = self.r.copy() if speed else np.zeros_like(self.r), int(self._most(most))
         if most >= TUNING.path[0]:
-            used, best = continuation(self.problem, self.W, x, self.tol, most)
+            used, best = continuation(self.problem, self.W, x, self.tol, most, speed)
             self._note(best, used, used, x)
 
     def converge(self, tol: float) -> None:
@@ -157,17 +165,31 @@ class Search:
             before = self.best
             self.newton(TUNING.newton, self.sharp)
 
+    def begin_anew(self) -> None:
+        """Begin from nothing, since a start that is far from any solution leads to none more often than that."""
+        self._kept = self.best, self.r.copy()
+        self.r[:], self.best, self._sweeps, self._newton = 0.0, np.inf, None, None
+        _, error, residual, _ = self.problem.solved(self.r, self.tol)
+        self._note(max(error, residual), 0, 0)
+
     def run(self) -> None:
         """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits."""
-        if self.r.any() and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
+        warm = self.r.any()
+        if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
         for k, length in enumerate(TUNING.lengths):
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
-                self.sweep(TUNING.sweep)
+                self.sweep(TUNING.sweeps[min(k, 1)])
             if not self.over:
                 self.newton(length, self.tol)
+            if k == 0 and warm and self.best > self.loose:
+                self.begin_anew()
             if not self.over and k == 1:
+                self.follow(TUNING.near[1], TUNING.near[0] * self.best)
+            if not self.over and k == 2:
                 self.follow(TUNING.path[1])
+        if self._kept[0] < self.best:
+            self.best, self.r[:] = self._kept
         if self.best <= self.tol:
             self.converge(self.sharp)
 
@@ -183,10 +205,11 @@ class Auto:
 
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
-    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time; in the second one also the
-    path of smoothed laws, from nothing. Sweeps and Newton go on where they were, or begin anew where another has found
-    better. A problem given by W alone, which need not be symmetric, has the sweeps of the first round in one kernel
-    call, and the same means after that.
+    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
+    the first misses the loose tolerance is left, and all begins from nothing. The second ends with the path of smoothed
+    laws from the best, the third with the one from nothing. Sweeps and Newton go on where they were, or begin anew
+    where another has found better. A problem given by W alone, which need not be symmetric, has the sweeps of the
+    first round in one kernel call, and the same means after that.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
@@ -250,7 +273,7 @@ class Auto:
             return Solution.judge(problem, r, self.tol, 0, clock() - start)
         given, (enough, good) = (problem.q, problem.mu, problem.scales), self.aims
         if blocks is None:
-            most = TUNING.cost * TUNING.sweep
+            most = TUNING.cost * TUNING.sweeps[0]
             count, error, residual = _start.by_matrix((problem.csr, *given, problem.q_norm), r, u, good, most)
             left = not max(error, residual) <= self.tol
         else:
