@@ -1,6 +1,6 @@
 """What `auto` solves and costs, on problems from files and on a wall that a ball hits.
 
-    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [--set sweep=20] [--ablation] [FOLDER ...]
+    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [--set newton=4] [--ablation] [FOLDER ...]
 
 Processor time. For every folder of FCLIB files: problems solved, the geometric mean, the mean and the longest solve
 from nothing, by their factors if the file has them and by W alone. For the wall: the mean and longest time of a step

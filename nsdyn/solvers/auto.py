@@ -29,14 +29,15 @@ class Tuning:
     """What Newton takes in each round. It goes on where it was, unless another has found better meanwhile."""
 
     sweeps: tuple[int, int] = (20, 60)
-    """What sweeps with momentum take in the first round, and in each after it."""
+    """What sweeps with momentum take in a round, and in a later one that the loose tolerance is not met before."""
 
     path: tuple[int, int] = (40, 500)
-    """What a path of smoothed laws takes at least, unless it is not begun, and at most: one from the best impulse, in
-    the second round, and one from nothing, in the third."""
+    """What a path of smoothed laws takes at least, unless it is not begun, and at most: once, from nothing, after the
+    second round, or after the third if one from the best goes before it."""
 
     near: tuple[float, int] = (100.0, 150)
-    """Smoothing of the one from the best, over what that misses, and what it takes at most."""
+    """Smoothing of the one from the best, over what that misses, and what it takes at most: where two rounds miss the
+    loose tolerance. What rests creeps where it leads."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -177,17 +178,22 @@ class Search:
         warm = self.r.any()
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
+        followed = False
         for k, length in enumerate(TUNING.lengths):
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
-                self.sweep(TUNING.sweeps[min(k, 1)])
+                self.sweep(TUNING.sweeps[k > 0 and self.best > self.loose])
             if not self.over:
                 self.newton(length, self.tol)
-            if k == 0 and warm and self.best > self.loose:
+            if self.over:
+                break
+            far = self.best > self.loose
+            if k == 0 and warm and far:
                 self.begin_anew()
-            if not self.over and k == 1:
+            elif k == 1 and far:
                 self.follow(TUNING.near[1], TUNING.near[0] * self.best)
-            if not self.over and k == 2:
+            elif k > 0 and not followed:
                 self.follow(TUNING.path[1])
+                followed = True
         if self._kept[0] < self.best:
             self.best, self.r[:] = self._kept
         if self.best <= self.tol:
@@ -207,9 +213,9 @@ class Auto:
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
     step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
     the first misses the loose tolerance is left, and all begins from nothing. The second ends with the path of smoothed
-    laws from the best, the third with the one from nothing. Sweeps and Newton go on where they were, or begin anew
-    where another has found better. A problem given by W alone, which need not be symmetric, has the sweeps of the
-    first round in one kernel call, and the same means after that.
+    laws from nothing; where that tolerance is still missed, with one from the best, and the third with that from
+    nothing. Sweeps and Newton go on where they were, or begin anew where another has found better. A problem given by W
+    alone, which need not be symmetric, has the sweeps of the first round in one kernel call, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
