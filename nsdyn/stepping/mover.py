@@ -134,8 +134,7 @@ class Mover:
         if motion is None and self.numbers[_col.GIVEN]:
             self._views[_col.PUSH][:] = self._views[_col.TWIST][:] = 0.0
         self.numbers[_col.GIVEN] = motion is not None
-        if length != self._length:
-            self._set(length)
+        self._set(length)
         self._most = max(self._most, begun.nc)
         new, rooms, work = self._rooms(moves, step)
         if motion is not None:
@@ -245,6 +244,8 @@ class Mover:
 
     def _set(self, length: tuple[float, float]) -> None:
         """Make moves of such a length."""
+        if length == self._length:
+            return
         (h, depth), num, self._length = length, self.numbers, length
         num[_col.STEP], num[_col.DEPTH], num[_col.SLOW] = h, depth, depth * self._smallest
         num[_col.UNTIL] = num[_col.THETA] * h + (1.0 - num[_col.THETA]) * self._dt

@@ -78,11 +78,8 @@ def solve_workless(
     nc, made, first, otherwise = c.gap.size, start.dv.size > 0, True, False
     if made:
         met = alone.turned(start.dv, alone.local[4])
-    passes, problem, solution = (
-        _workless.PASSES if d.free and met.stays.any() and not way.rough else 0,
-        pose(met, slides, way.closing),
-        last,
-    )
+    passes = _workless.PASSES if d.free and met.stays.any() and not way.rough else 0
+    problem, solution = pose(met, slides, way.closing), last
     couple, dv = (start.impulse.copy(), start.dv.copy()) if made else (np.zeros((nc, 3)), np.zeros(d.n))
     local, b, r, u = met.local.copy(), problem.q.copy(), met.local[4].copy(), np.empty_like(problem.q)
     change, mean, other = np.empty(d.n), np.empty(d.n), np.empty(nc, np.bool_)
