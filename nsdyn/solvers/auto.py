@@ -29,15 +29,15 @@ class Tuning:
     """What Newton takes in each round. It goes on where it was, unless another has found better meanwhile."""
 
     sweeps: tuple[int, int] = (20, 60)
-    """What sweeps with momentum take in a round, and in a later one that the loose tolerance is not met before."""
+    """What sweeps with momentum take in a round, and in one after a warm start that was left."""
 
     path: tuple[int, int] = (40, 500)
     """What a path of smoothed laws takes at least, unless it is not begun, and at most: once, from nothing, after the
     second round, or after the third if one from the best goes before it."""
 
     near: tuple[float, int] = (100.0, 150)
-    """Smoothing of the one from the best, over what that misses, and what it takes at most: where two rounds miss the
-    loose tolerance. What rests creeps where it leads."""
+    """Smoothing of the one from the best, over what that misses, and what it takes at most: where a warm start was left
+    and two rounds miss the loose tolerance. What rests creeps where it leads."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -178,10 +178,10 @@ class Search:
         warm = self.r.any()
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
-        followed = False
+        left = followed = False
         for k, length in enumerate(TUNING.lengths):
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
-                self.sweep(TUNING.sweeps[k > 0 and self.best > self.loose])
+                self.sweep(TUNING.sweeps[left])
             if not self.over:
                 self.newton(length, self.tol)
             if self.over:
@@ -189,7 +189,8 @@ class Search:
             far = self.best > self.loose
             if k == 0 and warm and far:
                 self.begin_anew()
-            elif k == 1 and far:
+                left = True
+            elif k == 1 and left and far:
                 self.follow(TUNING.near[1], TUNING.near[0] * self.best)
             elif k > 0 and not followed:
                 self.follow(TUNING.path[1])
@@ -213,9 +214,10 @@ class Auto:
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
     step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
     the first misses the loose tolerance is left, and all begins from nothing. The second ends with the path of smoothed
-    laws from nothing; where that tolerance is still missed, with one from the best, and the third with that from
-    nothing. Sweeps and Newton go on where they were, or begin anew where another has found better. A problem given by W
-    alone, which need not be symmetric, has the sweeps of the first round in one kernel call, and the same means after.
+    laws from nothing; where a start was left and that tolerance is still missed, with one from the best, and the third
+    with that from nothing. Sweeps and Newton go on where they were, or begin anew where another has found better. A
+    problem given by W alone, which need not be symmetric, has the sweeps of the first round in one kernel call, and the
+    same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:

@@ -243,3 +243,13 @@ def test_small_islands_of_redundant_contacts_need_nothing_else(tmp_path, monkeyp
     for _ in range(330):
         most = max(most, stepper.step().gap.size)
     assert 3 * most > 2 * 26 and not searched
+
+
+@pytest.mark.parametrize("scale", [1e6, 1e9])
+def test_a_warm_start_that_leads_nowhere_is_left(scale):
+    """Then the answer is that from nothing, to the last bit."""
+    problem, solver = kicked_stack(30), nd.solvers.Auto(tol=1e-4, loose=1e-4)
+    start = scale * np.abs(np.random.default_rng(1).standard_normal(3 * problem.nc))
+    solution = solver(problem, start)
+    assert solution.converged
+    assert np.array_equal(solution.r, solver(problem).r)

@@ -6,6 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import relative_velocity
+from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.stepping.law import offsets
 from nsdyn._kernels.stepping.touching import last_status, places
 from nsdyn._kernels.vectors import along, dot, put, row, square, times, to_local
@@ -196,30 +197,33 @@ def turns(v, free, h):
 
 
 @kernel
-def turn(blocks, contacts, mean, bodies, pressed, flags, laws, found, out):
-    """`couples`, and what contacts then meet.
+def turn(blocks, contacts, mean, bodies, pressed, flags, laws, alone, state):
+    """`couples`, and what contacts then meet, in place of those that act, where others do less work; whether any do.
 
     Parameters
     ----------
-    blocks, contacts, mean, bodies, pressed, flags, found : tuple
+    blocks, contacts, mean, bodies, pressed, flags : tuple
         As of `couples`.
     laws : tuple
         end_gap, restitution, rebound, late and closing, as of `offsets`.
-    out : tuple
-        local and the offsets b: those with the couples, where others do than those that act.
-
-    Returns
-    -------
-    bool
-        Whether others do.
+    alone : ndarray, shape (5, 3 rows)
+        `local` without couples.
+    state : tuple
+        As of `workless`: what acts and what is met.
     """
-    local, b = out
-    if not couples(blocks, contacts, mean, bodies, pressed, flags, found):
+    couple, dv, _, _, left, other, local, b, _, _ = state
+    turned, acting = couple.copy(), dv.copy()
+    if not couples(blocks, contacts, mean, bodies, pressed, flags, (turned, acting, left, other)):
         return False
-    relative_velocity(blocks, found[1], b)
+    copy(acting, dv)
+    for c in range(couple.shape[0]):
+        copy(turned[c], couple[c])
+    for k in range(local.shape[0]):
+        copy(alone[k], local[k])
+    relative_velocity(blocks, dv, b)
     for i in range(b.size):
         local[2, i] += b[i]
-        local[4, i] = pressed[0][i]
+    copy(pressed[0], local[4])
     offsets(local, laws, flags[0], flags[2], b)
     return True
 

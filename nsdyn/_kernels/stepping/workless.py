@@ -55,33 +55,6 @@ def reconsider_some(solution, local, slides, back, label, islands, changed):
 
 
 @kernel
-def turn_otherwise(blocks, contacts, mean, bodies, pressed, flags, laws, alone, state):
-    """`turn`, where others do less work in place of what acts; whether any do.
-
-    Parameters
-    ----------
-    blocks, contacts, mean, bodies, pressed, flags, laws : tuple
-        As of `turn`.
-    alone : ndarray, shape (5, 3 rows)
-        `local` without couples.
-    state : tuple
-        As of `workless`.
-    """
-    couple, dv, _, _, left, other, local, b, _, _ = state
-    turned, acting, met, q = couple.copy(), dv.copy(), alone.copy(), b.copy()
-    found = turned, acting, left, other
-    if not turn(blocks, contacts, mean, bodies, pressed, flags, laws, found, (met, q)):
-        return False
-    copy(acting, dv)
-    copy(q, b)
-    for k in range(local.shape[0]):
-        copy(met[k], local[k])
-    for c in range(couple.shape[0]):
-        copy(turned[c], couple[c])
-    return True
-
-
-@kernel
 def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solver, begin, state):
     """Couples as of `persistence.turn`, and impulses with them, in turns until no other couples do less work.
 
@@ -130,7 +103,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
                 mean[i] = 0.5 * (before[i] + (free[i] + dv[i]) + change[i])
             if passes == 0 or not turns(mean, bodies[1].shape[0], bodies[3]):
                 break
-            if not turn_otherwise(blocks, contacts, mean, bodies, (r, mu), flags, laws, alone, state):
+            if not turn(blocks, contacts, mean, bodies, (r, mu), flags, laws, alone, state):
                 break
             passes, back = passes - 1, True
             last_r, last_u, off = r.copy(), u.copy(), other
