@@ -190,7 +190,7 @@ class Dynamics(Kinematics):
             _links.rows(*hang, *where, t.frames.start, t.support, links.J, start, H)
         full = Blocks(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
         bases = NOTHING
-        if self._constrained:
+        if self.constrained:
             bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:
             return Rows(full, bases, *NO_CLUTCHES), frame

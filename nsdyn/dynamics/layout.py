@@ -132,7 +132,7 @@ class Layout:
         self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
         # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene.
         self._lone = len(trees) == 1 and not self.free and not self._driven
-        self._constrained = any(t.constrained for t in trees)
+        self.constrained = any(t.constrained for t in trees)
         sizes = [6] * self.free + [t.model.nv for t in trees]
         self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
         self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
@@ -152,7 +152,6 @@ class Layout:
             [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(self._driven, np.bool_)]
         )
         self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
-        self.loose = not (self._constrained or self.surfaces.count)
 
     @staticmethod
     def _velocity(body: Any) -> Array:

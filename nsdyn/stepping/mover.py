@@ -160,6 +160,8 @@ class Mover:
             if code in (_meeting.DONE, _meeting.EVENT):
                 if code == _meeting.EVENT:  # whose values are views of it
                     self._work = self._for_work(0)
+                if self._dynamics.constrained and head[_col.MET]:  # problems have the coordinates that loops leave
+                    return None
                 return self._made(new, rooms, work, begun, code == _meeting.DONE)
             if code == _meeting.OTHERWISE:
                 return None
@@ -171,7 +173,7 @@ class Mover:
                 stage, ready, head = _meeting.DONE, False, work[1]
                 continue
             if code == _meeting.SOLVE:
-                good = self._solve(self._made(new, rooms, work, begun, False))
+                good = not self._dynamics.constrained and self._solve(self._made(new, rooms, work, begun, False))
             else:
                 good = self._go_on(code, motion, new[0], work[0])
             if not good:

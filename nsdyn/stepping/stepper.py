@@ -355,7 +355,7 @@ class Stepper:
     def _quietest(self, polish: bool) -> Quiet | None:
         """What makes steps of the scene that meet no event; None where only the general way does."""
         s, d, functions = self.system, self.dynamics, self.functions
-        if s.mover is None or functions.take_last:
+        if s.mover is None or functions.take_last or self._prescribed is not None:
             return None
         return Quiet(s, s.mover, polish, lambda t: functions.at(t, d, None), self._paradoxes)
 

@@ -78,7 +78,7 @@ def system_of(
     elastic = any(e > 0.0 for e in rebounds) or bool(dynamics.joints.restitution.any())
     smallest, arm = float(inscribed.min(initial=np.inf)), _arms(geoms, dynamics.frames)
     out = System(dynamics, detector, solver, *scheme, closed, inscribed, smallest, arm, law, elastic)
-    return out._replace(mover=Mover(out)) if dynamics.loose and dynamics.n else out
+    return out._replace(mover=Mover(out)) if dynamics.n and not dynamics.surfaces.count else out
 
 
 def _arms(geoms: list[Geom], frames: int) -> Array:

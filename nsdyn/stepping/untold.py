@@ -97,9 +97,8 @@ class Untold(NamedTuple):
         out: list[float] = flat.floats[: _col.RESULTS].tolist()
         if flat.motion is None or not d.trees:
             return out, d.no_impulses[1], d.no_push
-        own = Works(external=out[_col.EXTERNAL], integration=out[_col.NUMERICS])
-        own, joints, links = flat.motion.told(self.before.of_trees, own)
-        out[_col.EXTERNAL], out[_col.DAMPING], out[_col.NUMERICS] = own.external, own.damping, own.integration
+        own, joints, links = flat.motion.told(self.before.of_trees, Works(*out[_col.EXTERNAL : _col.NORM]))
+        out[_col.EXTERNAL : _col.NORM] = own[:-1]  # but for a projection, of which there is none
         out[_col.KINETIC], out[_col.POTENTIAL] = flat.energies
         return out, joints[:, 6 * d.free :], links
 
@@ -164,8 +163,7 @@ class Untold(NamedTuple):
 
 def _ledger(before: Any, results: Any, nothing: Any) -> Ledger:
     """Ledger of a step, or of many as arrays, from the energies before it and from its results."""
-    external, normal, friction, damping, numerics = results[_col.EXTERNAL : _col.NORM]
-    works = Works(external, normal, friction, damping, nothing, numerics, nothing)
+    works = Works(*results[_col.EXTERNAL : _col.NORM], nothing)
     return Ledger.of(before, results[: _col.EXTERNAL], works)
 
 

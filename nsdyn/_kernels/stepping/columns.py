@@ -71,6 +71,7 @@ BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
     NORMAL,
     FRICTION,
     DAMPING,
+    CONSTRAINT,
     NUMERICS,
     NORM,
     ERROR,
@@ -86,7 +87,7 @@ BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
     GOES,
     SUSPECT,
     RESULTS,
-) = range(21)
+) = range(22)
 
 # First columns of a frame in a state, and in what is at work; of the quaternions those of free bodies are used.
 X, QUATERNION, R, LINEAR, ANGULAR, LOOKED, FRAME = 0, 3, 7, 16, 19, 22, 35

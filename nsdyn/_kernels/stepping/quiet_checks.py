@@ -204,7 +204,7 @@ def book(scene, bodies, rows, met, flags, direction, head, status, room):
             col.vectors(acted, col.FORCE, nc),
         ),
     )
-    out[col.DAMPING], out[col.NUMERICS] = 0.0, beyond + rest
+    out[col.DAMPING], out[col.CONSTRAINT], out[col.NUMERICS] = 0.0, 0.0, beyond + rest
     x, v_end = col.vectors(b, col.X, n), col.velocity(b, col.V, size)
     out[col.KINETIC], out[col.POTENTIAL] = motion.free_energies(mass, J, gravity, x, v_end)
     projected = own[col.PROJECTED * nc : (col.PROJECTED + 3) * nc]
