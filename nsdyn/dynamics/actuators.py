@@ -71,7 +71,7 @@ class Actuators:
 
     def controls(self, given: Any) -> tuple[Control, ...]:
         """What a controller returned, for each tree; ValueError if it does not fit."""
-        if isinstance(given, PD | Actuation):
+        if isinstance(given, (PD, Actuation)):  # a union would be made anew in each step
             if given is not self._last[0]:
                 self._last = given, self._parts(self._law(given))
             return self._last[1]

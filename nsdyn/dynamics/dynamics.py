@@ -84,10 +84,8 @@ class Dynamics(Kinematics):
 
         The forces themselves where none is beyond.
         """
-        if not any(free.loads.limit is not None for free in forces.trees):
-            return forces
         motions = [
-            tree.within_limits(half, free, v[tree.coordinates])
+            free if free.loads.limit is None else tree.within_limits(half, free, v[tree.coordinates])
             for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True)
         ]
         if all(map(is_, motions, forces.trees)):
@@ -172,8 +170,7 @@ class Dynamics(Kinematics):
 
     def limits(self, place: Placement) -> Array:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
-        slots = self.joints.limits
-        return self.joints.gaps(slots, self.angles(place)) if slots.size else NONE
+        return self.joints.limit_gaps(self.angles(place)) if self.joints.limits.size else NONE
 
     def rows(
         self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None

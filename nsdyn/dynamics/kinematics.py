@@ -37,7 +37,7 @@ class Kinematics(Layout):
         ahead = (1.0 - theta) * h
         if self._lone:
             only = self.trees[0].halfway(position.trees[0], v, h, theta)
-            return Middle(position._replace(trees=(only.q,)), only.v, Placement.of(only.links), (only,))
+            return Middle(position.bent((only.q,)), only.v, Placement.of(only.links), (only,))
         x, quaternion, after, X, R = self._flow(position, v, ahead)
         halves = tuple(
             [t.halfway(q, v[t.coordinates], h, theta) for t, q in zip(self.trees, position.trees, strict=True)]
@@ -71,7 +71,7 @@ class Kinematics(Layout):
             free = forces.trees[0]
             pushed = free.loads.implicit or _few.largest(impulse) > 0.0
             only = self.trees[0].end(middle.trees[0], free, v, pushed)
-            there = position._replace(trees=(only.q,))
+            there = position.bent((only.q,))
             return there, only.v, Placement.of(self.trees[0].links(only.q)), (only,)
         x, quaternion, after, X, R = self._flow(position, v, h)
         ends = []

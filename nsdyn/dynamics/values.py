@@ -39,6 +39,10 @@ class Position(NamedTuple):
         """The same but for the free bodies."""
         return Position(x, quaternion, self.trees, self.driven_x, self.driven_quaternion)
 
+    def bent(self, trees: tuple[Array, ...]) -> Position:
+        """The same but for the trees."""
+        return Position(self.x, self.quaternion, trees, self.driven_x, self.driven_quaternion)
+
 
 class Placement(NamedTuple):
     """All frames at a position.

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
+from nsdyn.collision.contacts import Looked
 from nsdyn.dynamics.tree_values import TreeEnd
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.stepping.booking import tree_works
@@ -78,17 +79,19 @@ class Motion:
         again = corrected(self._s, self._begin, self.half, v, callbacks)
         return None if again is self.half else Motion(self._begin, again)
 
-    def ended(self) -> Instant | None:
-        """The trees at the end; None where joints are beyond their limits."""
+    def ended(self, v: Array, where: Looked) -> Instant | None:
+        """The trees at the end, of velocity v (n,), and where contacts are looked for; None beyond limits of joints."""
         d, begin = self._s.dynamics, self._begin
         if not d.trees:
             return begin
         limits = d.limits(self.placement)
         if limits.size and _few.least(limits) < -self._s.closed:
             return None
-        warm = begin.warm._replace(joints=d.joints.no_impulses)
-        found = begin.contacts, limits, begin.memory, begin.looked
-        return Instant(self.position, begin.v, self.placement, *found, warm, begin.twists, ())
+        warm = begin.warm
+        if warm.joints is not d.joints.no_impulses:
+            warm = warm._replace(joints=d.joints.no_impulses)
+        found = begin.contacts, limits, begin.memory, where
+        return Instant(self.position, v, self.placement, *found, warm, begin.twists, ())
 
     def told(self, before: Energies, own: Works) -> tuple[Works, Array, Array]:
         """Works of the trees and `own` ones, J, and `joints` and `links` as of `Impulses`.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
     from nsdyn.stepping.between import Motion
 
-__all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "vectors", "velocity"]
+__all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "put", "vectors", "velocity"]
 
 
 Acted = tuple[Array, Index, NDArray[np.int8]]
@@ -114,7 +114,7 @@ class Flat(NamedTuple):
     next_key : int
     opening : Opening, optional
     like : Instant
-        What is no column is that of this one: all of the trees but their velocities.
+        What is no column is that of this one. With trees it is also where the next motion begins.
     masses : two ndarrays
         M̃ and its inverse, as of `Forces`.
     motion : Motion, optional
@@ -204,12 +204,11 @@ class Flat(NamedTuple):
     def begin(self) -> Instant:
         """Where a motion begins: all but contacts, what acted on them, and energies."""
         like = self.like
-        position, place = like.position, like.placement
-        if not position.trees:  # of trees the last motion has left them
-            position, place = self.position, Placement(*self.poses, ())
+        if like.position.trees:  # the last motion has left it
+            return like
         found, v = (like.contacts, like.limits, like.memory), self.coordinate(_col.V)
-        where = looked(self.floats[_col.RESULTS :], _col.LOOKED, self.size[0])
-        return Instant(position, v, place, *found, where, like.warm, like.twists, ())
+        where, place = looked(self.floats[_col.RESULTS :], _col.LOOKED, self.size[0]), Placement(*self.poses, ())
+        return Instant(self.position, v, place, *found, where, like.warm, like.twists, ())
 
     @property
     def position(self) -> Position:
@@ -273,6 +272,11 @@ def vectors(f: Array, k: int, n: int) -> Array:
 def matrices(f: Array, k: int, n: int) -> Array:
     """The columns from k on as (n, 3, 3)."""
     return f[k * n : (k + 9) * n].reshape(n, 3, 3)
+
+
+def put(f: Array, k: int, n: int, values: Array) -> None:
+    """Set the columns from k on, of the first frames."""
+    f[k * n : k * n + values.size] = values.ravel()
 
 
 def looked(f: Array, k: int, n: int) -> Looked:

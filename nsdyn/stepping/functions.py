@@ -60,15 +60,17 @@ class Functions:
             return None
 
         def said(middle: Position, v: Array) -> tuple[Wrenches | None, Controls]:
-            q_v = dynamics.pinocchio_state(middle, v)
-            return (
-                self._said("external_force", partial(dynamics.wrenches, middle), None, (t, *q_v), last),
-                self._said("controller", dynamics.controls, {}, (t, *q_v), last),
-            )
+            at = t, *dynamics.pinocchio_state(middle, v)
+            wrenches = controls = None
+            if self._given["external_force"] is not None:
+                wrenches = self._said("external_force", partial(dynamics.wrenches, middle), at, last)
+            if self._given["controller"] is not None:
+                controls = self._said("controller", dynamics.controls, at, last)
+            return wrenches, controls or {}
 
         return said
 
-    def _said(self, what: str, fit: Callable[[Any], Any], nothing: Any, at: tuple[Any, ...], last: Step | None) -> Any:
-        if (function := self._given[what]) is None:
-            return nothing
-        return callbacks.called(function, what, fit, *at, **({"last": last} if what in self._seeing else {}))
+    def _said(self, what: str, fit: Callable[[Any], Any], at: tuple[Any, ...], last: Step | None) -> Any:
+        more = {"last": last} if what in self._seeing else {}
+        function: Any = self._given[what]
+        return callbacks.called(function, what, fit, *at, **more)

@@ -16,7 +16,7 @@ from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Acted, Found, looked, matrices, packed, vectors, velocity
+from nsdyn.stepping.flat import Acted, Found, looked, packed, put, velocity
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.made import Made
@@ -193,14 +193,14 @@ class Mover:
         """Where a step has come to halfway, and what acts there."""
         half, n, views = motion.half, self._size[0], self._views
         (x, R, links), forces = half.middle.placement, half.forces
-        vectors(work, _col.X, n)[:], matrices(work, _col.R_THERE, n)[:] = x, R
+        put(work, _col.X, n, x)
+        put(work, _col.R_THERE, n, R)
         velocity(work, self._size, _col.V_THERE)[:] = half.middle.v
         velocity(work, self._size, _col.V_FREE)[:] = forces.v
         views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
         if self._dynamics.free:
             views[_col.PUSH][:], views[_col.TWIST][:] = forces.force, forces.torque
-            turns = half.middle.position.quaternion.ravel()
-            work[3 * n : 3 * n + turns.size] = turns
+            put(work, _col.QUATERNION, n, half.middle.position.quaternion)
         first = 0
         for begun, there in zip(motion.begun, links, strict=True):
             last = first + there.J.shape[1]
@@ -216,10 +216,10 @@ class Mover:
         if found is None:
             return False
         position, v, (x, R, _), (linear, angular) = found
-        turns = position.quaternion.ravel()
-        b[3 * n : 3 * n + turns.size] = turns
-        vectors(b, _col.X, n)[:], matrices(b, _col.R, n)[:] = x, R
-        vectors(b, _col.LINEAR, n)[:], vectors(b, _col.ANGULAR, n)[:] = linear, angular
+        if self._dynamics.free:
+            put(b, _col.QUATERNION, n, position.quaternion)
+        for column, values in ((_col.X, x), (_col.R, R), (_col.LINEAR, linear), (_col.ANGULAR, angular)):
+            put(b, column, n, values)
         velocity(b, self._size, _col.V)[:] = v
         return True
 

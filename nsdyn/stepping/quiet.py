@@ -14,7 +14,7 @@ from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Flat, Found, velocity
+from nsdyn.stepping.flat import Flat, Found, looked, velocity
 from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
@@ -113,7 +113,8 @@ class Quiet:
             if (again := motion.corrected(v, callbacks)) is None:
                 break
             motion, callbacks = again, None
-        if (like := motion.ended()) is None:
+        b, size = made.floats[_col.RESULTS :], made.size
+        if (like := motion.ended(velocity(b, size, _col.V), looked(b, _col.LOOKED, size[0]))) is None:
             return None
         forces = motion.half.forces
         return self._told(old, made, like, (forces.m, forces.minv), motion, certify)

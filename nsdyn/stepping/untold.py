@@ -163,7 +163,7 @@ class Untold(NamedTuple):
 
 def _ledger(before: Any, results: Any, nothing: Any) -> Ledger:
     """Ledger of a step, or of many as arrays, from the energies before it and from its results."""
-    works = Works(*results[_col.EXTERNAL : _col.NORM], nothing)
+    works = Works._make([*results[_col.EXTERNAL : _col.NORM], nothing])
     return Ledger.of(before, results[: _col.EXTERNAL], works)
 
 
