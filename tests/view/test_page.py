@@ -739,7 +739,9 @@ def test_curves_that_coincide_take_turns(opened):
         scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=(0, k, 0.1), linear_velocity=(speed, 0, 0))
     page = opened(nd.simulate(scene, 0.5, dt=1e-2))
     click_on(page, ".tools .motion")
-    lines = page.run("nsdyn.panes[0].chart.lanes[0].lines.map(({dash, shift, colour}) => [dash ?? null, shift ?? null])")
+    lines = page.run(
+        "nsdyn.panes[0].chart.lanes[0].lines.map(({dash, shift, colour}) => [dash ?? null, shift ?? null])"
+    )
     assert lines == [[None, None], [[8, 16], 16], [[8, 16], 8], [None, None]]
     # All four colours are on the canvas; what is whole below the others shows at the edges of these too.
     counts = page.run("""(() => {
