@@ -27,6 +27,7 @@ from nsdyn.audit.retraced import retraced
 from nsdyn.audit.touching import contacts, overlaps
 from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
+from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -86,6 +87,18 @@ class Audit:
             )
         lines.append(f"{self.name}: {self.verdict}")
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        head = ("audit", "worst", "tolerance", "", "amount", "step", "bodies", "what it is")
+        rows = []
+        for f in self.findings:
+            amount = f"{f.amount:.3g} {f.unit.strip('-')}"
+            found = [f"{f.worst:.2g}", f"{f.tol:g}", "passed" if f.passed else "FAILED", amount]
+            if f.reason:
+                found = ["-", f"{f.tol:g}", "not audited", "-"]
+            where = (f.step, " and ".join(f.bodies)) if f.worst > 0.0 else ("", "")
+            rows.append([f.name, *found, *where, f.reason or f.meaning])
+        return notebook.table(f"{self.name}: {self.verdict}", head, rows, most=len(rows))
 
 
 def check(trajectory: Trajectory, **tolerances: float) -> Audit:

@@ -115,8 +115,8 @@ class Inspection:
 
     def __repr__(self) -> str:
         masses = counted(len(self.masses), "mass", "masses")
-        joints = counted(len(self.joints), "joint coordinate", "joint coordinates")
-        lines = [f"{self.name}: {masses}, {joints}, {counted(self.shapes, 'shape', 'shapes')}, {self._totals()}"]
+        joints = counted(len(self.joints), "joint coordinate")
+        lines = [f"{self.name}: {masses}, {joints}, {counted(self.shapes, 'shape')}, {self._totals()}"]
         labels = [f"{body.name} (fixed)" if body.fixed else body.name for body in self.masses]
         width = max([10, *map(len, labels), *(len(joint.name) for joint in self.joints)])
         if self.masses:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from nsdyn.cli.output import check_files, picture, plot_to, say, say_json, seconds
+from nsdyn.tools.naming import counted
 
 __all__ = ["bench_engines", "profile_solvers", "solve_file"]
 
@@ -38,8 +39,9 @@ def solve_file(arguments: argparse.Namespace) -> int:
     else:
         say(
             arguments,
-            f"{problem.nc} contacts, {arguments.solver}: {solution.status.message}; error {solution.error:.2e}, "
-            f"residual {solution.residual:.2e} m/s, {solution.iterations} iterations in {seconds(solution.time)}",
+            f"{counted(problem.nc, 'contact')}, {arguments.solver}: {solution.status.message}; "
+            f"error {solution.error:.2e}, residual {solution.residual:.2e} m/s, "
+            f"{counted(solution.iterations, 'iteration')} in {seconds(solution.time)}",
         )
     return 0 if solution.converged else 1
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from nsdyn.cli.output import check_files, ledger, one_line, say, say_json
+from nsdyn.tools.naming import counted
 
 __all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "chosen_steps", "list_scenes", "run_scene"]
 
@@ -124,8 +125,9 @@ def _met(trajectory: Any, solver: Any) -> str:
     from nsdyn import Status
 
     count = Counter(trajectory.solver.status.tolist())
-    what = "steps" if trajectory.every == 1 else f"times {trajectory.every} steps"
-    parts = [f"{count.pop(Status.CONVERGED, 0)} {what} to {solver.tol:g}"]
+    met = count.pop(Status.CONVERGED, 0)
+    steps = counted(met, "step") if trajectory.every == 1 else f"{met} times {trajectory.every} steps"
+    parts = [f"{steps} to {solver.tol:g}"]
     if loose := count.pop(Status.LOOSE, 0):
         parts.append(f"{loose} to {solver.loose:g}")
     if several := count.pop(Status.SEVERAL, 0):

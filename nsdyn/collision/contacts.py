@@ -8,6 +8,7 @@ import numpy as np
 
 from nsdyn._kernels.collision import advancement
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.naming import counted
 
 __all__ = ["ContactMemory", "ContactSet", "Looked", "Poses", "Touches", "carry"]
 
@@ -44,7 +45,7 @@ class ContactSet(NamedTuple):
     key: Index
 
     def __repr__(self) -> str:
-        return f"<ContactSet of {self.gap.size} contacts>"
+        return f"<ContactSet of {counted(self.gap.size, 'contact')}>"
 
 
 class ContactMemory(NamedTuple):

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import counted
 
 __all__ = ["ACCEPTED", "NotConverged", "Solution", "Status"]
 
@@ -88,7 +89,7 @@ class Solution(NamedTuple):
     def __repr__(self) -> str:
         return (
             f"<Solution, nc = {self.r.size // 3}: {self.status}, error {self.error:.2e}, "
-            f"residual {self.residual:.2e} m/s, {self.iterations} iterations>"
+            f"residual {self.residual:.2e} m/s, {counted(self.iterations, 'iteration')}>"
         )
 
     def _repr_html_(self) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from nsdyn.recording import link_names
 from nsdyn.recording.columns import JOINTS, Columns
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice
+from nsdyn.tools.naming import choice, counted
 from nsdyn.tools.table import matching
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class JointMotion:
         return self._reaction()[:, 3:]
 
     def __repr__(self) -> str:
-        return f"<JointMotion of {self.name!r}: {len(self.position)} states>"
+        return f"<JointMotion of {self.name!r}: {counted(len(self.position), 'state')}>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class LoopReaction:
     reaction_torque: Array
 
     def __repr__(self) -> str:
-        return f"<LoopReaction of {self.name!r}: {len(self.reaction_force)} steps>"
+        return f"<LoopReaction of {self.name!r}: {counted(len(self.reaction_force), 'step')}>"
 
 
 def joint(trajectory: Trajectory, name: str) -> JointMotion:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from nsdyn.recording import shares
 from nsdyn.recording.columns import CONTACT_STATES, ENERGIES, WORKS
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import counted
 from nsdyn.tools.table import Table
 
 __all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "SolverLog", "rotate"]
@@ -62,8 +63,8 @@ class Energy:
 
     def __repr__(self) -> str:
         works = ", ".join(f"{name} {getattr(self, name).sum():.4g}" for name in WORKS if getattr(self, name).any())
-        total, steps = self.total, self.defect.size
-        return f"<Energy over {steps} steps: from {total[0]:.6g} to {total[-1]:.6g} J; works {works or 'none'}>"
+        total, steps = self.total, counted(self.defect.size, "step")
+        return f"<Energy over {steps}: from {total[0]:.6g} to {total[-1]:.6g} J; works {works or 'none'}>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ class Gauss:
 
     def __repr__(self) -> str:
         bound, shift = self.bound.max(initial=0.0), self.shift.max(initial=0.0)
-        return f"<Gauss of {self.gap.size} steps: bound up to {bound:.2e} √J, shift up to {shift:.2e} m/s>"
+        return f"<Gauss of {counted(self.gap.size, 'step')}: bound up to {bound:.2e} √J, shift up to {shift:.2e} m/s>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +125,8 @@ class SolverLog:
         count = ", ".join(f"{n} {name}" for name, n in Counter(self.status_names).most_common())
         worst, most = self.residual.max(initial=0.0), self.iterations.max(initial=0)
         return (
-            f"<SolverLog of {self.time.size} steps: {count}, residual up to {worst:.2e} m/s, iterations up to {most}>"
+            f"<SolverLog of {counted(self.time.size, 'step')}: {count}, residual up to {worst:.2e} m/s, "
+            f"iterations up to {most}>"
         )
 
 
@@ -147,7 +149,7 @@ class BodyMotion:
     _velocity: Callable[[], tuple[Array, Array]]
 
     def __repr__(self) -> str:
-        return f"<BodyMotion of {self.name!r}: {len(self.position)} states>"
+        return f"<BodyMotion of {self.name!r}: {counted(len(self.position), 'state')}>"
 
     @cached_property
     def _velocities(self) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nsdyn.recording import shares
 from nsdyn.recording.columns import CONTACT_STATES
 from nsdyn.tools.arrays import Array, Index
-from nsdyn.tools.naming import choice
+from nsdyn.tools.naming import choice, counted
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -63,7 +63,7 @@ class Pair:
 
     def __repr__(self) -> str:
         touching = sum(state in ("stick", "slip") for state in self.state)
-        return f"<Pair {self.a!r}, {self.b!r}: {len(self.state)} steps, {touching} of them pushing>"
+        return f"<Pair {self.a!r}, {self.b!r}: {counted(len(self.state), 'step')}, {touching} of them pushing>"
 
 
 def pair(trajectory: Trajectory, a: str, b: str) -> Pair:

@@ -332,7 +332,7 @@ class Trajectory:
 
     def __repr__(self) -> str:
         return (
-            f"<Trajectory of {self.meta['scene_name']!r}: {self.steps} steps of {self.dt:g} s, "
+            f"<Trajectory of {self.meta['scene_name']!r}: {counted(self.steps, 'step')} of {self.dt:g} s, "
             f"{counted(len(self.scene['frames']), 'moving body', 'moving bodies')}>"
         )
 

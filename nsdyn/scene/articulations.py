@@ -23,6 +23,7 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import Colour, Visual
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import counted
 
 __all__ = [
     "BALL",
@@ -164,10 +165,11 @@ class Articulation:
 
     def __repr__(self) -> str:
         joints, counts = list(self.model.names)[1:], ((len(self.loops), "loop"), (len(self.gears), "gear"))
-        more = "".join(f", {n} {what}{'s' if n > 1 else ''}" for n, what in counts if n)
+        more = "".join(f", {counted(n, what)}" for n, what in counts if n)
         names = ", ".join([*joints[:_SHOWN], "..."] if len(joints) > _SHOWN else joints)
         return (
-            f"<Articulation {self.name!r}: {self.model.nv} coordinates, {len(self.links)} shapes{more}; joints {names}>"
+            f"<Articulation {self.name!r}: {counted(self.model.nv, 'coordinate')}, "
+            f"{counted(len(self.links), 'shape')}{more}; joints {names}>"
         )
 
     @property

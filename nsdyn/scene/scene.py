@@ -89,7 +89,7 @@ class Scene:
     def __repr__(self) -> str:
         free = len(self.free_bodies)
         fixed, trees = len(self.bodies) - free, len(self.articulations)
-        robots = counted(trees, "articulation", "articulations")
+        robots = counted(trees, "articulation")
         return f"<Scene {self.name!r}: {counted(free, 'free body', 'free bodies')}, {fixed} fixed, {robots}>"
 
     def _repr_html_(self) -> str:

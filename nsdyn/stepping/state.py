@@ -18,6 +18,7 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import Instant
 from nsdyn.stepping.names import Names
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import counted
 
 if TYPE_CHECKING:
     from nsdyn.stepping.untold import Untold
@@ -64,7 +65,7 @@ class State(NamedTuple):
         return self.instant.energies
 
     def __repr__(self) -> str:
-        return f"<State at t = {self.t:.6g} s, {self.instant.v.size} velocities>"
+        return f"<State at t = {self.t:.6g} s, {counted(self.instant.v.size, 'velocity', 'velocities')}>"
 
     @property
     def next_t(self) -> float:
@@ -238,7 +239,7 @@ class Step:
         raise AttributeError(f"a step does not change: {name} cannot be set")
 
     def __repr__(self) -> str:
-        return f"<Step to t = {self.t:.6g} s: {self.gap.size} contacts, {self.solution.status.name}>"
+        return f"<Step to t = {self.t:.6g} s: {counted(self.gap.size, 'contact')}, {self.solution.status.name}>"
 
     @property
     def tangent(self) -> Array:

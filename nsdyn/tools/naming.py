@@ -15,9 +15,9 @@ NEAR = 6
 """Of many names so many are listed, those nearest to what was given."""
 
 
-def counted(number: int, one: str, more: str) -> str:
-    """So many of something: ``1 body``, ``2 bodies``."""
-    return f"{number} {one if number == 1 else more}"
+def counted(number: int, one: str, more: str = "") -> str:
+    """So many of something, of which `more` is the plural if it is no s: ``1 step``, ``2 bodies``."""
+    return f"{number} {one if number == 1 else more or one + 's'}"
 
 
 def choice(value: Any, known: Iterable[str], what: str) -> str:

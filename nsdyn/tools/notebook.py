@@ -11,10 +11,10 @@ ROWS = 20
 """Most rows of a table: who wants more asks the object."""
 
 
-def table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table of texts and numbers under a title; numbers to four digits, at most `ROWS` rows."""
-    cut = [[f"... {len(rows) - ROWS} more", *[""] * (len(head) - 1)]] if len(rows) > ROWS else []
-    body = "".join(_row("td", row) for row in [*rows[:ROWS], *cut])
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]], most: int = ROWS) -> str:
+    """A table of texts and numbers under a title; numbers to four digits, at most so many rows."""
+    cut = [[f"... {len(rows) - most} more", *[""] * (len(head) - 1)]] if len(rows) > most else []
+    body = "".join(_row("td", row) for row in [*rows[:most], *cut])
     return f"<table>{_caption(title)}<thead>{_row('th', head)}</thead><tbody>{body}</tbody></table>"
 
 

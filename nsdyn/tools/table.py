@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.tools import files, notebook
-from nsdyn.tools.naming import choice, unknown
+from nsdyn.tools.naming import choice, counted, unknown
 
 __all__ = ["Table", "matching"]
 
@@ -113,9 +113,10 @@ class Table:
 
     def _more(self, rows: int, headers: Sequence[str]) -> str:
         """What is not shown, in words."""
-        rest = [f"{len(self) - rows} more rows"] if len(self) > rows else []
+        rest = [counted(len(self) - rows, "more row")] if len(self) > rows else []
         if "..." in headers:
-            rest.append(f"{len(self.columns) - len(headers) + 1} more columns, of which `headers` has the names")
+            columns = counted(len(self.columns) - len(headers) + 1, "more column")
+            rest.append(f"{columns}, of which `headers` has the names")
         return ", ".join(rest)
 
     def _cells(self, rows: int) -> list[list[str]]:
@@ -133,7 +134,7 @@ class Table:
     def _repr_html_(self) -> str:
         headers, *cells = self._fitting([list(self.headers), *self._cells(notebook.ROWS)], WIDTH)
         more = f": {rest}" if (rest := self._more(notebook.ROWS, headers)) else ""
-        return notebook.table(f"{self.title}, {len(cells)} rows{more}", headers, cells)
+        return notebook.table(f"{self.title}, {counted(len(cells), 'row')}{more}", headers, cells)
 
 
 def matching(known: list[str], pattern: str, what: str) -> list[str]:

@@ -45,8 +45,9 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     rows : ndarray of int
         Indices of states; to each keyframe belong the steps since the one before.
     by : {"pair", "point"}
-        One force for each pair of bodies, at their centre of pressure; or one for each contact point, of redundant
-        ones those of least norm in each step (`nsdyn.recording.shares`).
+        One force for each pair of bodies, at their centre of pressure, both by the solver's impulses, of which on flat
+        faces no way to share them changes either; or one for each contact point, of redundant ones those of least
+        norm in each step (`nsdyn.recording.shares`).
 
     Raises
     ------
@@ -58,7 +59,7 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     step = np.repeat(np.arange(1, trajectory.steps + 1), np.diff(c["offset"]))
     k = np.flatnonzero((step > rows[0]) & (step <= rows[-1]))
     step, c = step[k], {name: x[k] for name, x in c.items() if name != "offset"}
-    impulse = impulses(trajectory, k)
+    impulse = impulses(trajectory, k) if by == "point" else c["impulse"]
     geoms = trajectory.scene["geoms"]
     frame_of = np.array([geom["frame"] for geom in geoms], dtype=np.int64)
     link_of = np.unique(body_names(trajectory), return_inverse=True)[1]
@@ -68,8 +69,11 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     sign = np.where(second, 1.0, -1.0)[:, None]
     push = sign * np.einsum("ci,cij->cj", impulse, axes)
     frame, point = frame_of[pushed], c["point"].copy()
-    for f in np.unique(frame):
-        on, motion = frame == f, trajectory.body(trajectory.scene["frames"][f])
+    order = np.argsort(frame, kind="stable")
+    for on in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1 if order.size else []):
+        if not on.size:
+            continue
+        motion = trajectory.body(trajectory.scene["frames"][frame[on[0]]])
         turn = Rotation.from_quat(motion.quaternion[step[on]]).inv()
         point[on] = turn.apply(point[on] - motion.position[step[on]])
         push[on] = turn.apply(push[on])
@@ -82,9 +86,7 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     n = len(groups)
 
     def total(values: Array) -> Array:
-        out = np.zeros((n, 3))
-        np.add.at(out, member, values)
-        return out
+        return np.stack([np.bincount(member, column, n) for column in values.T], axis=1)
 
     weights = np.maximum(np.bincount(member, weight, n), 1e-300)[:, None]
     force, mean = total(push), total(weight[:, None] * point) / weights

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nsdyn.recording import body_motion, link_names
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.naming import counted
 from nsdyn.view import arrows, contact_points, curves, keyframes, marks, paths, payload, titles
 from nsdyn.view.commands import Json, as_hex
 from nsdyn.view.looks import look_path, mesh_arrays, veiled, visual_commands
@@ -257,7 +258,8 @@ def _usual(size: Array) -> float:
 def _notes(trajectory: Trajectory, frames: int, points: int, hits: int) -> list[str]:
     """What a reader of the page has to know of what it leaves out."""
     states = trajectory.t.size
-    notes = [f"{frames} of {states} recorded states" if frames < states else f"all {states} recorded states"]
+    recorded = counted(states, "recorded state")
+    notes = [f"{frames} of {recorded}" if frames < states else f"all {recorded}" if states > 1 else recorded]
     if points < states:
         notes.append(f"curves of {points} of them, figures of checks the largest in between")
     if trajectory.every > 1:

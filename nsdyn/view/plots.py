@@ -9,7 +9,7 @@ import numpy as np
 
 from nsdyn.recording.tabulated import tabulated
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice
+from nsdyn.tools.naming import choice, counted
 from nsdyn.tools.table import Table
 from nsdyn.tools.units import with_unit
 from nsdyn.view import panels
@@ -135,7 +135,7 @@ def _shown(numbers: dict[str, int], most: set[str]) -> Shown:
     A robot that all of several names begin with is left out.
     """
     looks = panels.looks({n: k for n, k in numbers.items() if n in most})
-    others = f"and {len(numbers) - len(looks)} others", {"color": OTHERS, "lw": 0.6, "zorder": 1}
+    others = f"and {counted(len(numbers) - len(looks), 'other')}", {"color": OTHERS, "lw": 0.6, "zorder": 1}
     robots = {side.rpartition("/")[0] for n in numbers for side in n.split(SIDES)}
     common = f"{robots.pop()}/" if len(robots) == 1 < len(numbers) else ""
     named = {n: (n.replace(common, "") if common else n, {"lw": 1.2, **own}) for n, own in looks.items()}
@@ -297,7 +297,7 @@ def _power(trajectory: Trajectory, name: str) -> list[Panel]:
     ]
     if rest := order[NAMED:]:
         power = np.maximum(np.sum([taken[n] for n in rest], axis=0), 0.0)
-        layers.append(Curve(f"and {len(rest)} others", trajectory.t_steps, power, {"color": OTHERS}))
+        layers.append(Curve(f"and {counted(len(rest), 'other')}", trajectory.t_steps, power, {"color": OTHERS}))
     scale = trajectory.largest_energy / float(trajectory.t[-1] or 1.0)
     return [Panel("dissipated power [W]", [], scale, cut=True, areas=layers)]
 

@@ -5,6 +5,7 @@ import json
 import os
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -141,6 +142,38 @@ def test_tables_of_objects(run):
     np.testing.assert_allclose(cells[1:, 5].astype(float), contacts.impulse[:, 0], rtol=1e-3)  # of four digits
     solution = nd.solve(nd.FC3D(np.eye(3), [-1.0, 0.2, 0.0], [0.5]))
     assert shown(solution)[6:] == ["1", "-0.2", "0", "0", "0", "0"]
+
+
+def test_an_audit_is_a_table_of_all_its_findings(run):
+    shown_of = {}
+    for name, of in (("true", run), ("false", faster(run))):
+        audit = nd.check(of)
+        head, rows = shown(audit)[:8], np.reshape(shown(audit)[8:], (-1, 8))
+        assert head == ["audit", "worst", "tolerance", "", "amount", "step", "bodies", "what it is"]
+        assert (
+            rows[:, 0].tolist() == [f.name for f in audit.findings] and f"slide: {audit.verdict}" in audit._repr_html_()
+        )
+        shown_of[name] = {row[0]: row[3:7].tolist() for row in rows}
+    assert "FAILED" not in {verdict for verdict, *_ in shown_of["true"].values()}
+    verdict, amount, step, bodies = shown_of["false"]["momentum"]
+    assert verdict == "FAILED" and amount.endswith(" N·s") and step == "10" and bodies == "box"
+
+
+def faster(run):
+    """The recording with a velocity that nothing gives."""
+    columns = dict(run.columns)
+    columns["v"] = columns["v"].copy()
+    columns["v"][10, 0] += 1e-3
+    return nd.Trajectory(run.meta, run.scene, columns)
+
+
+def test_one_is_singular():
+    one = nd.simulate(nd.scenes.load("slide")(), 0.01, dt=0.01)
+    texts = [repr(x) for x in (one, one.energy, one.gauss, one.solver, one.pair("box", "ground"))]
+    assert all("1 step" in text and "1 steps" not in text for text in texts)
+    assert ">pairs, 1 row: 4 more columns" in one.table("pairs")[:1]._repr_html_()
+    told = SimpleNamespace(r=np.zeros(3), status=nd.Status.CONVERGED, error=0.0, residual=0.0, iterations=1)
+    assert nd.Solution.__repr__(told).endswith(" 1 iteration>")
 
 
 def test_a_trajectory_plays_in_its_cell(run, tmp_path, monkeypatch, request):

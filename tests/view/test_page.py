@@ -732,6 +732,34 @@ def test_curves_of_the_other_recording_are_laid_over(opened, sliding):
     assert page.run(lines) == [[[]], [[]]] and page.run(legend) == []
 
 
+def test_curves_that_coincide_take_turns(opened):
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(mu=0.3))
+    for k, speed in enumerate((2.0, 2.0, 2.0, 1.0)):
+        scene.add_box(f"box{k}", (0.2, 0.2, 0.2), 1.0, position=(0, k, 0.1), linear_velocity=(speed, 0, 0))
+    page = opened(nd.simulate(scene, 0.5, dt=1e-2))
+    click_on(page, ".tools .motion")
+    lines = page.run(
+        "nsdyn.panes[0].chart.lanes[0].lines.map(({dash, shift, colour}) => [dash ?? null, shift ?? null])"
+    )
+    assert lines == [[None, None], [[8, 16], 16], [[8, 16], 8], [None, None]]
+    # All four colours are on the canvas; what is whole below the others shows at the edges of these too.
+    counts = page.run("""(() => {
+        const {back, lanes} = nsdyn.panes[0].chart;
+        const {data} = back.getContext("2d").getImageData(0, 0, back.width, back.height);
+        return lanes[0].lines.map(({colour}) => {
+            const rgb = [1, 3, 5].map(k => parseInt(colour.slice(k, k + 2), 16));
+            let count = 0;
+            for (let k = 0; k < data.length; k += 4) count += rgb.every((x, i) => Math.abs(data[k + i] - x) < 20);
+            return count;
+        });
+    })()""")
+    assert min(counts[:3]) > 0.3 * max(counts[:3]) > 50 and counts[3] > 50
+    # The one that is picked is whole, in front of the others.
+    page.run("nsdyn.panes[0].inspector.body(1)")
+    assert page.run("nsdyn.panes[0].chart.lanes[0].lines.every(line => line.dash === undefined)")
+
+
 def test_what_is_not_recorded_is_told(opened, tmp_path):
     scene = nd.scenes.load("bounce")()
     page = opened(nd.simulate(scene, 0.6, dt=1e-3, every=10, contacts=False))

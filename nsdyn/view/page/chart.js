@@ -3,6 +3,8 @@
 const MARGIN = {top: 8, bottom: 5};  // and to the sides those of the timeline below, which has the axis
 const GAP = 11;  // between lanes
 const SMALLEST = 0.7;  // of the size of a text, to make room
+const SAME = 5e-3, MOST = 0.9;  // curves lie on each other that are no further apart, of a range, for so much of their time
+const TURN = 8;  // length of their dashes
 
 class Chart {
   // `onSeek(t)` is called where the pointer is pressed or drawn.
@@ -18,8 +20,8 @@ class Chart {
 
   // What is shown: {begin, end} of time, and lanes, one above the other, each {low, high, log, unit, areas, lines, note};
   // what else is to be said of a lane, its `remark`, stands with the figures, off the curves.
-  // An area is {values: [lower, upper], colour}, a line {values, colour, dash, width, rim}; all have the times `t`, but
-  // for lines that have their own; `steps` where each value is of the time since the one before.
+  // An area is {values: [lower, upper], colour}, a line {values, colour, dash, shift, width, rim}; all have the times `t`,
+  // but for lines that have their own; `steps` where each value is of the time since the one before.
   show(content) {
     Object.assign(this, content);
     this.redraw();
@@ -83,9 +85,10 @@ class Chart {
       this.trace(context, lane, lower, true);
       context.fill();
     }
-    context.lineCap = "round";
-    for (const {values, colour, dash, width, t, rim} of lane.lines ?? []) {
+    for (const {values, colour, dash, shift, width, t, rim} of lane.lines ?? []) {
+      context.lineCap = shift === undefined ? "round" : "butt";
       context.setLineDash(dash ?? []);
+      context.lineDashOffset = shift ?? 0;
       context.beginPath();
       this.trace(context, lane, values, false, t);
       for (const [stroke, more] of rim ? [[theme.colour("paper"), 1.6], [colour, 0]] : [[colour, 0]]) {
@@ -171,6 +174,31 @@ function commonRange(ranges, laid) {
   const all = [Math.min(...ranges.map(range => range[0])), Math.max(...ranges.map(range => range[1]))];
   const seen = ranges.every(([low, high]) => high - low > 0.2 * (all[1] - all[0]));
   return laid || seen ? all : ranges[0];
+}
+
+// Lines of one time of which those that lie on others for nearly all of the time in which they are not 0 take turns, so
+// that all are seen; the first of each pile is whole, for the gaps of the others. As in the plots of `nsdyn.view.panels`.
+function takingTurns(lines, range) {
+  const near = SAME * range, piles = [];
+  const lies = (values, others) => {
+    let [some, same] = [0, 0];
+    values.forEach((x, k) => {
+      if (!(Math.max(Math.abs(x), Math.abs(others[k])) > near)) return;
+      some++;
+      if (Math.abs(x - others[k]) <= near) same++;
+    });
+    return same > MOST * some;
+  };
+  for (const line of lines) {
+    const pile = piles.find(([first]) => lies(line.values, first.values));
+    if (pile) pile.push(line); else piles.push([line]);
+  }
+  for (const pile of piles) {
+    pile.slice(1).forEach((line, k) => {
+      Object.assign(line, {dash: [TURN, TURN * (pile.length - 1)].map(px), shift: px(TURN * (pile.length - 1 - k))});
+    });
+  }
+  return lines;
 }
 
 // A curve of one recording over those of another.

@@ -65,21 +65,24 @@ class Motion {
       // Round-off, of 15 bits, does not fill the axis: what stays where it is is shown beside 0.
       if (high - low < STILL_HERE * Math.max(Math.abs(low), Math.abs(high))) [low, high] = [Math.min(0, low), Math.max(0, high)];
       const room = Math.max(0.06 * (high - low), 1e-9);
-      const lines = [...this.lines(curves), ...laid.flatMap(other => other.over(unit))];
+      const lines = [...this.lines(curves, high - low), ...laid.flatMap(other => other.over(unit))];
       return {unit, low: low < 0 || low > room ? low - room : low, high: high + room, lines};
     });
     const note = "nothing moves";
     return {t: this.t, steps: false, lanes: lanes.length ? lanes : [{unit: "", low: 0, high: 1, note}]};
   }
 
-  // Lines of curves, those with names and the one that is picked in front.
-  lines(curves) {
+  // Lines of curves, those with names, which take turns where they are the same, and the one that is picked in front.
+  lines(curves, range) {
     const front = number => this.picked === number ? 2 : this.named.has(number) ? 1 : 0;
-    return [...curves].sort((a, b) => front(a.number) - front(b.number)).map(({number, colour, values}) => {
+    const sorted = [...curves].sort((a, b) => front(a.number) - front(b.number));
+    const lines = sorted.map(({number, colour, values}) => {
       const own = front(number) ? colour : theme.colour("light");
       const faded = this.picked !== null && this.picked !== number;
       return {values, colour: own + (faded ? "48" : ""), width: [1, 1.6, 2.6][front(number)]};
     });
+    if (this.picked === null) takingTurns(lines.filter((_, k) => front(sorted[k].number)), range);
+    return lines;
   }
 
   // Those with names, over the curves of another recording.
