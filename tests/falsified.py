@@ -1,4 +1,4 @@
-"""True recordings of articulations, and what falsifies them: changes of their columns or scenes."""
+"""True recordings, and what falsifies them: changes of their columns, scenes or attributes."""
 
 import copy
 from dataclasses import replace
@@ -158,6 +158,30 @@ def _ball():
     return nd.simulate(scene, 0.1, 5e-3)
 
 
+def _boxes(theta=0.5):
+    """What slides, rests, rolls and tumbles."""
+    scene = nd.Scene(name="boxes")
+    scene.add_halfspace("ground", material=nd.Material(mu=0.4))
+    scene.add_box("box", (0.2, 0.2, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(1, 0.3, 0))
+    scene.add_sphere("ball", 0.05, 0.3, position=(0, 0, 0.15), linear_velocity=(1, 0.3, 0))
+    scene.add_cylinder("can", 0.05, 0.1, 0.2, position=(0.5, 0, 0.05))
+    scene.add_box("tumbling", (0.1, 0.15, 0.2), 1.0, position=(-0.5, 0, 0.3), angular_velocity=(3, 4, -2))
+    scene.add_ellipsoid("egg", (0.05, 0.06, 0.08), 0.5, position=(0.9, 0, 0.12), angular_velocity=(3, 4, -2))
+    return nd.simulate(scene, 0.2, dt=2e-3, theta=theta)
+
+
+def _bounces(impact="dissipative"):
+    """A ball and a box that bounce and roll with spin."""
+    scene, material = nd.Scene(name="bounces"), nd.Material(mu=0.3, restitution=0.5)
+    scene.add_halfspace("ground", material=material)
+    move = {"linear_velocity": (1, 0, 0), "angular_velocity": (0, -30, 5)}
+    scene.add_sphere("ball", 0.05, 1.0, position=(0, 0, 0.08), material=material, **move)
+    move = {"linear_velocity": (-0.5, 0, -1), "angular_velocity": (1, 2, 3)}
+    turned = {"position": (0.6, 0, 0.3), "quaternion": (0.5, 0.1, 0.5, 0.7)}
+    scene.add_box("box", (0.1, 0.2, 0.15), 2.0, material=material, **turned, **move)
+    return nd.simulate(scene, 0.3, dt=5e-3, impact=impact)
+
+
 RUNS = {
     "arm": _arm,
     "ball": _ball,
@@ -170,6 +194,11 @@ RUNS = {
     "crank": _crank,
     "snake": _snake,
     "slider crank": lambda: _named("slider_crank", 0.07, 1e-3),
+    "pushes": lambda: _named("arm_pushes_box", 0.4, 5e-3),
+    "boxes": _boxes,
+    "theta": lambda: _boxes(0.8),
+    "bounces": _bounces,
+    "fremond": lambda: _bounces("fremond"),
 }
 
 
@@ -180,13 +209,18 @@ def true(name):
 
 
 def false(kind):
-    """A recording that was falsified."""
-    name, change = KINDS[kind]
+    """A recording that was falsified: by a kind of `KINDS`, or by one of `ANYWHERE` and the name of a run.
+
+    Changes find its attributes at ``scene["meta"]``.
+    """
+    name, change = KINDS[kind] if isinstance(kind, str) else (kind[1], ANYWHERE[kind[0]][1])
     t = true(name)
     out = Trajectory(dict(t.meta), copy.deepcopy(t.scene), {key: values.copy() for key, values in t.columns.items()})
+    out.scene["meta"] = out.meta
     change(out.columns, out.scene)
+    del out.scene["meta"]
     same = all(np.array_equal(values, t.columns[key], equal_nan=True) for key, values in out.columns.items())
-    assert not same or out.scene != t.scene, "nothing was changed"
+    assert not same or (out.scene, out.meta) != (t.scene, t.meta), "nothing was changed"
     return out
 
 
@@ -639,4 +673,391 @@ KINDS = {
     "contacts that are said to rebound": ("quadruped", _plus("contacts/restitution", 0.5)),
     "a ball joint turned by 1e-7 rad in one state": ("snake", lambda c, s: _spun(c["q"][40, 7:11])),
     "a blow spread over two steps": ("snake", _spread),
+}
+
+
+# What falsifies recordings of any kind: (names of runs, change).
+
+
+def _strongest(c):
+    """Rows of contacts, the largest normal impulses first."""
+    return np.argsort(-c["contacts/impulse"][:, 0], kind="stable")
+
+
+def _strong(key, change, component=()):
+    """Another value at the contact with the largest impulse, a number or a component."""
+
+    def out(c, scene):
+        place = (_strongest(c)[0], *component)
+        c[f"contacts/{key}"][place] = change(c[f"contacts/{key}"][place])
+
+    return out
+
+
+def _busiest(c):
+    """Rows of the contacts of the step with most that push."""
+    offset, pushes = c["contacts/offset"], c["contacts/impulse"][:, 0] > 0.0
+    count = [int(pushes[a:b].sum()) for a, b in pairwise(offset)]
+    k = int(np.argmax(count))
+    return np.arange(offset[k], offset[k + 1])
+
+
+def _two(key, least=1e-9):
+    """Values of two contacts of a step for one another, where they differ most."""
+
+    def change(c, scene):
+        x, best = c[f"contacts/{key}"], (least, 0, 0)
+        for a, b in pairwise(c["contacts/offset"]):
+            for i in range(a, b - 1):
+                apart = float(np.abs(x[i + 1 : b].reshape(b - i - 1, -1) - x[i].reshape(1, -1)).max(axis=1).max())
+                if apart > best[0]:
+                    j = (
+                        i
+                        + 1
+                        + int(np.abs(x[i + 1 : b].reshape(b - i - 1, -1) - x[i].reshape(1, -1)).max(axis=1).argmax())
+                    )
+                    best = apart, i, j
+        assert best[1] != best[2], "no two contacts differ"
+        x[[best[1], best[2]]] = x[[best[2], best[1]]]
+
+    return change
+
+
+def _worked(name, factor, into=None):
+    """Work of the contact with the most, elsewhere in its step or nowhere; the ledger with it if asked."""
+
+    def change(c, scene):
+        work = c[f"contacts/work_{name}"]
+        row = int(np.abs(work).argmax())
+        more = factor * work[row]
+        assert more != 0.0
+        work[row] += more
+        if into == "ledger":
+            step = int(np.searchsorted(c["contacts/offset"], row, side="right")) - 1
+            c[f"energy/{name}"][step] += more
+            c["energy/integration"][step] -= more
+        elif into == "other":
+            rows = _busiest(c)
+            row = rows[0] if rows[0] != row else rows[-1]
+            work[row] -= more
+
+    return change
+
+
+def _geoms(key, change, where=lambda geom: True):
+    """Another value of all shapes of a kind."""
+
+    def out(c, scene):
+        changed = [geom for geom in scene["geoms"] if key in geom and where(geom)]
+        assert changed
+        for geom in changed:
+            geom[key] = change(geom[key])
+
+    return out
+
+
+def _scaled(factor):
+    return lambda x: (factor * np.array(x)).tolist()
+
+
+def _longer(size):
+    return [size[0] * 1.001, *size[1:]]
+
+
+def _turned_place(place):
+    out = np.array(place)
+    out[:3, :3] *= 1.0 + 1e-6
+    return out.tolist()
+
+
+def _moved_place(place):
+    out = np.array(place)
+    out[:3, 3] += 1e-4
+    return out.tolist()
+
+
+def _free(key, change):
+    def out(c, scene):
+        scene[key] = [change(x) for x in scene[key]]
+
+    return out
+
+
+def _lopsided(inertia):
+    out = np.array(inertia)
+    out[0, 1] += 1e-3 * out[0, 0]
+    return out.tolist()
+
+
+def _thin(inertia):
+    out = np.array(inertia)
+    out[2, 2] = 3.0 * out.max()
+    return out.tolist()
+
+
+def _attribute(key, change):
+    def out(c, scene):
+        scene["meta"][key] = change(scene["meta"][key])
+
+    return out
+
+
+def _one_state(body, more, speed=False):
+    """A free body elsewhere, or faster, in one state in the middle."""
+
+    def change(c, scene):
+        k, place = len(c["t"]) // 2, (6 if speed else 7) * body
+        c["v" if speed else "q"][k, place] += more
+        if not speed and "frames/x" in c:
+            c["frames/x"][k, body, 0] += more
+
+    return change
+
+
+def _from(body, more):
+    """A free body elsewhere from the middle on."""
+
+    def change(c, scene):
+        k = len(c["t"]) // 2
+        c["q"][k:, 7 * body + 1] += more
+        if "frames/x" in c:
+            c["frames/x"][k:, body, 1] += more
+
+    return change
+
+
+def _doubled(c, scene):
+    """A state twice, and one left out."""
+    k = len(c["t"]) // 2
+    for key in ("q", "v", "frames/x", "frames/quat"):
+        if key in c:
+            c[key][k] = c[key][k - 1]
+
+
+def _smoothed(c, scene):
+    """Velocities as the mean of their neighbours, from the second on."""
+    c["v"][1:-1] = (c["v"][:-2] + c["v"][1:-1] + c["v"][2:]) / 3.0
+
+
+def _as_differences(c, scene):
+    """Velocities of the first free body as differences of its places."""
+    x, h = c["q"][:, :3], c["t"][1]
+    c["v"][1:, :3] = np.diff(x, axis=0) / h
+
+
+def _mirrored(c, scene):
+    """Places and velocities of the first free body, the other way along y."""
+    c["q"][:, 1] *= -1.0
+    c["v"][:, 1] *= -1.0
+
+
+def _spinless(c, scene):
+    """Angular velocities left out in one state."""
+    k = len(c["t"]) // 2
+    c["v"][k, 3:6] = 0.0
+
+
+def _gravity(c, scene):
+    scene["gravity"] = [1.001 * x for x in scene["gravity"]]
+
+
+def _one_tangent(c, scene):
+    """The second axis of one contact for the first."""
+    row = _strongest(c)[0]
+    c["contacts/tangent"][row] = np.cross(c["contacts/normal"][row], c["contacts/tangent"][row])
+
+
+def _other_side(c, scene):
+    """Both shapes of a contact for one another."""
+    row = _strongest(c)[0]
+    for a, b in (("geom1", "geom2"),):
+        c[f"contacts/{a}"][row], c[f"contacts/{b}"][row] = c[f"contacts/{b}"][row], c[f"contacts/{a}"][row]
+
+
+def _another_body(c, scene):
+    """A contact said to be of another body."""
+    row, shapes = _strongest(c)[0], len(scene["geoms"])
+    own = {int(c["contacts/geom1"][row]), int(c["contacts/geom2"][row])}
+    c["contacts/geom2"][row] = next(k for k in range(shapes) if k not in own)
+
+
+def _with_itself(c, scene):
+    row = _strongest(c)[0]
+    c["contacts/geom2"][row] = c["contacts/geom1"][row]
+
+
+def _left_out(c, scene):
+    """The strongest contact left out, with its ledger."""
+    row = int(_strongest(c)[0])
+    step = int(np.searchsorted(c["contacts/offset"], row, side="right")) - 1
+    for key in [key for key in c if key.startswith("contacts/") and key != "contacts/offset"]:
+        c[key] = np.delete(c[key], row, axis=0)
+    c["contacts/offset"][step + 1 :] -= 1
+    if "pieces/contacts" in c:
+        parts = np.arange(*c["pieces/offset"][step : step + 2])
+        some = parts[c["pieces/contacts"][parts] > 0]
+        c["pieces/contacts"][some[:1]] -= 1
+
+
+def _twice(c, scene):
+    """The strongest contact as two of half its impulse and works, with one key."""
+    row = int(_strongest(c)[0])
+    step = int(np.searchsorted(c["contacts/offset"], row, side="right")) - 1
+    for name in ("impulse", "work_normal", "work_friction", "couple"):
+        c[f"contacts/{name}"][row] *= 0.5
+    for key in [key for key in c if key.startswith("contacts/") and key != "contacts/offset"]:
+        c[key] = np.insert(c[key], row, c[key][row], axis=0)
+    c["contacts/offset"][step + 1 :] += 1
+    if "pieces/contacts" in c:
+        parts = np.arange(*c["pieces/offset"][step : step + 2])
+        c["pieces/contacts"][parts[c["pieces/contacts"][parts] > 0][:1]] += 1
+
+
+def _glued(c, scene):
+    """Half of an impulse of friction left out, and momentum with it."""
+    row = _strongest(c)[0]
+    c["contacts/impulse"][row, 1:] *= 0.5
+
+
+def _not_rebounding(c, scene):
+    """Restitution of materials and of contacts left out together."""
+    for geom in scene["geoms"]:
+        geom["restitution"] = 0.0
+    c["contacts/restitution"][:] = 0.0
+
+
+def _as_spherical_zyx(c, scene):
+    for tree in scene["articulations"]:
+        for joint in tree["model"]["joints"]:
+            if joint["kind"] == "JointModelSpherical":
+                joint["kind"] = "JointModelSphericalZYX"
+
+
+def _created(c, scene):
+    c["energy/created"][len(c["energy/created"]) // 2] += 1e-3
+
+
+def _booked_anywhere(source, into):
+    """The works of one column in another, all of them."""
+
+    def change(c, scene):
+        moved = c[f"energy/{source}"].copy()
+        assert np.abs(moved).max() > 1e-6 * np.ptp(c["energy/kinetic"])
+        c[f"energy/{source}"] -= moved
+        c[f"energy/{into}"] += moved
+
+    return change
+
+
+def _driven_friction(c, scene):
+    """Dry friction of a driven joint that has none."""
+    c["joints/friction"][4, 0] += 1e-3
+
+
+FREE, ALL = ("boxes", "theta", "bounces"), ("boxes", "theta", "bounces", "pushes", "quadruped")
+TOUCHING = ("boxes", "bounces", "pushes", "quadruped", "snake")
+ANYWHERE = {
+    "gaps a thousandth larger": (("bounces",), _times("contacts/gap", 1.001)),
+    "a gap a hundredth of a body deeper": (
+        ("boxes", "bounces", "quadruped", "snake"),
+        _strong("gap", lambda x: x - 1e-3),
+    ),
+    "a gap a hundredth of a body wider": (("boxes", "gripper"), _strong("gap", lambda x: x + 1e-3)),
+    "gaps in another step": (("bounces", "snake"), _moved("contacts/gap")),
+    "gaps exchanged": (("bounces", "pushes", "snake"), _reversed("contacts/gap")),
+    "relative velocities doubled": (TOUCHING, _times("contacts/u", 2.0)),
+    "relative velocities turned round": (TOUCHING, _times("contacts/u", -1.0)),
+    "relative velocities left out": (("boxes", "bounces", "pushes", "snake"), _times("contacts/u", 0.0)),
+    "relative velocities in another step": (("bounces", "pushes", "snake"), _moved("contacts/u")),
+    "a relative velocity off by 1e-3 m/s": (("gripper",), _strong("u", lambda x: x + 1e-3, (0,))),
+    "a contact that is said to be open": (TOUCHING, _strong("status", lambda x: 0)),
+    "a contact that is said to jam": (TOUCHING, _strong("status", lambda x: 3)),
+    "contacts that slip said to stick": (
+        ("boxes", "bounces", "pushes"),
+        lambda c, s: c["contacts/status"].__setitem__(c["contacts/status"] == 2, 1),
+    ),
+    "contacts that stick said to slip": (
+        ("boxes", "pushes", "quadruped"),
+        lambda c, s: c["contacts/status"].__setitem__(c["contacts/status"] == 1, 2),
+    ),
+    "states in another step": (("bounces", "pushes", "snake"), _moved("contacts/status")),
+    "one key for all": (("boxes", "theta", "pushes", "gripper"), _times("contacts/key", 0)),
+    "a tenth of a thousandth of a work of friction": (("pushes", "quadruped", "snake"), _worked("friction", 1e-4)),
+    "a work of friction turned round": (TOUCHING, _worked("friction", -2.0)),
+    "a work of an impact a thousandth larger": (("bounces", "snake"), _worked("normal", 1e-3)),
+    "work of one contact in another of its step": (("boxes", "theta"), _worked("friction", 1e-2, "other")),
+    "a work of a contact and of the ledger": (TOUCHING, _worked("friction", 1e-2, "ledger")),
+    "works of contacts exchanged": (("boxes", "theta", "pushes"), _two("work_friction")),
+    "friction booked as numerics": (FREE, _booked_anywhere("friction", "integration")),
+    "friction booked as impacts": (ALL, _booked_anywhere("friction", "normal")),
+    "friction booked as external": (FREE, _booked_anywhere("friction", "external")),
+    "friction booked as damping": (FREE, _booked_anywhere("friction", "damping")),
+    "friction booked as of drives": (FREE, _booked_anywhere("friction", "constraint")),
+    "friction booked as projections": (FREE, _booked_anywhere("friction", "projection")),
+    "impacts booked as friction": (("bounces", "fremond"), _booked_anywhere("normal", "friction")),
+    "impacts booked as numerics": (("bounces", "fremond"), _booked_anywhere("normal", "integration")),
+    "energy said to be created": (ALL, _created),
+    "a couple of its own": (("boxes", "bounces", "theta"), _strong("couple", lambda x: x + 1e-3, (0,))),
+    "couples turned round": (("boxes", "theta"), _times("contacts/couple", -1.0)),
+    "a point off by a tenth of a millimetre": (TOUCHING, _strong("point", lambda x: x + 1e-4, (0,))),
+    "points exchanged": (("boxes", "theta", "pushes"), _two("point")),
+    "normal impulses exchanged": (("boxes", "theta", "pushes", "quadruped"), _two("impulse", 1e-6)),
+    "half of an impulse of friction left out": (TOUCHING, _glued),
+    "impulses a thousandth larger": (TOUCHING, _times("contacts/impulse", 1.001)),
+    "axes across a contact exchanged": (TOUCHING, _one_tangent),
+    "normals turned round": (TOUCHING, _times("contacts/normal", -1.0)),
+    "shapes of a contact exchanged": (TOUCHING, _other_side),
+    "a contact of another body": (("boxes", "bounces", "pushes", "quadruped"), _another_body),
+    "a contact of a body with itself": (TOUCHING, _with_itself),
+    "a contact left out": (("boxes", "bounces", "pushes", "quadruped"), _left_out),
+    "a contact twice": (("boxes", "bounces", "pushes", "quadruped"), _twice),
+    "a coefficient of one contact": (TOUCHING, _strong("mu", lambda x: 1.001 * x)),
+    "a restitution of one contact": (TOUCHING, _strong("restitution", lambda x: x + 1e-3)),
+    "sizes of boxes": (("boxes", "bounces", "pushes"), _geoms("size", _longer, lambda g: g["shape"] == "box")),
+    "corners of boxes": (("boxes", "bounces", "pushes"), _geoms("vertices", _scaled(1.001))),
+    "sizes of round shapes": (("boxes", "theta", "quadruped"), _geoms("size", _longer, lambda g: g["shape"] != "box")),
+    "sizes that a sphere has not": (
+        ("boxes", "bounces"),
+        _geoms("size", lambda x: [*x[:2], 0.1], lambda g: g["shape"] == "sphere"),
+    ),
+    "faces of other corners": (
+        ("boxes", "bounces", "pushes"),
+        _geoms("faces", lambda x: [[7 - k for k in x[0]], [0, 3, 5, 6], *x[2:]]),
+    ),
+    "places of shapes that are no poses": (ALL, _geoms("placement", _turned_place)),
+    "shapes elsewhere on their bodies": (("boxes", "theta", "bounces", "quadruped"), _geoms("placement", _moved_place)),
+    "negative friction of materials": (ALL, _geoms("mu", lambda x: -x)),
+    "restitution above 1": (ALL, _geoms("restitution", lambda x: x + 1.0)),
+    "masses of bodies a thousandth larger": (FREE, _free("masses", lambda x: 1.001 * x)),
+    "inertias of bodies a thousandth larger": (FREE, _free("inertias", _scaled(1.001))),
+    "inertias that are lopsided": (FREE, _free("inertias", _lopsided)),
+    "inertias that no body has": (FREE, _free("inertias", _thin)),
+    "gravity a thousandth larger": (ALL, _gravity),
+    "another theta": (("boxes", "theta", "bounces"), _attribute("theta", lambda x: x + 1e-3)),
+    "another step": (ALL, _attribute("dt", lambda x: 1.001 * x)),
+    "contacts said not to be recorded": (ALL, _attribute("contacts", lambda x: False)),
+    "times shifted by a step": (ALL, lambda c, s: c["t"].__setitem__(slice(1, None), c["t"][:-1].copy())),
+    "a body elsewhere in one state": (ALL[:4], _one_state(0, 1e-6)),
+    "a body faster in one state": (ALL[:4], _one_state(0, 1e-6, speed=True)),
+    "a body elsewhere from the middle on": (ALL[:4], _from(0, 1e-4)),
+    "a state twice": (ALL, _doubled),
+    "velocities smoothed": (ALL, _smoothed),
+    "velocities as differences of places": (("bounces", "theta", "fremond"), _as_differences),
+    "a body mirrored": (("boxes", "theta"), _mirrored),
+    "spin left out in one state": (("bounces", "fremond"), _spinless),
+    "potential energy a thousandth larger": (ALL, _times("energy/potential", 1.001)),
+    "kinetic energy in another state": (ALL, _moved("energy/kinetic")),
+    "external work and its opposite": (
+        FREE,
+        lambda c, s: [c["energy/external"].__iadd__(1e-3), c["energy/integration"].__isub__(1e-3)],
+    ),
+    "projections that lift more": (
+        FREE,
+        lambda c, s: [c["energy/projection"].__iadd__(1e-3), c["energy/integration"].__isub__(1e-3)],
+    ),
+    "a frame of a body that is not its own": (("pushes", "gripper"), _plus("frames/x", 1e-9, (5, 0, 2))),
+    "balls said to turn about three axes": (("ball", "snake"), _as_spherical_zyx),
+    "friction of a driven joint that has none": (("cart", "crank"), _driven_friction),
+    "everything backwards": (("boxes", "bounces", "pushes"), _reversed("q", "v")),
+    "materials that are said not to rebound": (("bounces", "fremond"), _not_rebounding),
 }

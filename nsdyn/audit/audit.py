@@ -20,11 +20,14 @@ import numpy as np
 
 from nsdyn.audit.articulated import joints
 from nsdyn.audit.balances import energies, momenta, plain
+from nsdyn.audit.described import described, touched, unseen
 from nsdyn.audit.findings import TOLERANCES, Finding
 from nsdyn.audit.flight import Flight
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.retraced import retraced
+from nsdyn.audit.told import told
 from nsdyn.audit.touching import contacts, overlaps
+from nsdyn.audit.works import works
 from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import notebook
@@ -121,12 +124,14 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
 
     Notes
     -----
+    What no motion shows is named: `certificates` are of problems that are not recorded, and by what `provenance` has
+    nothing moves. Where a contact is of shapes that cannot touch, that is all that is found.
+
     Articulations are followed through every step by equations of motion of their own (`nsdyn.recording.retrace`),
     from the model that the recording holds. Not audited: the momenta of free bodies where external forces act, what
-    a controller gives, the works of moving surfaces, limits that rebound together or with contacts; what contacts
-    are said to be besides their points, axes, impulses, works and coefficients: gaps, velocities but for the
-    direction of slip, couples that fit the change of spin, and when within a step a free body was pushed; and what
-    a run says of its own solves, as certificates are those of problems that are not recorded, and of its times.
+    a controller gives, the works of moving surfaces, limits that rebound together or with contacts; of contacts
+    the couples that fit the change of spin, when within a step a free body was pushed, and velocities of what does
+    not push; gaps, velocities and works of what turns, or is lifted, in a step that is cut are known to first order.
     Where only every N-th step is recorded there are no balances of momentum, nor of the works of contacts one by
     one, nor is it known where those of the last step were in its middle; the ledger is audited, being of all steps.
     Where contacts are not recorded, nothing is audited that they do. In recordings before format 7 articulations
@@ -146,11 +151,15 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
         choice(name, TOLERANCES, "tolerance")
     tol = TOLERANCES | tolerances
     poses = Poses(trajectory)
-    found = retraced(poses)
-    links = None if isinstance(found, str) else (found.met_x, found.met_quaternion, found.met_v)
+    first = touched(poses)
+    if not first[1](tol["pairs"]).passed:  # what follows is about shapes that touch
+        return Audit((first[1](tol["pairs"]),), str(trajectory.meta["scene_name"]))
+    found = retraced(poses) if trajectory.scene["articulations"] else None
+    links = None if found is None or isinstance(found, str) else found.met
     flight = None if left_out(trajectory) else Flight.of(poses, links)
-    findings = [*plain(poses), *overlaps(poses), *contacts(poses, flight), *momenta(poses, flight)]
-    findings += [*energies(poses), *joints(poses, found, flight)]
+    findings = [described(poses, found), first, *plain(poses), *overlaps(poses), *contacts(poses, flight)]
+    findings += [*told(poses, flight), *momenta(poses, flight), *energies(poses)]
+    findings += [*joints(poses, found), *works(poses, found, flight), *unseen(poses)]
     return Audit(tuple(finding(tol[name]) for name, finding in findings), str(trajectory.meta["scene_name"]))
 
 

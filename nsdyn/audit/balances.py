@@ -28,9 +28,11 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     missing = not_audited("motion", "m", f"of every {t.every} steps one is recorded")
     yield _motion(poses, flight) if t.every == 1 else missing
     if flight is None or not flight.timed:
-        yield not_audited("sideways", "m", reason or "when impulses acted is not recorded")
+        why = reason or "when impulses acted is not recorded"
+        yield from (not_audited(name, "m", why) for name in ("sideways", "lifts"))
     else:
         yield _sideways(poses, flight)
+        yield _lifts(poses, flight)
     if t.meta.get("external_force", True) and free:
         known = "external_force" in t.meta
         reason = "external forces act" if known else "whether external forces act is not recorded"
@@ -50,25 +52,49 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     if np.isnan(t.columns["contacts/couple"]).any():
         yield not_audited("spin", "N·m·s", "couples of contacts are not recorded")
         return
-    spin = spins(poses)
+    spin, rounded = spins(poses), 8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2)
     rest = np.diff(spin, axis=0) - flight.torque
     # Where on its way the projection lifts a body is not recorded.
-    left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
+    left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within + rounded)
     left = np.maximum(left, 0.0)
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:], "N·m·s")
 
 
 def plain(poses: Poses) -> Iterator[Found]:
-    """Whether times are those of the steps, and quaternions of norm 1."""
+    """Whether times are those of the steps, quaternions of norm 1, and frames of free bodies where these are."""
     t, frames = poses.trajectory, poses.scene["frames"]
     h = t.dt * t.every
     # Times are rounded where they are large.
     late = np.maximum(np.abs(np.diff(t.t) - h) - 4.0 * np.finfo(float).eps * np.abs(t.t[1:]), 0.0)
+    late = np.maximum(late, _alone(t))
     yield worst_of("times", late / h, late, "s", np.arange(1, t.steps + 1), lambda _: ())
     off = np.abs(np.linalg.norm(poses.quaternion, axis=2) - 1.0)
     state, which = np.indices(off.shape)
     yield worst_of("turns", off.ravel(), off.ravel(), "-", state.ravel(), lambda k: [frames[which.ravel()[k]]])
+    if "frames/x" in t.columns:
+        apart = np.linalg.norm(t.columns["frames/x"] - poses.x, axis=2)
+        apart += np.linalg.norm(t.columns["frames/quat"] - poses.quaternion, axis=2)
+        yield worst_of("frames", apart.ravel(), apart.ravel(), "m", state.ravel(), lambda k: [frames[which.ravel()[k]]])
+
+
+def _alone(t: Trajectory) -> Array:
+    """How far from 1 - θ of a step its impulses act where they have one instant, which others have too, (n,), s.
+
+    Impacts have instants of their own, and steps that are cut for many have several.
+    """
+    out, when = np.zeros(t.steps), t.columns["contacts/time"]
+    if left_out(t) or np.isnan(when).any():
+        return out
+    first, last = t.columns["contacts/offset"][:-1], t.columns["contacts/offset"][1:]
+    some = np.flatnonzero(last > first)
+    low, high = (f.reduceat(when, first[some]) if some.size else when[:0] for f in (np.minimum, np.maximum))
+    some, low = some[low == high], low[low == high]
+    _, which, count = np.unique(low, return_inverse=True, return_counts=True)
+    often = count[which] > 0.5 * some.size
+    late = np.abs(low - (1.0 - float(t.meta["theta"])) * t.dt)
+    out[some] = np.where(often & (some.size > 3), np.maximum(late - 1e-9 * t.dt, 0.0), 0.0)
+    return out
 
 
 def _motion(poses: Poses, flight: Flight | None) -> Found:
@@ -76,10 +102,10 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
     t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
     q = poses.quaternion[:, :free]
     if flight is not None and flight.timed:
-        left, there, back = np.linalg.norm(flight.lift, axis=2) - flight.unknown, flight.quaternion, q[1:]
+        left, turn = np.linalg.norm(flight.lift, axis=2) - flight.unknown, flight.turn
         # How far bodies were lifted in a step in pieces is not recorded.
         rest = np.linalg.norm(np.diff(spins(poses), axis=0) - flight.torque, axis=2)
-        rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
+        rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within)
         least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
         later = np.where(flight.cut, t.dt * rest / least, 0.0)
     else:
@@ -87,15 +113,12 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
         moved = rotate(q[:-1], before[..., :3]) + rotate(q[1:], after[..., :3])
         left = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - moved, axis=2) - poses.uncertain[0][:, :free]
         # Half a turn with either angular velocity, each in the axes of its own end.
-        there, back = turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:])
+        turn = angles(turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:]))
         later = poses.uncertain[1][:, :free]
-    radius, extent = np.zeros(free), np.full(free, np.inf)
-    for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < free)):
-        body, solid = poses.frame[k], poses.solids[poses.kind[k]]
-        radius[body] = max(radius[body], solid.bounding_radius)
-        extent[body] = min(extent[body], solid.extent)
-    amount = np.maximum(left, (angles(there, back) - later) * radius)
-    return of_bodies(poses, "motion", amount, np.broadcast_to(extent, amount.shape), "m")
+    radius, own = np.zeros(free), np.flatnonzero((poses.frame >= 0) & (poses.frame < free))
+    np.maximum.at(radius, poses.frame[own], poses.bounding_radius[own])
+    amount = np.maximum(left, (turn - later) * radius)
+    return of_bodies(poses, "motion", amount, np.broadcast_to(_extents(poses), amount.shape), "m")
 
 
 def _sideways(poses: Poses, flight: Flight) -> Found:
@@ -110,7 +133,7 @@ def _sideways(poses: Poses, flight: Flight) -> Found:
         body = poses.frame[t.columns[f"contacts/{geom}"].astype(np.int64)]
         own = (body >= 0) & (body < free)
         np.add.at(lines, (step[own], body[own]), normal[own, :, None] * normal[own, None])
-    sizes, axes = np.linalg.eigh(lines)
+    sizes, axes = np.linalg.eigh(np.nan_to_num(lines))  # what is no number, the axes of contacts are looked at for
     open_to = sizes > PARALLEL * np.maximum(sizes[..., -1:], 1.0)
     parts = np.abs(np.einsum("nbij,nbi->nbj", axes, flight.lift))
     along, across = (np.linalg.norm(np.where(some, parts, 0.0), axis=2) for some in (open_to, ~open_to))
@@ -120,43 +143,38 @@ def _sideways(poses: Poses, flight: Flight) -> Found:
     return of_bodies(poses, "sideways", across - along - flight.unknown - rounded, moved, "m")
 
 
-def _falls(t: Trajectory) -> Array:
-    """The most that gravity may do in each step beyond its potential, J, (n,): h |g| Σ ‖r‖ of what rebounds.
+def _lifts(poses: Poses, flight: Flight) -> Found:
+    """How far bodies that met nothing in a step move otherwise than they fly, m: no projection lifts them."""
+    t, free, eps = poses.trajectory, poses.free, float(np.finfo(float).eps)
+    step, met = (
+        np.repeat(np.arange(t.steps), np.diff(t.columns["contacts/offset"])),
+        np.zeros((t.steps, free), np.bool_),
+    )
+    for geom in ("geom1", "geom2"):
+        body = poses.frame[t.columns[f"contacts/{geom}"].astype(np.int64)]
+        own = (body >= 0) & (body < free)
+        met[step[own], body[own]] = True
+    off = np.linalg.norm(flight.lift, axis=2) - flight.unknown - 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
+    return of_bodies(poses, "lifts", np.where(met, 0.0, off), np.broadcast_to(_extents(poses), off.shape), "m")
 
-    Where impacts are caught within a step velocities jump at its middle, and weights move otherwise than on the mean of
-    before and after: by at most half a step of the jump, which is r over the mass of each of two bodies. The contacts
-    give it back to what rebounds, which falls through all of the step.
-    """
-    size = np.linalg.norm(t.columns["contacts/impulse"], axis=1) * (t.columns["contacts/restitution"] > 0.0)
-    so_far = np.concatenate([[0.0], np.cumsum(size)])[t.columns["contacts/offset"]]
-    out: Array = t.dt * float(np.linalg.norm(t.scene["gravity"])) * np.diff(so_far)
+
+def _extents(poses: Poses) -> Array:
+    """Smallest extents of free bodies, (free,), m."""
+    own, out = np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free)), np.full(poses.free, np.inf)
+    np.minimum.at(out, poses.frame[own], poses.extent[own])
     return out
 
 
 def energies(poses: Poses) -> Iterator[Found]:
-    """Energies anew, works of contacts summed anew, and the balance of every step.
-
-    Works of scenes with articulations are audited with these.
-    """
+    """Energies anew, and the balance of every step."""
     t = poses.trajectory
     e, free = t.energy, poses.free
-    trees, scale = bool(t.scene["articulations"]), at_play(poses)
+    scale = at_play(poses)
     steps = np.arange(t.steps + 1)
 
     def nobody(_: int) -> tuple[str, ...]:
         return ()
 
-    ends = t.columns["contacts/offset"]
-    sums = {}
-    for name in ("normal", "friction"):
-        so_far = np.concatenate([[0.0], np.cumsum(t.columns[f"contacts/work_{name}"])])
-        sums[name] = np.diff(so_far[ends])
-    gain = sums["normal"] + sums["friction"]
-    if t.has_contacts:
-        work = gain - _falls(t)
-        yield worst_of("dissipation", work / scale, work, "J", steps[1:], nobody)
-    else:
-        yield not_audited("dissipation", "J", left_out(t))
     total, built = e.total, articulations(t)
     if isinstance(built, str):
         yield not_audited("energy", "J", built)
@@ -173,16 +191,6 @@ def energies(poses: Poses) -> Iterator[Found]:
         off = np.maximum(np.abs(kinetic - e.kinetic), np.abs(potential - e.potential))
         yield worst_of("energy", off / (scale + np.abs(potential)), off, "J", steps, nobody)
         total = kinetic + potential
-    if not trees:
-        if reason := left_out(t):
-            yield not_audited("works", "J", reason)
-        elif float(t.meta["theta"]) != 0.5:
-            yield not_audited("works", "J", "with theta above 0.5 the scheme does work of its own")
-        else:
-            # What contacts do that stay closed and stick is booked as numerics.
-            off = np.abs(gain - e.normal - e.friction - e.integration)
-            off = np.maximum(off - _falls(t), 0.0)
-            yield worst_of("works", off / scale, off, "J", steps[1:], nobody)
     works: Mapping[str, Array] = {name: getattr(e, name) for name in e.names[2:] if name != "defect"}
     off = np.maximum(np.abs(np.diff(total) - sum(works.values())), np.abs(e.defect))
     yield worst_of("balance", off / (scale + np.abs(e.potential[1:])), off, "J", steps[1:], nobody)

@@ -14,6 +14,8 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "not_audited", "of_bodies", "worst_of"]
 
 TOLERANCES = {
+    "scene": 1e-12,  # some hundred roundings
+    "pairs": 0.0,
     "overlap": 1e-7,
     "distance": 1e-3,
     "normal": 1e-3,
@@ -24,15 +26,21 @@ TOLERANCES = {
     "friction": 1e-5,
     "slip": 1e-3,  # friction is against the mean slip of a step, whose direction differs from that at its end by O(h)
     "dissipation": 1e-4,
+    "created": 1e-9,
+    "gaps": 1e-6,  # ten times what overlaps may be
+    "velocities": 1e-5,  # what solvers leave of 1 m/s
+    "partings": 1e-3,  # as slip
+    "states": 0.0,
     "motion": 0.1,
     "sideways": 1e-6,
+    "lifts": 1e-8,
     "momentum": 1e-9,
-    "spin": 1e-3,
+    "spin": 1e-9,
     "energy": 1e-9,
-    "works": 1e-9,
     "balance": 1e-9,
     "times": 1e-9,
     "turns": 1e-12,  # some hundred roundings
+    "frames": 0.0,  # which are copies
     "links": 1e-12,  # as many, of positions
     "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which ends a step beyond that
     "limits": 1e-7,
@@ -49,13 +57,18 @@ TOLERANCES = {
     "lift": 1.0,
     "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
     "joint_motion": 1e-8,
-    "contact_works": 1e-8,  # as velocities are
-    "joint_works": 1e-8,
+    "contact_works": 1e-6,  # what a motion that is found anew, and what solvers leave of 0.01 m/s
+    "works": 1e-8,
     "drives": 1e-8,
+    "prescribed": 0.0,
+    "certificates": 0.0,
+    "provenance": 0.0,
 }
 """Largest figure of each finding that passes."""
 
 MEANING = {
+    "scene": "sizes, poses, inertias and models that contradict themselves or the motion / size",
+    "pairs": "1 for a contact of shapes that cannot touch",
     "overlap": "true overlap of two bodies, beyond one that the start has and keeps / smallest extent of the smaller",
     "distance": "distance over which an impulse acts, beyond what the bodies move in the step / smallest extent",
     "normal": "overlap along the normal of a contact with an impulse, beyond the true one / smallest extent",
@@ -65,16 +78,22 @@ MEANING = {
     "cone": "how far an impulse is outside its cone, or inside where it slips, beyond round-off / largest of the step",
     "friction": "work of friction at a contact at the velocity at the end of the step / energy at play",
     "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
-    "dissipation": "work of all contacts in a step / energy at play",
+    "dissipation": "work of impacts, friction and limits in a step, but for what their law creates / energy at play",
+    "created": "energy said to be created by a law of impact that creates none / energy at play",
+    "gaps": "gap of a contact - what its shapes, or its points as they are carried, are apart / smallest extent",
+    "velocities": "velocity of a contact that pushes - that after its impulse, beyond what turning changes / speed",
+    "partings": "how fast what does not rebound parts where it has pushed, beyond what turning does / speed before",
+    "states": "1 for a contact whose state is not that of its impulse, or whose key another has",
     "motion": "displacement of a free body - what its velocities and impulses make / its smallest extent",
     "sideways": "the same across the normals of its contacts, beyond as much as along them / what it moves in the step",
+    "lifts": "displacement of a free body that met nothing - that of its flight / its smallest extent",
     "momentum": "m Δv - Σ r - h m g of a free body / momenta and impulses of which this is the sum",
     "spin": "ΔL - Σ (p - x) × r - couples of a free body, x then / angular momenta and impulses times their levers",
     "energy": "energy as recorded - energy of q and v / energy at play",
-    "works": "work of contacts as the ledger has it - sum of those of the contacts / energy at play",
     "times": "time of a step - dt / dt",
     "turns": "norm of a quaternion - 1",
-    "links": "frame of a body or a link as recorded - that of q / its place and size",
+    "frames": "frame of a free body as recorded - that of q, and whether others are numbers",
+    "links": "frame of a link as recorded - that of q / its place and size",
     "loops": "gap of a loop / length of its links",
     "limits": "joint beyond a limit / range",
     "pieces": "durations, contacts, their times and impulses of a step - those of what it was cut into / largest",
@@ -90,9 +109,12 @@ MEANING = {
     "lift": "displacement of an articulation by projections / what it moves in the step, in the kinetic norm",
     "joint_momentum": "velocity of an articulation - what impulses make of it / what adds up to it, kinetic norms",
     "joint_motion": "place of an articulation - where its velocities lead / what it moves in the step, likewise",
-    "contact_works": "work of a contact on a link - impulse times mean velocity / energy at play",
-    "joint_works": "work of a column of the ledger - that of what acts in joints and contacts / energy at play",
+    "contact_works": "work of a contact - impulse times mean velocity / impulse times speed",
+    "works": "work of a column of the ledger - that of what acts in joints and contacts / energy at play",
     "drives": "work of loops and driven joints as the ledger has it - that of their reactions / energy at play",
+    "prescribed": "velocities of driven bodies, surfaces and joints - those that were asked for",
+    "certificates": "what a run says of its solves: gauss/*, solver/*, wall_time",
+    "provenance": "names, colours, visual shapes, keys, parameters, command, versions, checksums, solver, max_points",
     "balance": "change of energy - sum of the works of the ledger, or its defect / energy at play",
 }
 """What each finding is a number of."""

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Index
@@ -60,14 +61,13 @@ class Pushes(NamedTuple):
         out: Array = so_far - so_far[begin][group]
         return out
 
-    def halfway(self, values: Array) -> Array:
-        """Of each impulse the mean of the sums before and after all that act on its body at its time."""
+    def around(self, values: Array) -> Array:
+        """Of each impulse the sums before and after all that act on its body at its time, (2, m, ...)."""
         begin, group = together(self.step, self.body, self.time, self.piece)
         if not begin.size:
-            return values
+            return np.stack([values, values])
         so_far, sums = self.earlier(values), np.add.reduceat(values, begin)
-        out: Array = so_far[begin][group] + 0.5 * sums[group]
-        return out
+        return np.stack([so_far[begin][group], so_far[begin][group] + sums[group]])
 
 
 @dataclass(frozen=True)
@@ -89,18 +89,21 @@ class Flight:
         Σ ‖r‖, and Σ ‖p - x‖ ‖r‖.
     lift : ndarray, shape (n, free, 3)
         Where bodies end - where this brings them, m: what the projection has lifted them.
-    unknown : ndarray, shape (n, free)
-        How far w may have moved them otherwise, where a step was cut at times that no impulse tells, m.
+    unknown, within : ndarray, shape (n, free)
+        How far w may have moved them otherwise at the end, and before, where a step was cut at times that no impulse
+        tells, m; with θ = ½ what falls is at the ends of all pieces where it would be in one.
     quaternion : ndarray, shape (n, free, 4)
         How bodies are turned at the end: by their angular momenta, which the impulses change at their times.
-    met_x, met_quaternion : ndarray, shapes (contacts, 2, 3), (contacts, 2, 4)
-        Where the bodies of each contact are when its impulse acts, m, and how they are turned; NaN of those neither
-        free nor links that were retraced.
-    met_u : ndarray, shape (contacts, 3)
-        Mean relative velocity of each contact before and after all that acts with its impulse, in its frame, m/s; NaN
-        where another body moves.
-    cut : ndarray of bool, shape (n, 1)
+    turn : ndarray, shape (n, free)
+        How far the projection has turned them, rad.
+    met : Meetings
+        Of all contacts; of bodies that move as prescribed nothing is known.
+    unsure : ndarray, shape (contacts,)
+        How far velocities there may be off in steps that were cut, m/s: free bodies do not tell how long pieces are.
+    cut : ndarray of bool, shape (n, free)
         Whether impulses act at several times, or not where those of a step in one piece would.
+    strikes : ndarray of bool, shape (contacts,)
+        Whether free bodies surely strike there, in no time: first in their step, which is cut for no more.
     timed : bool
         Whether times are recorded; without, all impulses of a step are taken to act where those of one piece would.
     """
@@ -111,29 +114,32 @@ class Flight:
     levers: Array
     lift: Array
     unknown: Array
+    within: Array
     quaternion: Array
-    met_x: Array
-    met_quaternion: Array
-    met_u: Array
+    turn: Array
+    met: Meetings
+    unsure: Array
     cut: NDArray[np.bool_]
+    strikes: NDArray[np.bool_]
     timed: bool
 
     @classmethod
-    def of(cls, poses: Poses, links: tuple[Array, Array, Array] | None = None) -> Flight:
-        """Follow the free bodies of a recording of all steps and contacts.
-
-        Where contacts meet links, (contacts, 2, ...), x, quaternions and velocities of their points are given; NaN of
-        others.
-        """
+    def of(cls, poses: Poses, links: tuple[Side, Side] | None = None) -> Flight:
+        """Follow the free bodies of a recording of all steps and contacts; of links that these meet it is given."""
         t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
         c, h, shape = t.columns, t.dt, (t.steps, free)
         axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
-        frames = poses.frame[np.stack([c["contacts/geom1"], c["contacts/geom2"]], axis=1).astype(np.int64)]
+        geoms = np.stack([c["contacts/geom1"], c["contacts/geom2"]], axis=1).astype(np.int64)
+        frames = poses.frame[geoms]
         steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
-        when, timed, cut = _times(poses, steps)
+        sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
+        when, timed, cut = _times(poses, steps, frames)
         piece, length = _pieces(poses, steps)
         pushes = Pushes.of(frames, free, steps, when, piece, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
         row, side, step, body, time, _, push = pushes
+        instants, (first, group), one = np.zeros(shape, np.int64), together(step, body, time), np.zeros(row.size)
+        np.add.at(instants, (step[first], body[first]), 1)
+        one[first] = 1.0
         mass = np.array(poses.scene["masses"])
 
         def summed(values: Array) -> Array:
@@ -144,42 +150,82 @@ class Flight:
         impulse, moments = summed(push), summed(time[:, None] * push)
         before = velocities(poses)[:-1]
         forced = np.diff(velocities(poses), axis=0) - impulse / mass[:, None]
-        share = np.where(cut, 0.5, theta)[:, :, None]
+        share, parted = np.where(cut, 0.5, theta)[:, :, None], cut[step, body]
         path = h * before + (h * impulse - moments) / mass[:, None] + share * h * forced
         # How far impulses before and forces have brought the body until each.
         way = time[:, None] * pushes.earlier(push) - pushes.earlier(time[:, None] * push)
-        fall = np.where(cut[step], 0.5 * (time**2 / h)[:, None] * forced[step, body], 0.0)
+        fall = np.where(parted, 0.5 * time**2 / h, 0.0)[:, None] * forced[step, body]
         at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
         arm, size = c["contacts/point"][row] - at, np.linalg.norm(push, axis=1)
-        unknown = ((theta - 0.5) + 0.5 * (1.0 - theta) ** 2) * h * np.linalg.norm(forced, axis=2)
+        unknown = np.where(cut, (theta - 0.5) * h * np.linalg.norm(forced, axis=2), 0.0)
+        within = unknown + np.where(cut, 0.5 * (1.0 - theta) ** 2 * h * np.linalg.norm(forced, axis=2), 0.0)
         # Of older recordings, which have none of it, the angular momentum is not audited.
         moment = np.cross(arm, push) + np.where(side, 1.0, -1.0)[:, None] * np.nan_to_num(c["contacts/couple"][row])
         turned, then, turning = _turned(poses, step * free + body, time, moment)
-        met_x, met_quaternion = np.full((len(n), 2, 3), np.nan), np.full((len(n), 2, 4), np.nan)
-        met_x[row, side], met_quaternion[row, side] = at, then
         # Forces act together with the impulses of a step in one piece, else all the time.
-        gone = np.where(cut[step], ((time + (theta - 0.5) * length[row]) / h)[:, None], 0.5)
-        linear = before[step, body] + gone * forced[step, body] + pushes.halfway(push) / mass[body, None]
-        met_u = np.where(frames >= free, np.nan, 0.0)[:, :, None] * np.ones(3)
-        if links is not None:
-            linked = ~np.isnan(links[2][:, :, 0])
-            met_x[linked], met_quaternion[linked], met_u[linked] = (values[linked] for values in links)
-        met_u[row, side] = linear + np.cross(turning, arm)
-        met_u = np.einsum("cij,cj->ci", axes, met_u[:, 1] - met_u[:, 0])
+        parts = (theta - 1.0, 0.0), (theta, 1.0)
+        gone = [np.where(parted, (time + part * length[row]) / h, alone)[:, None] for part, alone in parts]
+        linear = before[step, body] + np.stack(gone) * forced[step, body] + pushes.around(push) / mass[body, None]
+        back = product(poses.quaternion[step, body], then * CONJUGATE)
+        spin = rotate(poses.quaternion[step, body], poses.v[step, body, 3:])
+        begin = before[step, body] + np.cross(spin, rotate(back, arm))
+        own = Side(at, then, np.stack([begin, *(linear + np.cross(turning, arm))]), turning, back)
+        _put(poses, sides, geoms, pushes, own)
+        lift, lifted = np.diff(poses.x[:, :free], axis=0) - path, angles(turned, poses.quaternion[1:, :free])
+        # Where on its way the projection, and pieces of unknown length, have brought the body.
+        # What strikes first does so in no time, and the body has fallen as in one piece until then.
+        alone = (
+            (c["contacts/restitution"][row] > 0.0)
+            & (instants[step, body] <= 2)
+            & (pushes.earlier(one)[first][group] == 0.0)
+        )
+        alone &= parted
+        off = np.where(alone, unknown[step, body], within[step, body]) + np.linalg.norm(lift, axis=2)[step, body]
+        off += 2.0 * np.linalg.norm(arm, axis=1) * lifted[step, body]
+        levers = summed(size * np.linalg.norm(arm, axis=1))
+        doubt = _fastest(poses, levers)[step, body] * off
+        doubt += np.where(length[row] > 0.0, 0.0, (theta - 0.5) * np.linalg.norm(forced[step, body], axis=1))
+        unsure = np.bincount(row, np.where(parted, doubt, 0.0), len(n)).astype(float)
         return cls(
             impulse,
             summed(moment),
             summed(size),
-            summed(size * np.linalg.norm(arm, axis=1)),
-            np.diff(poses.x[:, :free], axis=0) - path,
-            np.where(cut, unknown, 0.0),
+            levers,
+            lift,
+            unknown,
+            within,
             turned,
-            met_x,
-            met_quaternion,
-            met_u,
+            lifted,
+            Meetings.of(sides, axes, c["contacts/point"]),
+            unsure,
             cut,
+            np.bincount(row, ~alone, len(n)) == 0,
             timed,
         )
+
+
+def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, own: Side) -> None:
+    """Free bodies, and those that stand still, whose surfaces do so too, among the sides of contacts."""
+    moved = poses.scene.get("motions", {}).keys()
+    called = ((g.get("body", ""), g.get("link", "")) for g in poses.scene["geoms"])
+    still = np.array([moved.isdisjoint(names) for names in called], np.bool_) & (poses.frame < 0)
+    for k, met in enumerate(sides):
+        rows, pushed = np.flatnonzero(still[geoms[:, k]]), pushes.side == k
+        met.put(rows, Side.still(rows.size))
+        met.put(pushes.row[pushed], own.some(pushed))
+
+
+def _fastest(poses: Poses, levers: Array) -> Array:
+    """Most that free bodies may turn in each step, (n, free), rad/s."""
+    least = np.linalg.eigvalsh(_inertias(poses))[:, 0]
+    out: Array = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least
+    return out
+
+
+def product(one: Array, other: Array) -> Array:
+    """Quaternions (..., 4) of turns one after the other, the second first."""
+    v, s, w, r = one[..., :3], one[..., 3:], other[..., :3], other[..., 3:]
+    return np.concatenate([s * w + r * v + np.cross(v, w), s * r - (v * w).sum(-1, keepdims=True)], axis=-1)
 
 
 def angles(one: Array, other: Array) -> Array:
@@ -189,15 +235,18 @@ def angles(one: Array, other: Array) -> Array:
     return out
 
 
-def _times(poses: Poses, steps: Index) -> tuple[Array, bool, NDArray[np.bool_]]:
+def _times(poses: Poses, steps: Index, frames: Index) -> tuple[Array, bool, NDArray[np.bool_]]:
     """When each contact acts in its step, s; whether that is recorded; and `Flight.cut`."""
-    t, late = poses.trajectory, (1.0 - float(poses.trajectory.meta["theta"])) * poses.trajectory.dt
+    t, free, late = poses.trajectory, poses.free, (1.0 - float(poses.trajectory.meta["theta"])) * poses.trajectory.dt
     when: Array = t.columns["contacts/time"]
     timed = not np.isnan(when).any()
     when = when if timed else np.full(len(when), late)
-    cut = _cut_without_contacts(poses)
-    np.logical_or.at(cut, steps, np.abs(when - late) > 1e-9 * t.dt)
-    return when, timed, cut[:, None]
+    cut, met = _fell_in_pieces(poses), np.zeros((2, t.steps, free), np.bool_)
+    for side in frames.T:
+        own = (side >= 0) & (side < free)
+        np.logical_or.at(met[0], (steps[own], side[own]), True)
+        np.logical_or.at(met[1], (steps[own], side[own]), np.abs(when[own] - late) > 1e-9 * t.dt)
+    return when, timed, np.where(met[0], met[1], cut)
 
 
 def _pieces(poses: Poses, step: Index) -> tuple[Index, Array]:
@@ -218,23 +267,23 @@ def together(*keys: NDArray[Any]) -> tuple[Index, Index]:
     return np.flatnonzero(new), np.cumsum(new) - 1
 
 
-def _cut_without_contacts(poses: Poses) -> NDArray[np.bool_]:
-    """Which steps without contacts were cut all the same, (n,): where what fell does not end as in one piece.
+def _fell_in_pieces(poses: Poses) -> NDArray[np.bool_]:
+    """Steps of bodies, (n, free), where what fell does not end as in one piece, if nothing touched it.
 
     Only with theta above ½ does it matter, and that some seemed to touch on their way and did not is all that cuts.
     """
     t, theta, v = poses.trajectory, float(poses.trajectory.meta["theta"]), velocities(poses)
     forced = t.dt * np.diff(v, axis=0)
     left = np.diff(poses.x[:, : poses.free], axis=0) - t.dt * v[:-1] - theta * forced
-    off = (np.abs(left) > 1e-6 * np.abs(forced).max(initial=0.0)).any(axis=(1, 2))
-    out: NDArray[np.bool_] = off & (np.diff(t.columns["contacts/offset"]) == 0) & (theta > 0.5)
+    least = 1e-6 * np.linalg.norm(forced, axis=2)
+    out: NDArray[np.bool_] = (np.linalg.norm(left, axis=2) > least) & (theta > 0.5)
     return out
 
 
 def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array, Array, Array]:
     """How free bodies are turned after each step, (n, free, 4), and when each moment acts, (moments, 4).
 
-    Then the mean angular velocity before and after each, world axes, (moments, 3), rad/s. The moments, on body
+    Then the angular velocities before and after each, world axes, (2, moments, 3), rad/s. The moments, on body
     row % free in step row // free, are sorted by row and time. What else changes angular momenta in a step, as external
     forces do, acts where those of a step in one piece do.
     """
@@ -253,19 +302,19 @@ def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array
     begin, group = together(row, time)
     if begin.size:
         row, time, moment = row[begin], time[begin], np.add.reduceat(moment, begin)
-    rank, met = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 7))
+    rank, met = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 10))
     for k in range(int(rank.max(initial=-1)) + 1):
         some = rank == k
         i = row[some]
         q[i], w[i] = tumbled(q[i], w[i], inertia[i], time[some] - now[i])
         change = np.linalg.solve(inertia[i], rotate(q[i] * CONJUGATE, moment[some])[..., None])[..., 0]
-        met[some, :4], met[some, 4:] = q[i], rotate(q[i], w[i] + 0.5 * change)
+        met[some, :4], met[some, 4:7], met[some, 7:] = q[i], rotate(q[i], w[i]), rotate(q[i], w[i] + change)
         w[i] += change
         now[i] = time[some]
-    then = np.empty((order.size, 7))
+    then = np.empty((order.size, 10))
     then[order] = met[group]
     end, _ = tumbled(q, w, inertia, t.dt - now)
-    return end.reshape(t.steps, free, 4), then[:given, :4], then[:given, 4:]
+    return end.reshape(t.steps, free, 4), then[:given, :4], np.stack([then[:given, 4:7], then[:given, 7:]])
 
 
 def velocities(poses: Poses) -> Array:

@@ -166,9 +166,7 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
     A piece may be so short that all its friction is less than what a solver leaves of an impulse.
     """
     drag, most_drag = a.kick.given[2], a.kick.h * a.m.friction
-    # What drives a joint takes its friction, which does nothing to the motion.
     some = (a.m.friction > 0.0) | (drag != 0.0)
-    some[a.m.driven] = False
     for on in a.m.rubbing:
         if not some[on].any():
             continue
@@ -180,7 +178,8 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
         speed = np.linalg.norm(speeds, axis=1)
         # What sticks takes any friction within its bound.
         wasted = float(np.where(speed > STICKS, most * speed + speeds @ pull, 0.0).min())
-        turns = bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
+        # What drives a joint takes its friction, which does nothing to the motion.
+        turns = j in a.m.driven or bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
         largest = dt * a.m.friction[on].max() * (float(speed.max()) + CREEP)
         figure = 0.0 if turns else wasted / max(largest, 1e-300)
         yield bound, (figure, wasted, a.step, a.label[j])

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from nsdyn.audit.meetings import Side
 from nsdyn.audit.poses import Poses
 from nsdyn.recording.courses import close
 from nsdyn.recording.mechanism import Mechanism
@@ -40,8 +41,8 @@ class Retraced:
         Of works, J.
     energy : ndarray, shape (n,)
         Change of energy by projections, J.
-    met_x, met_quaternion, met_v : ndarray, shape (contacts, 2, 3 or 4)
-        Poses of links when contacts push them, and mean velocities there of their points; NaN of others.
+    met : (Side, Side)
+        Links that contacts push, the first and the second bodies of these; NaN of others.
     met_doubt : ndarray, shape (contacts,)
         What is in doubt of the works of contacts, J.
     met_twice : ndarray, shape (contacts,)
@@ -57,9 +58,7 @@ class Retraced:
     works: dict[str, Array]
     doubt: Array
     energy: Array
-    met_x: Array
-    met_quaternion: Array
-    met_v: Array
+    met: tuple[Side, Side]
     met_doubt: Array
     met_twice: Array
     ways: list[list[Way]]
@@ -81,9 +80,7 @@ def retraced(poses: Poses) -> Retraced | str:
         works,
         np.zeros((n, count)),
         np.zeros(n),
-        np.full((rows, 2, 3), np.nan),
-        np.full((rows, 2, 4), np.nan),
-        np.full((rows, 2, 3), np.nan),
+        (Side.nowhere(rows), Side.nowhere(rows)),
         np.zeros(rows),
         np.zeros(rows),
         [[] for _ in range(count)],
@@ -93,8 +90,10 @@ def retraced(poses: Poses) -> Retraced | str:
             try:
                 way = found.way(i, k)
                 _compare(out, i, m, k, way)
-                for kick, doubted in zip(way.kicks, _book(out, i, m, k, way), strict=True):
-                    _meet(out, m, kick, doubted)
+                begin = found.state(i, k)
+                for kick, doubted, last in zip(way.kicks, _book(out, i, m, k, way), way.flows[1::2], strict=True):
+                    _meet(out, m, kick, doubted, begin)
+                    begin = np.array(pin.integrate(m.model, last.q, kick.shift)), last.v
             except (np.linalg.LinAlgError, ValueError):  # numbers that are none, masses that no body has
                 way, out.momentum[0][k, i] = Way([], [], *found.state(i, k + 1)), np.nan
             out.ways[i].append(way)
@@ -176,19 +175,30 @@ def _rebounds(found: Trees, kick: Kick) -> bool:
     return any(restitution[row] > 0.0 for row, _, _ in kick.touches)
 
 
-def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array) -> None:
-    """Where links are that contacts push, and how their points move, of which velocities (nv,) are in doubt."""
+def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[Array, Array]) -> None:
+    """Where links are that contacts push, and how their points move, of which velocities (nv,) are in doubt.
+
+    The piece begins at q and v.
+    """
     if not kick.touches:
         return
-    c, mean = out.trees.trajectory.columns, 0.5 * (kick.before + kick.after)
+    c = out.trees.trajectory.columns
     point, restitution = c["contacts/point"], c["contacts/restitution"]
+    m.place(begin[0])
+    first = {joint: m.pose(joint) for _, _, joint in kick.touches}
     m.place(kick.q)
+    poses = {joint: m.pose(joint) for joint in first}
     for row, side, joint in kick.touches:
-        pose = m.pose(joint)
-        out.met_x[row, side] = pose.translation
-        out.met_quaternion[row, side] = Rotation.from_matrix(pose.rotation).as_quat()
-        out.met_v[row, side] = m.carried(joint, point[row], mean)
+        pose, met = poses[joint], out.met[side]
+        met.x[row], met.quaternion[row] = pose.translation, Rotation.from_matrix(pose.rotation).as_quat()
+        met.back[row] = Rotation.from_matrix(first[joint].rotation @ pose.rotation.T).as_quat()
+        for k, v in enumerate((kick.before, kick.after)):
+            met.v[k + 1, row], met.spin[k, row] = m.carried(joint, point[row], v)
         push = m.push(joint, point[row], out.trees.impulses[row])
         out.met_doubt[row] += float(np.abs(push) @ doubted)
         if kick.h and restitution[row] > 0.0:
             out.met_twice[row] += max(abs(float(push @ v)) for v in (kick.before, kick.after))
+    m.place(begin[0])
+    for row, side, joint in kick.touches:
+        there = first[joint].act(poses[joint].actInv(point[row]))
+        out.met[side].v[0, row] = m.carried(joint, there, begin[1])[0]

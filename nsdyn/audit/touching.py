@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from nsdyn.audit.findings import Found, at_play, not_audited, worst_of
-from nsdyn.audit.flight import Flight, angles
+from nsdyn.audit.flight import Flight
 from nsdyn.audit.overlap import separation
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.true_shapes import Solid
@@ -20,7 +20,7 @@ from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["contacts", "overlaps", "separations"]
+__all__ = ["along", "contacts", "from_surface", "overlaps", "pushing", "separations", "tested"]
 
 STATES = 200_000
 """Most poses of shapes that are looked at together."""
@@ -38,7 +38,7 @@ PARTING = 1e-4
 def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
     """True overlap [m], both shapes and state of every pair of shapes that may not overlap and whose boxes meet."""
     count, states = len(poses.names), poses.trajectory.steps + 1
-    pairs = _tested(poses)
+    pairs = tested(poses)
     found: list[tuple[Array, Index, Index, Index]] = []
     block = max(1, STATES // max(1, count))
     for begin in range(0, states, block):
@@ -79,7 +79,7 @@ def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:
     return out
 
 
-def _tested(poses: Poses) -> NDArray[np.bool_]:
+def tested(poses: Poses) -> NDArray[np.bool_]:
     """Pairs of shapes that must not overlap, each once, shape (shapes, shapes)."""
     frame, scene = poses.frame, poses.scene
     out = (frame[:, None] != frame) & ((frame[:, None] >= 0) | (frame >= 0))
@@ -166,13 +166,13 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     power = (r[:, 1:] * u).sum(axis=1)
     if flight is not None and flight.timed:
         # Of what strikes and rests then, by a law that has friction against the mean slip, it is that.
-        mean = (r[:, 1:] * flight.met_u[:, 1:]).sum(axis=1)
+        mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1)
         power = np.where(c["restitution"] > 0.0, np.fmin(power, mean), power)
     yield worst_of("friction", power / at_play(poses), power, "J", step, names)
     most = _rubbed(r, mu, u)
     if flight is not None and flight.timed:
         # One that slides through is rubbed against its mean slip.
-        most = np.fmin(most, _rubbed(r, mu, flight.met_u[:, 1:]))
+        most = np.fmin(most, _rubbed(r, mu, flight.met.mean[:, 1:]))
     yield worst_of("slip", most / at_play(poses), most, "J", step, names)
 
 
@@ -207,7 +207,7 @@ def _slips(c: Mapping[str, Any], flight: Flight | None) -> NDArray[np.bool_]:
     """Contacts without restitution that slip at the end and in the mean, faster than a solve may leave."""
     slip = np.linalg.norm(c["u"][:, 1:], axis=1)
     if flight is not None and flight.timed:
-        slip = np.fmin(slip, np.linalg.norm(flight.met_u[:, 1:], axis=1))
+        slip = np.fmin(slip, np.linalg.norm(flight.met.mean[:, 1:], axis=1))
     out: NDArray[np.bool_] = (slip > 10.0 * PARTING) & (c["restitution"] == 0.0)
     return out
 
@@ -250,12 +250,12 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
     n = n / np.linalg.norm(n, axis=1)[:, None]
     states = [(k - 2).clip(0), k - 1, k, (k + 1).clip(None, t.steps)]
     moments = [(poses.of(i, row), poses.of(j, row)) for row in states]
-    moments.insert(2, (_pushing(poses, flight, i, k - 1, push, 0), _pushing(poses, flight, j, k - 1, push, 1)))
-    along, free = np.empty((2, len(moments), push.size))
+    moments.insert(2, (pushing(poses, flight, i, k - 1, push, 0), pushing(poses, flight, j, k - 1, push, 1)))
+    lengthwise, free = np.empty((2, len(moments), push.size))
     for a, b, some in poses.by_kind(i, j):
         for moment, ((R1, x1), (R2, x2)) in enumerate(moments):
             where = a, R1[some], x1[some], b, R2[some], x2[some]
-            along[moment, some] = _along(*where, n[some])
+            lengthwise[moment, some] = along(*where, n[some])
             free[moment, some] = separation(*where)
     size = poses.size(i, j)
     shift, turn = poses.uncertain
@@ -264,17 +264,17 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
         moving = np.flatnonzero(poses.frame[geom] >= 0)
         body, radius = poses.frame[geom[moving]], poses.bounding_radius[geom[moving]]
         unsure[moving] += shift[k[moving] - 1, body] + radius * turn[k[moving] - 1, body]
-    travel = np.abs(np.diff(along, axis=0)).sum(axis=0) + unsure
+    travel = np.abs(np.diff(lengthwise, axis=0)).sum(axis=0) + unsure
     # A contact and its normal are those of some time within the step.
-    apart, skew = along[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - along)[1:4].min(axis=0) - travel
+    apart, skew = lengthwise[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - lengthwise)[1:4].min(axis=0) - travel
 
-    def pushing(row: int) -> tuple[str, str]:
+    def names(row: int) -> tuple[str, str]:
         return poses.names[i[row]], poses.names[j[row]]
 
-    yield worst_of("distance", apart / size, apart, "m", k, pushing)
-    yield worst_of("normal", skew / size, skew, "m", k, pushing)
+    yield worst_of("distance", apart / size, apart, "m", k, names)
+    yield worst_of("normal", skew / size, skew, "m", k, names)
     off = _off_surfaces(poses, flight, (i, j, k), moments[1:4], c["point"][push], n) - unsure
-    yield worst_of("points", off / size, off, "m", k, pushing)
+    yield worst_of("points", off / size, off, "m", k, names)
 
 
 def _off_surfaces(
@@ -288,18 +288,18 @@ def _off_surfaces(
     and turns bodies is not recorded.
     """
     off, apart, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
-    turn = angles(flight.quaternion, poses.quaternion[1:, : poses.free])
-    lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.unknown, turn), np.zeros(len(point))
+    lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.within, flight.turn), np.zeros(len(point))
     for side, geom in enumerate(push[:2]):
         (R, x), frame = moments[1][side], poses.frame[geom]
         own = np.einsum("mji,mj->mi", R, point - x)
         for kind in np.unique(poses.kind[geom]):
             some = poses.kind[geom] == kind
-            off[some] = np.maximum(off[some], _from_surface(poses.solids[kind], own[some]))
+            off[some] = np.maximum(off[some], from_surface(poses.solids[kind], own[some]))
         for row, moment in enumerate(moments):
             R, x = moment[side]
             apart[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
-        free = np.flatnonzero((frame >= 0) & (frame < poses.free) & flight.cut[step, 0])
+        free = np.flatnonzero((frame >= 0) & (frame < poses.free))
+        free = free[flight.cut[step[free], frame[free]]]
         shift, angle = (part[step[free], frame[free]] for part in lift)
         lifted[free] += shift + poses.bounding_radius[geom[free]] * angle
     went = np.diff(apart, axis=0)
@@ -308,7 +308,7 @@ def _off_surfaces(
     return out
 
 
-def _from_surface(a: Solid, x: Array) -> Array:
+def from_surface(a: Solid, x: Array) -> Array:
     """Distance of points x (m, 3) in the frame of a solid from its surface, (m,), m."""
     if a.smooth:
         return np.abs(a.beyond(x))
@@ -316,19 +316,20 @@ def _from_surface(a: Solid, x: Array) -> Array:
     return np.abs(separation(POINT, still, x, a, still, np.zeros_like(x), exact=True))
 
 
-def _pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:
+def pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:
     """World poses (R, x) of shapes 0 or 1 of contacts when these push; as in the middle where that is not known."""
     x, quaternion = poses.frames(geom, step, *poses.middle)
     if flight.timed:
-        known = ~np.isnan(flight.met_x[push, side, 0])
-        x[known], quaternion[known] = flight.met_x[push[known], side], flight.met_quaternion[push[known], side]
+        met = flight.met.sides[side].some(push)
+        known = ~np.isnan(met.x[:, 0])
+        x[known], quaternion[known] = met.x[known], met.quaternion[known]
     return poses.placed(geom, x, quaternion)
 
 
-def _along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Array) -> Array:
+def along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Array) -> Array:
     """Separation along given normals from a to b, shape (m,)."""
     if a.kind == "halfspace":
-        return _along(b, R2, x2, a, R1, x1, -n)
+        return along(b, R2, x2, a, R1, x1, -n)
     if b.kind == "halfspace":  # along any other normal it would be infinitely deep: the other shape's tilt will do
         out: Array = separation(a, R1, x1, b, R2, x2) - a.bounding_radius * np.linalg.norm(n + R2 @ b.size, axis=1)
         return out

@@ -88,38 +88,33 @@ class Mechanism:
 
     Raises
     ------
+    KeyError
+        For joints of a kind that is not known, naming it.
     ValueError
-        For a model that is none, or has joints of an unknown kind.
+        For a model that is none.
     """
 
     def __init__(self, name: str, joints: Sequence[str], told: Mapping[str, Any], gravity: Sequence[float]) -> None:
         self.name, self.joints = name, list(joints)
         self.model = pin.Model()
         self.turned = [pin.SE3.Identity()]  # a recorded joint's frame as Pinocchio's here sees it
-        try:
-            for label, joint in zip(joints, told["joints"], strict=True):
-                self._add(label, joint)
-            laws = [
-                np.array(told[law], dtype=float) for law in ("armature", "friction", "damping", "stiffness", "rest")
-            ]
-            self.armature, self.friction, self.damping, self.stiffness, self.rest = laws
-            bounds = [np.array([np.nan if x is None else x for x in told[side]], float) for side in ("lower", "upper")]
-            self.lower, self.upper = (
-                np.where(np.isnan(b), s * np.inf, b) for b, s in zip(bounds, (-1, 1), strict=True)
-            )
-            sizes = {x.shape for x in (*laws, *bounds)}
-            if sizes != {(self.model.nv,)}:
-                raise ValueError(f"its laws are of {sizes}, not of {self.model.nv} coordinates")
-            self.restitution = float(told["restitution"])
-            self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
-            self._loops = [self._loop(loop) for loop in told["loops"]]
-            self.loop_names = [str(loop["name"]) for loop in told["loops"]]
-            self._gears = [
-                (int(gear["coordinate1"]), int(gear["coordinate2"]), float(gear["ratio"]), float(gear["offset"]))
-                for gear in told["gears"]
-            ]
-        except KeyError as failure:
-            raise ValueError(f"{failure.args[0]} is no kind of joint that is known") from None
+        for label, joint in zip(joints, told["joints"], strict=True):
+            self._add(label, joint)
+        laws = [np.array(told[law], dtype=float) for law in ("armature", "friction", "damping", "stiffness", "rest")]
+        self.armature, self.friction, self.damping, self.stiffness, self.rest = laws
+        bounds = [np.array([np.nan if x is None else x for x in told[side]], float) for side in ("lower", "upper")]
+        self.lower, self.upper = (np.where(np.isnan(b), s * np.inf, b) for b, s in zip(bounds, (-1, 1), strict=True))
+        sizes = {x.shape for x in (*laws, *bounds)}
+        if sizes != {(self.model.nv,)}:
+            raise ValueError(f"its laws are of {sizes}, not of {self.model.nv} coordinates")
+        self.restitution = float(told["restitution"])
+        self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
+        self._loops = [self._loop(loop) for loop in told["loops"]]
+        self.loop_names = [str(loop["name"]) for loop in told["loops"]]
+        self._gears = [
+            (int(gear["coordinate1"]), int(gear["coordinate2"]), float(gear["ratio"]), float(gear["offset"]))
+            for gear in told["gears"]
+        ]
         self.model.armature = self.armature
         self.model.gravity = pin.Motion(np.array(gravity, dtype=float), np.zeros(3))
         self.light = self.model.copy()
@@ -222,12 +217,11 @@ class Mechanism:
             out += J.T @ wrenches[joint]
         return out
 
-    def carried(self, joint: int, point: Array, v: Array) -> Array:
-        """Velocity of a point of a link where the mechanism was placed, m/s."""
+    def carried(self, joint: int, point: Array, v: Array) -> tuple[Array, Array]:
+        """Velocity of a point of a link, m/s, and angular velocity, rad/s, where the mechanism was placed."""
         J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
         twist = J @ v
-        out: Array = twist[:3] + np.cross(twist[3:], point)
-        return out
+        return twist[:3] + np.cross(twist[3:], point), twist[3:]
 
     def momenta(self, q: Array, v: Array) -> Array:
         """Linear and angular momentum about the world's origin of every link, (n, links, 6), N·s and N·m·s.

@@ -30,11 +30,15 @@ from nsdyn.tools.displacements import displacement
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["Kick", "Trees", "Way", "trees"]
+__all__ = ["Contradiction", "Kick", "Trees", "Way", "trees"]
 
 
 Piece = tuple[float, list[tuple[int, int, int]], Array]
 """(duration, contacts, impulses on the joints) of a piece of a step."""
+
+
+class Contradiction(str):
+    """Why the articulations of a recording cannot be those that it has moved."""
 
 
 class Kick(NamedTuple):
@@ -294,11 +298,13 @@ def trees(trajectory: Trajectory) -> Trees | str:
         for told in _grown(articulation):
             try:
                 m = Mechanism(told["name"], told["joints"], told["model"], scene["gravity"])
+            except KeyError as failure:
+                return f"{told['name']!r} cannot be built: {failure.args[0]} is no kind of joint that is known"
             except ValueError as failure:
-                return f"{told['name']!r} cannot be built: {failure}"
+                return Contradiction(f"{told['name']!r} cannot be built: {failure}")
             nq, nv = np.sum(told["sizes"], axis=0)
             if (m.model.nq, m.nv) != (nq, nv):
-                return f"{told['name']!r} cannot be built: it has {m.model.nq} and {m.nv} coordinates"
+                return Contradiction(f"{told['name']!r} cannot be built: it has {m.model.nq} and {m.nv} coordinates")
             places |= {f"{told['name']}/{joint}": (len(mechanisms), i) for i, joint in enumerate(told["joints"], 1)}
             mechanisms.append(m)
             at.append((slice(q, q + nq), slice(v, v + nv)))

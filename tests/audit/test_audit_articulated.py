@@ -25,6 +25,9 @@ def test_true_recordings_pass(name):
     assert audit.passed, audit
 
 
+UNSEEN = "certificates", "provenance"
+"""What no motion shows."""
+
 COARSE = {  # of what smaller changes are caught, too
     "velocities times 3",
     "one velocity of a joint turned round",
@@ -68,14 +71,24 @@ def test_falsified_recordings_do_not_pass(kind):
     assert not audit.passed and audit.verdict.startswith("FAILED"), audit
 
 
+ANYWHERE = [(kind, name) for kind, (names, _) in falsified.ANYWHERE.items() for name in names]
+FIRST = {(kind, names[0]) for kind, (names, _) in falsified.ANYWHERE.items()}
+"""Each kind in one scene; in all others it is slow."""
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[] if k in FIRST else pytest.mark.slow) for k in ANYWHERE])
+def test_what_falsifies_any_recording_does_not_pass(kind):
+    assert not nd.check(falsified.false(kind)).passed
+
+
 def test_verdict_names_what_was_not_looked_at():
     audit = nd.check(falsified.true("quadruped"))
-    assert audit.passed and audit.not_audited == ("loads",)
-    assert audit.verdict == "passed, not audited: loads"
-    assert repr(audit).splitlines()[-1] == "quadruped: passed, not audited: loads"
+    assert audit.passed and audit.not_audited == ("loads", *UNSEEN)
+    assert audit.verdict == "passed, not audited: loads, certificates, provenance"
+    assert repr(audit).splitlines()[-1] == f"quadruped: {audit.verdict}"
     assert "controller" in audit["loads"].reason
     told = json.loads(json.dumps(audit.as_dict()))
-    assert told["verdict"] == audit.verdict and told["not_audited"] == ["loads"]
+    assert told["verdict"] == audit.verdict and told["not_audited"] == [*audit.not_audited]
 
 
 @pytest.mark.parametrize("what", ["no model", "an unknown joint", "every second step", "no contacts", "no pieces"])
@@ -90,7 +103,7 @@ def test_what_cannot_be_audited_is_said(what):
     if what == "no pieces":
         del t.columns["pieces/offset"]
     audit = nd.check(t)
-    assert audit.passed and {"joint_momentum", "joint_motion", "joint_works"} <= {*audit.not_audited}, audit
+    assert audit.passed and {"joint_momentum", "joint_motion", "works"} <= {*audit.not_audited}, audit
     assert ("links" in audit.not_audited) == (what in ("no model", "an unknown joint"))
     assert audit["joint_momentum"].reason
     if what == "an unknown joint":
@@ -156,7 +169,7 @@ def test_robot_files_pass(robot, tmp_path):
         scene.add_mjcf("mjcf", tmp_path / "robot.xml", self_collisions=False)
         trajectory = nd.simulate(scene, 0.05, 1e-3)
     audit = nd.check(trajectory)
-    assert audit.passed and not audit.not_audited, audit
+    assert audit.passed and audit.not_audited == UNSEEN, audit
 
 
 BENCH = Path(__file__).parent.parent.parent / "demos" / "bench"
@@ -173,7 +186,7 @@ def audits():
 @pytest.mark.parametrize(
     "seed",
     [
-        *(3094, 2050, 2173, 20160, 70087, 90053),
+        *(3094, 2050, 2173, 20160, 70087, 90053, 95096),
         *(
             pytest.param(seed, marks=pytest.mark.slow)
             for seed in (1, 4, 6, 2071, 5079, 40004, 99, 65, 127, 175, 3108, 2113)
@@ -187,7 +200,8 @@ def test_random_robots_pass(audits, seed):
     joints turn fast (2071), small angles by cosine and sine (2173, 3108), a limit met on the way there and back (5079),
     an end of loops that one pass finds (20160), impacts where θ = 1 has other impulses at the same time (40004), a dry
     joint that has stopped where a move begins (99), pieces of 1e-15 s (2113), a limit struck at 27 rad/s (70087),
-    and a start at a velocity that a gear beside a driven joint does not admit (90053).
+    a start at a velocity that a gear beside a driven joint does not admit (90053), and a link that is carried round at
+    50 rad/s, for which rules of fourth order differ by tens of times what two of them do (95096).
     """
     audit = nd.check(audits.random_run(seed))
     assert audit.passed, audit
@@ -205,7 +219,27 @@ def test_a_heavy_payload_passes(kind):
     scene, start = nd.Scene(), np.resize([0.5, 0.2, -0.3, 0.4], model.nv)
     scene.add_model("arm", model, q=pin.integrate(model, pin.neutral(model), start), limits=False)
     audit = nd.check(nd.simulate(scene, 0.15, 1e-2))
-    assert audit.passed and not audit.not_audited, audit
+    assert audit.passed and audit.not_audited == UNSEEN, audit
+
+
+def test_rolling_of_a_boat_creates_nothing():
+    """The work of contacts that stay closed is O(h²) of a motion, and in the ledger as numerics."""
+    model = pin.Model()
+    hull = model.addJoint(0, pin.JointModelFreeFlyer(), at((0, 0, 0)), "hull")
+    model.addJointFrame(hull)
+    model.appendBodyToJoint(
+        hull, pin.Inertia(1.0, np.array([0, 0, -0.05]), np.diag([0.003, 0.004, 0.003])), at((0, 0, 0))
+    )
+    inside = model.addJoint(hull, pin.JointModelRX(), at((0, 0, 0)), "inside")
+    model.appendBodyToJoint(inside, pin.Inertia(0.2, np.array([0, 0, -0.03]), 1e-4 * np.eye(3)), at((0, 0, 0)))
+    lying = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.zeros(3))
+    scene, material = nd.Scene(), nd.Material(mu=0.8)
+    scene.add_halfspace("ground", material=material)
+    q = np.r_[0, 0, 0.1, pin.Quaternion(pin.rpy.rpyToMatrix(0.9, 0, 0)).coeffs(), 0]
+    shape = {"hull": [(shapes.capsule(0.1, 0.3), lying)]}
+    scene.add_model("boat", model, q=q, collisions=shape, material=material, limits=False, self_collisions=False)
+    audit = nd.check(nd.simulate(scene, 2.0, 2e-2))
+    assert audit.passed, audit
 
 
 def test_what_touches_at_the_start_stays(audits):
@@ -214,16 +248,10 @@ def test_what_touches_at_the_start_stays(audits):
     assert audit.passed, audit
 
 
-FALSE_ALARM = "robot 173:"
-"""A planar joint on a floating base: its flow errs by 1.3e-8 rad in a step, where its error in velocity is said to move
-1e-9, and the audit allows what its own rule errs by times ten, which is as much: it fails on some machines."""
-
-
 @pytest.mark.slow
 def test_two_hundred_true_recordings_pass(audits, monkeypatch, capsys):
-    """All but one that the guide tells."""
     monkeypatch.setattr(sys, "argv", ["audits.py", "--count", "190"])
     audits.main()
     lines = capsys.readouterr().out.splitlines()
-    assert {line for line in lines if line.endswith(":")} <= {FALSE_ALARM}
+    assert not [line for line in lines if line.endswith(":")]
     assert sum(int(line.split()[0]) for line in lines if "passed" in line) >= 200

@@ -104,7 +104,7 @@ def test_a_scene_of_ones_own(run, tmp_path):
     """It begins as the template, which runs, passes its audit, and is taken wherever a name is."""
     assert run("new", "my.py")[0] == 0
     code, out, _ = run("run", "my.py", "--time", "0.1", "--set", "slope=40", "--check", "-o", "my.h5")
-    assert code == 0 and out.splitlines()[-1] == "my scene: passed"
+    assert code == 0 and out.splitlines()[-1] == "my scene: passed, not audited: certificates, provenance"
     assert nd.Trajectory.load("my.h5").energy.kinetic[-1] > 0.1
     code, _, err = run("new", "my.py")
     assert code == 2 and "my.py exists" in err

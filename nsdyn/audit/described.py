@@ -1,0 +1,114 @@
+"""Audit of what a recording says of its scene: whether it can be so, and what of a recording nothing shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from nsdyn.audit.findings import Found, not_audited, worst_of
+from nsdyn.audit.poses import Poses
+from nsdyn.audit.touching import tested
+from nsdyn.recording.retrace import Contradiction
+from nsdyn.tools.arrays import Array
+
+__all__ = ["described", "touched", "unseen"]
+
+Row = tuple[float, str]
+"""(off as a fraction, of what)."""
+
+SIZES = {"halfspace": 3, "box": 3, "convex": 0, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
+"""How many numbers a shape is made of."""
+
+
+def described(poses: Poses, built: object) -> Found:
+    """Sizes against corners, poses that are none, masses that no body has, coefficients out of range, models."""
+    scene = poses.scene
+    rows = [row for geom in scene["geoms"] for row in _geom(geom)]
+    rows += [(_skew(link["placement"]), link["name"]) for link in scene.get("links", ())]
+    for name, mass, inertia in zip(scene["frames"], scene.get("masses", ()), scene.get("inertias", ()), strict=False):
+        rows.append((_no_body(mass, inertia), name))
+    for tree in scene["articulations"]:
+        model: Mapping[str, Any] = tree.get("model", {"joints": (), "loops": ()})
+        for name, joint in zip(tree.get("joints", ()), model["joints"], strict=False):
+            # Joints may carry nothing.
+            massive = _no_body(joint["mass"], joint["inertia"], strictly=False)
+            rows.append((max(_skew(joint["placement"]), massive), f"{tree['name']}/{name}"))
+        rows += [
+            (_skew(place), f"{tree['name']}/{loop['name']}") for loop in model["loops"] for place in loop["placements"]
+        ]
+    if isinstance(built, Contradiction):
+        rows.append((1.0, str(built)))
+    if not poses.trajectory.has_contacts and poses.trajectory.columns["contacts/offset"][-1]:
+        rows.append((1.0, "contacts that were not recorded"))
+    off = np.array([figure for figure, _ in rows])
+    return worst_of("scene", off, off, "-", np.zeros(off.size, np.int64), lambda k: [rows[k][1]])
+
+
+def _geom(geom: Mapping[str, Any]) -> Iterator[Row]:
+    """What is off of a shape."""
+    size, name = np.array(geom["size"], dtype=float), geom["name"]
+    extent = max(float(np.abs(size).max()), 1e-300)
+    yield float(np.abs(size[SIZES[geom["shape"]] :]).max(initial=0.0)) / extent, name
+    yield _skew(geom["placement"]), name
+    if geom["shape"] == "halfspace":
+        yield abs(float(np.linalg.norm(size)) - 1.0), name
+    for coefficient, most in (("mu", np.inf), ("restitution", 1.0)):
+        value = float(geom.get(coefficient, 0.0))
+        yield max(0.0, -value, value - most), name
+    if "vertices" not in geom:
+        return
+    corners = np.array(geom["vertices"], dtype=float)
+    if geom["shape"] == "box":
+        told = (np.array(list(np.ndindex(2, 2, 2))) - 0.5) * size
+        yield float(np.abs(corners - told).max()) / extent if corners.shape == told.shape else np.inf, name
+    reach = max(float(np.linalg.norm(corners, axis=1).max()), 1e-300)
+    for loop in geom.get("faces", ()):
+        face = corners[loop]
+        n = np.linalg.svd(face - face.mean(axis=0))[2][2]
+        apart = (corners - face.mean(axis=0)) @ n
+        # All others are on one side of a face, whose own are in its plane.
+        yield max(float(np.abs(apart[loop]).max()), min(float(apart.max()), float(-apart.min()))) / reach, name
+
+
+def _skew(placement: Any) -> float:
+    """How far a transform is from a rigid one, without its units."""
+    pose: Array = np.array(placement, dtype=float)
+    R = pose[:3, :3]
+    return float(
+        max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1.0), np.abs(pose[3] - (0, 0, 0, 1)).max())
+    )
+
+
+def _no_body(mass: float, inertia: Any, strictly: bool = True) -> float:
+    """By how much a mass and an inertia are those of no body, as a fraction; 1 for negative ones."""
+    J = np.array(inertia, dtype=float)
+    size = max(float(np.abs(J).max()), 1e-300)
+    moments = np.linalg.eigvalsh(J)
+    off = max(float(np.abs(J - J.T).max()), -float(moments[0]))
+    if strictly:  # links may be of any masses that move
+        off = max(off, float(moments[2] - moments[0] - moments[1]), size * float(mass == 0.0 or moments[0] <= 0.0))
+    return max(off / size, float(mass < 0.0))
+
+
+def touched(poses: Poses) -> Found:
+    """Contacts of shapes that cannot touch: of one body, of none that moves, or of links that are joined."""
+    c = poses.trajectory.columns
+    i, j = (c[f"contacts/geom{k}"].astype(np.int64) for k in "12")
+    wrong = (~(tested(poses) | tested(poses).T)[i, j]).astype(float) if i.size else np.zeros(0)
+    step = np.repeat(np.arange(1, poses.trajectory.steps + 1), np.diff(c["contacts/offset"]))
+    return worst_of("pairs", wrong, wrong, "-", step, lambda k: (poses.names[i[k]], poses.names[j[k]]))
+
+
+def unseen(poses: Poses) -> Iterator[Found]:
+    """What no motion shows, and is believed or not."""
+    t = poses.trajectory
+    varied = [name for name, kind in t.scene.get("motions", {}).items() if kind != "joint"]
+    for tree in t.scene["articulations"]:
+        driven = tree.get("model", {}).get("driven", {})
+        varied += [f"{tree['name']}/{joint}" for joint, rate in driven.items() if rate is None]
+    if varied:
+        yield not_audited("prescribed", "-", f"how {', '.join(map(repr, varied))} should move is not recorded")
+    yield not_audited("certificates", "-", "the problems that were solved are not recorded")
+    yield not_audited("provenance", "-", "nothing moves by it")

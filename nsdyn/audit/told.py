@@ -1,0 +1,158 @@
+"""Audit of what contacts are said to be besides their impulses: gaps, velocities, states and keys."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from nsdyn.audit.findings import Found, not_audited, worst_of
+from nsdyn.audit.flight import Flight
+from nsdyn.audit.overlap import separation
+from nsdyn.audit.poses import Poses
+from nsdyn.audit.touching import along, from_surface, pushing
+from nsdyn.problem.solution import Status
+from nsdyn.recording.tables import left_out
+from nsdyn.tools.arrays import Array, Bools, Index
+
+__all__ = ["told"]
+
+UNITS = {"gaps": "m", "velocities": "m/s", "partings": "m/s", "states": "-"}
+
+CREEP = 1e-2
+"""m/s: velocities are measured by how fast contacts are, and this, beside which what solvers leave is nothing."""
+
+SLOW = 1e-4
+"""m/s: what sticks at the edge of its cone moves no faster than an accepted solve may leave."""
+
+EDGE = 1e-8
+"""Of the largest friction: nearer to it than this an impulse is on its cone, which steps take 1e-9 for."""
+
+OPEN, STICK, SLIP, JAM = range(4)
+
+
+def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
+    """Findings of contacts; None where not all steps are recorded."""
+    t = poses.trajectory
+    if flight is None:
+        yield from (not_audited(name, unit, left_out(t)) for name, unit in UNITS.items())
+        return
+    c = {name.removeprefix("contacts/"): x for name, x in t.columns.items() if name.startswith("contacts/")}
+    step = np.repeat(np.arange(t.steps), np.diff(c["offset"]))
+    i, j = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
+
+    def names(k: int) -> tuple[str, str]:
+        return poses.names[i[k]], poses.names[j[k]]
+
+    off = _gaps(poses, flight, c, (i, j, step))
+    yield worst_of("gaps", off / poses.size(i, j), off, "m", step + 1, names)
+    yield _velocities(poses, flight, c, step, names)
+    yield _partings(poses, flight, c, step, names)
+    wrong = _states(poses, c, step) | _keys(c, (i, j, step), len(poses.names))
+    yield worst_of("states", wrong.astype(float), wrong.astype(float), "-", step + 1, names)
+
+
+def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, Index, Index]) -> Array:
+    """How far gaps are outside of what the shapes admit where the step ends, m.
+
+    No point is nearer than the shapes are, but along another normal they may seem so; a point of a contact that is not
+    the nearest is at most as far as both shapes have carried it.
+    """
+    (i, j, step), gap, n = who, c["gap"], c["normal"]
+    n = n / np.linalg.norm(n, axis=1)[:, None]
+    nearest, least = np.empty((2, gap.size))
+    for a, b, some in poses.by_kind(i, j):
+        there = *poses.of(i[some], step[some] + 1), b, *poses.of(j[some], step[some] + 1)
+        nearest[some] = separation(a, *there, exact=True)
+        least[some] = np.minimum(nearest[some], along(a, *there, n[some]))
+    out: Array = least - gap
+    above = np.flatnonzero(gap > nearest)
+    # Round shapes have one contact, whose gap is theirs.
+    round_ = np.array([solid.kind in ("sphere", "ellipsoid", "halfspace") for solid in poses.solids], np.bool_)[
+        poses.kind
+    ]
+    several = ~(round_[i[above]] & round_[j[above]])
+    more = gap[above] - nearest[above] - several * _travel(poses, flight, c, who, above)
+    out[above] = np.maximum(out[above], more)
+    return out
+
+
+def _travel(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, Index, Index], rows: Index) -> Array:
+    """How far apart contacts of some rows may be where the step ends, by their points and how both shapes move, m."""
+    step, point = who[2][rows], c["point"][rows]
+    out, apart = np.zeros(rows.size), np.zeros((rows.size, 3))
+    for side, geom in enumerate(who[:2]):
+        geom = geom[rows]
+        (R, x), (R1, x1) = pushing(poses, flight, geom, step, rows, side), poses.of(geom, step + 1)
+        own = np.einsum("mji,mj->mi", R, point - x)
+        for kind in np.unique(poses.kind[geom]):
+            some = poses.kind[geom] == kind
+            out[some] += from_surface(poses.solids[kind], own[some])
+        apart += (2 * side - 1) * (np.einsum("mij,mj->mi", R1, own) + x1)
+        # Features of what turns slide on it: by no more than they may be from the point, as far as the shapes reach.
+        turned = np.linalg.norm(R1 - R, axis=(1, 2))
+        reach = np.where(turned > 0.0, poses.bounding_radius[geom], 0.0)
+        out += turned * reach
+    out += np.linalg.norm(apart, axis=1)
+    return out
+
+
+def _velocities(
+    poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, names: Callable[[int], tuple[str, str]]
+) -> Found:
+    """Velocities of what pushes are those after the impulse; in a piece that moves, as they are foreseen for its end.
+
+    Foreseen is as much change once more as there was until the impulse, or as much as what turns can make. What does
+    not push may have a gap, at whose two ends bodies move otherwise than where its point is.
+    """
+    t, met, u = poses.trajectory, flight.met, c["u"]
+    moves = ~np.isnan(met.after).any(axis=1)
+    known = np.flatnonzero(moves & (c["impulse"][:, 0] > 0.0))
+    if step.size and not moves.any():
+        return not_audited("velocities", "m/s", "how what touches moves is not recorded")
+    later = [met.after, *(met.after + met.before - begin for begin in met.begin)]
+    off = np.min([np.linalg.norm(u - v, axis=1) for v in later], axis=0)
+    turned, theta = np.linalg.norm(met.before - met.begin, axis=2).max(axis=0), float(t.meta["theta"])
+    off = off - 2.0 * flight.unsure - np.maximum(turned, max(theta, 1.0 - theta) * t.dt * met.bent)
+    speed = np.maximum(np.linalg.norm(met.before, axis=1), np.linalg.norm(met.after, axis=1))
+    figure = off / np.maximum(speed, CREEP)
+    return worst_of("velocities", figure[known], off[known], "m/s", step[known] + 1, lambda k: names(known[k]))
+
+
+def _partings(
+    poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, names: Callable[[int], tuple[str, str]]
+) -> Found:
+    """What does not rebound, at an instant at which nothing does, does not part where it has pushed free bodies."""
+    t, met, pushes = poses.trajectory, flight.met, c["impulse"][:, 0] > 0.0
+    _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
+    bounces = np.bincount(instant.ravel(), pushes & (c["restitution"] > 0.0))[instant.ravel()] > 0.0
+    links = np.any([poses.frame[c[f"geom{k}"].astype(np.int64)] >= poses.free for k in "12"], axis=0)
+    some = np.flatnonzero(pushes & ~bounces & ~links & ~np.isnan(met.after).any(axis=1))
+    turning = max(theta := float(t.meta["theta"]), 1.0 - theta) * t.dt * met.bent + flight.unsure
+    off = np.minimum(c["u"], met.after)[:, 0] - turning - SLOW
+    figure = off / np.maximum(np.abs(met.before[:, 0]), CREEP)
+    return worst_of("partings", figure[some], off[some], "m/s", step[some] + 1, lambda k: names(some[k]))
+
+
+def _states(poses: Poses, c: Mapping[str, Any], step: Index) -> Bools:
+    """Which contacts are not what they are said to be."""
+    r, mu, state = c["impulse"], c["mu"], c["status"]
+    pushes, drag, most = r[:, 0] > 0.0, np.linalg.norm(r[:, 1:], axis=1), mu * r[:, 0]
+    slow, jams = np.linalg.norm(c["u"][:, 1:], axis=1) <= SLOW, poses.trajectory.solver.status == Status.JAM
+    fits = np.select(
+        [state == OPEN, state == STICK, state == SLIP],
+        [~pushes, pushes & ((drag < most) | slow), pushes & (drag >= most * (1.0 - EDGE))],
+        pushes & jams[step],
+    )
+    out: Bools = ~fits.astype(np.bool_)
+    return out
+
+
+def _keys(c: Mapping[str, Any], who: tuple[Index, Index, Index], count: int) -> Bools:
+    """Which contacts have the key of another of their shapes at their instant."""
+    (i, j, step), out = who, np.zeros(who[2].size, np.bool_)
+    order = np.lexsort((c["key"], c["time"], i * count + j, step))
+    rows = np.stack([step, i * count + j, c["time"], c["key"]])[:, order]
+    out[order[1:]] = (np.diff(rows, axis=1) == 0.0).all(axis=0)
+    return out

@@ -1,0 +1,185 @@
+"""Audit of works: of every contact, of every column of the ledger, and that nothing creates energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
+from nsdyn.audit.flight import Flight, spins, together
+from nsdyn.audit.overlap import separation
+from nsdyn.audit.poses import Poses
+from nsdyn.audit.retraced import Retraced
+from nsdyn.recording.tables import left_out
+from nsdyn.recording.trajectory import Trajectory
+from nsdyn.tools.arrays import Array, Bools, Index
+
+__all__ = ["works"]
+
+CREEP = 1e-2
+"""m/s: works are measured by how fast contacts are, and this, beside which what solvers leave is nothing."""
+
+ROUND_OFF = 1e-12
+"""Of the energy at play, below which a work is nothing."""
+
+PARADOXICAL = "newton", "poisson"
+"""Laws of impact that create energy in some impacts, which their runs tell."""
+
+
+def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> Iterator[Found]:
+    """Findings of works; of scenes without articulations nothing was retraced, and of others why it was not."""
+    t = poses.trajectory
+    yield from _dissipation(poses)
+    reason = left_out(t) if flight is None else "" if flight.timed else "when impulses acted is not recorded"
+    if isinstance(found, str):
+        reason = reason or found
+    if reason or flight is None:
+        yield from (not_audited(name, "J", reason) for name in ("contact_works", "works", "drives"))
+        return
+    retraced = None if isinstance(found, str) else found
+    yield _of_contacts(poses, retraced, flight)
+    yield from _columns(poses, retraced, flight)
+
+
+def _dissipation(poses: Poses) -> Iterator[Found]:
+    """Impacts, friction and limits take energy, but for what a law of impact is known to create, and tells."""
+    t, e, scale = poses.trajectory, poses.trajectory.energy, at_play(poses)
+    steps, told = np.arange(1, t.steps + 1), np.nan_to_num(e.created)
+    if any(geom.get("restitution", 0.0) for geom in t.scene["geoms"]) and (reason := left_out(t)):
+        yield not_audited("dissipation", "J", reason)
+    else:
+        work = e.normal + e.friction - _falls(t) - np.maximum(told, 0.0)
+        yield worst_of("dissipation", work / scale, work, "J", steps, _nobody)
+    lawful = str(t.meta.get("impact", "")).partition("(")[0].lower() in PARADOXICAL
+    off = np.where(np.isnan(e.created) | (e.created >= 0.0), told * (not lawful), np.abs(told))
+    yield worst_of("created", off / scale, off, "J", steps, _nobody)
+
+
+def _nobody(_: int) -> tuple[str, ...]:
+    return ()
+
+
+def _falls(t: Trajectory) -> Array:
+    """The most that gravity may do in each step beyond its potential, J, (n,): h |g| Σ ‖r‖ of what rebounds.
+
+    Where impacts are caught within a step velocities jump at its middle, and weights move otherwise than on the mean of
+    before and after: by at most half a step of the jump, which is r over the mass of each of two bodies. The contacts
+    give it back to what rebounds, which falls through all of the step.
+    """
+    size = np.linalg.norm(t.columns["contacts/impulse"], axis=1) * (t.columns["contacts/restitution"] > 0.0)
+    so_far = np.concatenate([[0.0], np.cumsum(size)])[t.columns["contacts/offset"]]
+    out: Array = t.dt * float(np.linalg.norm(t.scene["gravity"])) * np.diff(so_far)
+    return out
+
+
+def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
+    """Works of contacts, r·½ (u⁻ + u⁺) and of couples along the mean turning.
+
+    What rebounds may do so several times in one instant, each with works of its own, which make up that of all. With
+    links or external forces, which act in the same piece, even that is not so.
+    """
+    t = poses.trajectory
+    c = {name.removeprefix("contacts/"): x for name, x in t.columns.items() if name.startswith("contacts/")}
+    step, r, u = np.repeat(np.arange(t.steps), np.diff(c["offset"])), c["impulse"], flight.met.mean
+    turned = (np.nan_to_num(c["couple"]) * np.nan_to_num(flight.met.spin)).sum(axis=1)
+    normal = c["work_normal"] - r[:, 0] * u[:, 0] - turned
+    friction = c["work_friction"] - (r[:, 1:] * u[:, 1:]).sum(axis=1)
+    size = np.linalg.norm(r, axis=1)
+    doubt = size * flight.unsure
+    if found is not None:
+        doubt = doubt + found.met_doubt
+    bounces = (c["restitution"] > 0.0) & (r[:, 0] > 0.0)
+    order = np.lexsort((c["time"], step))
+    begin, group = together(step[order], c["time"][order])
+    of = np.empty(step.size, np.int64)
+    of[order] = group
+    several = np.bincount(of, bounces, begin.size)[of] > 0.0
+    frames = np.stack([poses.frame[c[f"geom{k}"].astype(np.int64)] for k in "12"])
+    hidden = np.isnan(u).any(axis=1) | (
+        bool(t.meta.get("external_force", True)) & ((0 <= frames) & (frames < poses.free)).any(axis=0)
+    )
+    blind = np.bincount(of, hidden | (frames >= poses.free).any(axis=0), begin.size)[of] > 0.0
+    single, joint = ~several & ~hidden, several & ~blind
+    # Forces that act with them work along one of the parts.
+    fell = t.dt * float(np.linalg.norm(t.scene["gravity"])) * size * (bounces & ~flight.strikes)
+    speed = np.linalg.norm([flight.met.before, flight.met.after], axis=2).max(axis=0)
+    scale = np.maximum(size * np.maximum(speed, CREEP), ROUND_OFF * at_play(poses))
+    whole = [np.bincount(of[joint], x[joint], begin.size) for x in (normal + friction, doubt + fell, scale)]
+    first = order[begin[np.unique(of[joint])]] if joint.any() else order[:0]
+    rows = np.concatenate([np.flatnonzero(single), first])
+    off = np.concatenate(
+        [(np.abs(normal) + np.abs(friction) - doubt)[single], (np.abs(whole[0]) - whole[1])[of[first]]]
+    )
+    if step.size and not rows.size:
+        return not_audited("contact_works", "J", "how what touches moves is not recorded")
+    names, scale = [c[f"geom{k}"][rows] for k in "12"], np.concatenate([scale[single], whole[2][of[first]]])
+    return worst_of(
+        "contact_works", off / scale, off, "J", step[rows] + 1, lambda k: [poses.names[g[k]] for g in names]
+    )
+
+
+def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[Found]:
+    """Columns of the ledger, against what acts in contacts and trees at the velocities there."""
+    t, e, c = poses.trajectory, poses.trajectory.energy, poses.trajectory.columns
+    nothing, scale = np.zeros(t.steps), at_play(poses)
+    of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
+    doubt = nothing if found is None else found.doubt.sum(axis=1)
+    step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    stays, left = _stays(poses, step), dict[str, Array]()
+    twice = _twice(poses, flight) + (0.0 if found is None else found.met_twice)
+    for name in ("normal", "friction"):
+        work = c[f"contacts/work_{name}"]
+        off = np.abs(getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~stays], work[~stays], t.steps))
+        # Of no contacts NumPy counts whole numbers.
+        left[name] = off - np.bincount(step, np.where(stays, np.abs(work), 0.0) + twice, t.steps)
+    left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
+    if not (poses.free and t.meta.get("external_force", True)):
+        left["external"] = np.abs(e.external - of_trees.get("external", nothing))
+    weight = (
+        np.array(poses.scene["masses"])[:, None] * np.array(poses.scene["gravity"]) if poses.free else np.zeros((0, 3))
+    )
+    lifted = -np.einsum("nbi,bi->n", flight.lift, weight)
+    # What is turned keeps its angular momentum L, and ½ L·J⁻¹ L changes.
+    least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
+    spin = np.linalg.norm(spins(poses), axis=2)
+    spin = np.maximum(spin[1:], spin[:-1]) + flight.levers
+    unknown = flight.unknown @ np.linalg.norm(weight, axis=1) + (flight.turn * spin * spin) @ (1.0 / least)
+    left["projection"] = np.abs(e.projection - lifted - (nothing if found is None else found.energy)) - unknown
+    names = list(left)
+    off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
+    which, steps = np.indices(off.shape)
+    who: Callable[[int], list[str]] = lambda k: [names[which.ravel()[k]]]  # noqa: E731
+    yield worst_of("works", off.ravel() / scale, off.ravel(), "J", steps.ravel() + 1, who)
+    if any(kind != "joint" for kind in t.scene.get("motions", {}).values()):
+        yield not_audited("drives", "J", "velocities of driven bodies and of surfaces are not recorded")
+        return
+    off = np.abs(e.constraint - of_trees.get("constraint", nothing)) - doubt
+    yield worst_of("drives", off / scale, off, "J", np.arange(1, t.steps + 1), lambda _: ["constraint"])
+
+
+def _twice(poses: Poses, flight: Flight) -> Array:
+    """Most that impulses of rebounds may have done in a move besides its impacts, which is booked as numerics, J."""
+    c, met = poses.trajectory.columns, flight.met
+    r, speed = c["contacts/impulse"], np.abs([met.before, met.after]).max(axis=0)
+    some = ~flight.strikes & (c["contacts/restitution"] > 0.0)
+    out: Array = np.where(some, np.nan_to_num(np.abs(r) * speed).sum(axis=1), 0.0)
+    return out
+
+
+def _stays(poses: Poses, step: Index) -> Bools:
+    """Contacts of shapes that touch where their step begins, or met before: what they do may be booked as numerics."""
+    c: Any = poses.trajectory.columns
+    i, j = (c[f"contacts/geom{k}"].astype(np.int64) for k in "12")
+    out, least = np.empty(step.size, np.bool_), TOLERANCES["overlap"] * poses.size(i, j)
+    for a, b, some in poses.by_kind(i, j):
+        out[some] = separation(a, *poses.of(i[some], step[some]), b, *poses.of(j[some], step[some])) <= least[some]
+    when: Array = c["contacts/time"]
+    order = np.lexsort((when, j, i, step))
+    begin, group = together(step[order], i[order], j[order])
+    out[order] |= when[order] > when[order][begin][group] if begin.size else False
+    pair = i * len(poses.names) + j
+    code = step * len(poses.names) ** 2 + pair
+    last = np.isin(code - len(poses.names) ** 2, code[c["contacts/status"] > 0])
+    return np.asarray(out | last)
