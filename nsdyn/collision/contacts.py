@@ -69,6 +69,14 @@ class ContactMemory(NamedTuple):
         """Of no contacts: keys start at 0."""
         return cls(np.empty((5, 0), dtype=np.int64), np.empty((4, 0, 3)), 0)
 
+    def joined(self, other: ContactMemory, keys: Index) -> ContactMemory:
+        """The same with those of a later configuration that have some keys, unless they are known."""
+        more = np.isin(other.names[4], keys) & ~np.isin(other.names[4], self.names[4])
+        names = np.concatenate((self.names, other.names[:, more]), axis=1)
+        points = np.concatenate((self.points, other.points[:, more]), axis=1)
+        order = np.lexsort((names[1], names[0]))
+        return ContactMemory(names.take(order, axis=1), points.take(order, axis=1), other.next_key)
+
 
 class Poses(NamedTuple):
     """Poses of the moving frames, body to world.

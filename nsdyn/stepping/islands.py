@@ -107,7 +107,7 @@ class Islands:
         if tried is not None:
             boxes = self._swept(s, [begin.placement, half.middle.placement, tried.response.moved.placement])
         done: dict[tuple[int, ...], tuple[Part, Passage]] = {}
-        key = (begin if tried is None else tried.reach).memory.next_key
+        key = (begin if tried is None else tried.response.moved).memory.next_key
         while True:
             for k in np.flatnonzero(opened).tolist():
                 nodes = np.flatnonzero(label == k)
@@ -133,7 +133,7 @@ class Islands:
         left = ~opened[label]
         out = Passage(begin, half.rate.copy(), True, [], [], [])
         if tried is not None and left.any():
-            kept = self._kept(tried, left)
+            kept = self._kept(tried, left, key)
             move, count = finish(s, begin, kept, left), opened.sum()
             self._gaining(begin, move, kept, label, opened)
             if opened.sum() > count:
@@ -273,8 +273,8 @@ class Islands:
                 energies.append(np.bincount(label, 0.5 * of_bodies, minlength=opened.size))
             opened |= gained > GAIN * np.maximum(*energies)
 
-    def _kept(self, tried: Trial, left: Bools) -> Trial:
-        """What an attempt did to the nodes left."""
+    def _kept(self, tried: Trial, left: Bools, next_key: int) -> Trial:
+        """What an attempt did to the nodes left; new contacts of theirs have keys from `next_key` on."""
         s, d, a = self.whole, self.whole.dynamics, tried.response
         kept, there = left[s.nodes(a.met.contacts)], left[s.nodes(a.moved.contacts)]
         if a.met.joints is not None:
@@ -303,7 +303,7 @@ class Islands:
             kick=0.0,
             problem=problem,
             solution=solution,
-            moved=a.moved._replace(contacts=contacts, limits=limits),
+            moved=a.moved._replace(contacts=contacts, limits=limits, memory=a.moved.memory._replace(next_key=next_key)),
         )
         forces, free = tried.half.forces, left[: d.free, None]
         forces = forces._replace(force=free * forces.force, torque=free * forces.torque)

@@ -89,11 +89,8 @@ def _moved(s: System, begin: Instant, half: Half, barred: Index | None, rough: b
     half, response = _respond(s, begin, half, reach, barred, None, rough)
     missed = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
-        places = half.middle.placement, response.moved.placement
-        found = response.moved.contacts
-        real, memory, missed = shown(
-            s, response.met, response.solution.r, found, reach.memory, places, half.fast, missed
-        )
+        r, moved, middle = response.solution.r, response.moved, half.middle.placement
+        real, memory, missed = shown(s, response.met, r, moved, reach.memory, middle, half.fast, missed)
         same = real is response.met.contacts and not response.otherwise
         if same and not rough:
             break

@@ -23,6 +23,7 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
+from nsdyn.stepping.projection import Placed
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = [
@@ -222,9 +223,9 @@ def shown(
     s: System,
     met: Encounter,
     r: Array,
-    found: ContactSet,
+    moved: Placed,
     memory: ContactMemory,
-    places: tuple[Placement, Placement],
+    middle: Placement,
     fast: bool,
     kept: Index,
 ) -> tuple[ContactSet, ContactMemory, Index]:
@@ -238,27 +239,28 @@ def shown(
     s : System
     met : Encounter
     r : ndarray, shape (3 rows,)
-    found : ContactSet
+    moved : Placed
         Where the motion ends.
     memory : ContactMemory
-    places : two Placements
-        Where the impulses act, and where the motion ends.
+    middle : Placement
+        Where the impulses act.
     fast : bool
         Whether anything is so fast that it might pass through unseen.
     kept : ndarray of int
         Keys of contacts that were missed before: they stay.
     """
+    found = moved.contacts
     real = ~_ghosts(s, met, r, found) | among(met.contacts.key, kept)
     contacts = take(met.contacts, real)
     if not fast and _few.least(found.gap) >= -s.slow:
         return contacts, memory, kept
-    middle, end = (Poses(*place[:2]) for place in places)
+    begin, end = Poses(*middle[:2]), Poses(*moved.placement[:2])
     late = take(found, (found.gap < -s.deep(found)) & ~among(found.key, met.contacts.key))
     if late.gap.size:
-        late = _parting(s, late, met.contacts, end, middle)
+        late, memory = _parting(s, late, met.contacts, end, begin), memory.joined(moved.memory, late.key)
     if fast:
-        (passed, _, memory), codes = s.touches(middle, end, memory, met.contacts), s.detector.codes
-        passed = carry(passed, end, middle)
+        (passed, _, memory), codes = s.touches(begin, end, memory, met.contacts), s.detector.codes
+        passed = carry(passed, end, begin)
         late = _merged(take(late, ~among(codes(late), codes(passed))), passed, s.detector)
     if not late.gap.size:
         return contacts, memory, kept
