@@ -74,7 +74,7 @@ class System(NamedTuple):
     depth : float
         Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a move.
     mover : Mover, optional
-        Where no surfaces move, and nothing is closed or driven.
+        Where no surfaces move.
     """
 
     dynamics: Dynamics

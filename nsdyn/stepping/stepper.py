@@ -355,7 +355,7 @@ class Stepper:
     def _quietest(self, polish: bool) -> Quiet | None:
         """What makes steps of the scene that meet no event; None where only the general way does."""
         s, d, functions = self.system, self.dynamics, self.functions
-        if s.mover is None or functions.take_last or self._prescribed is not None:
+        if s.mover is None or functions.take_last:
             return None
         return Quiet(s, s.mover, polish, lambda t: functions.at(t, d, None), self._paradoxes)
 
@@ -364,6 +364,10 @@ class Stepper:
         if (found := quiet.step(self._now, self._certificate)) is None:
             return None
         before, after = found
+        if self._prescribed is not None:
+            depth = self._prescribed.check(before.like.placement, after.like.placement, after.t)
+            if depth > self.closed:
+                return None
         untold = Untold(after, before, (self.theta, self.system.solver.tol), self.dynamics)
         step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
         self._now = after

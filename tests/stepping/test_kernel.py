@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import add, four_bars
 
 import nsdyn as nd
 from nsdyn.stepping import mover, quiet
@@ -75,6 +76,17 @@ def test_quiet_steps_of_trees_are_the_general_ones(name, monkeypatch):
     """The same of robots under control, in contact and not, beside free bodies and alone, and of closed loops."""
     setup = nd.scenes.setup(name)
     made(setup.scene, (300 if name == "quadruped" else 120) * setup.dt, setup.options(), monkeypatch)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_quiet_steps_of_driven_joints_are_the_general_ones(beside, monkeypatch):
+    """Two windows of four bars, whose first rod turns as prescribed, alone and beside a box that slides."""
+    model, loops, v = four_bars(2)
+    scene = nd.scenes.load("slide")() if beside else nd.Scene()
+    add(scene, "bars", model, loops=loops, v=v)
+    scene.set_motion("bars/v0", velocity=lambda t: 1.0 + np.sin(3.0 * t))
+    # With contacts anywhere the steps are the general ones: problems have the coordinates that loops leave.
+    made(scene, 120 * 2e-3, {"dt": 2e-3}, monkeypatch, least=0 if beside else 100)
 
 
 def test_quiet_steps_under_forces_of_the_velocity_are_the_general_ones(monkeypatch):
