@@ -25,6 +25,7 @@ SCENES = {
     "stacks": (nd.scenes.load("stacks"), 60),
     "wall": (nd.scenes.load("wall"), 40),
     "boxes": (lambda: resting(1000), 20),
+    "four_bar": (nd.scenes.load("four_bar"), 100),
 }
 """By name: scene and steps of a turn."""
 

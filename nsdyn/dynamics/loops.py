@@ -106,9 +106,15 @@ class Closures:
         self._rows = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
         self._gears, self._names = GearGaps(model, gears), [*(loop.name for loop in loops), *(g.name for g in gears)]
         self.size = int(self._rows[-1]) + len(gears)
+        self._last: tuple[Array | None, tuple[Array, Array]] = None, (np.empty(0), np.empty((0, 0)))
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """(φ, G) at q, shapes (m,) in m and rad and (m, nv): dφ/dt = G v where φ = 0; world axes."""
+        if q is not self._last[0]:  # what is closed is asked for once more
+            self._last = q, self._at(q)
+        return self._last[1]
+
+    def _at(self, q: Array) -> tuple[Array, Array]:
         pin.computeJointJacobians(self._model, self._data, q)
         phi, G = np.zeros(self.size), np.zeros((self.size, self._model.nv))
         _links.closures(self._tree, (self._joints, self._points, self._rows), phi, G)
