@@ -130,7 +130,9 @@ class Mover:
         motion : Motion, optional
             Of trees, or under the forces of the user.
         """
-        detector = self._detector
+        detector, constrained = self._detector, self._dynamics.constrained
+        if constrained and begun.nc:  # problems have the coordinates that loops leave
+            return None
         if motion is None and self.numbers[_col.GIVEN]:
             self._views[_col.PUSH][:] = self._views[_col.TWIST][:] = 0.0
         self.numbers[_col.GIVEN] = motion is not None
@@ -160,7 +162,7 @@ class Mover:
             if code in (_meeting.DONE, _meeting.EVENT):
                 if code == _meeting.EVENT:  # whose values are views of it
                     self._work = self._for_work(0)
-                if self._dynamics.constrained and head[_col.MET]:  # problems have the coordinates that loops leave
+                if constrained and head[_col.MET]:
                     return None
                 return self._made(new, rooms, work, begun, code == _meeting.DONE)
             if code == _meeting.OTHERWISE:
@@ -173,7 +175,7 @@ class Mover:
                 stage, ready, head = _meeting.DONE, False, work[1]
                 continue
             if code == _meeting.SOLVE:
-                good = not self._dynamics.constrained and self._solve(self._made(new, rooms, work, begun, False))
+                good = not constrained and self._solve(self._made(new, rooms, work, begun, False))
             else:
                 good = self._go_on(code, motion, new[0], work[0])
             if not good:
