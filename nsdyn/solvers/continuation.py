@@ -53,8 +53,8 @@ class Point(NamedTuple):
         The law's λ, kg⁻¹, and D, (N·s)².
     v : ndarray, shape (3 nc,)
         W r + q, m/s.
-    defect, rate : ndarray, shape (3 nc,)
-        G and ∂G/∂t, m/s.
+    defect : ndarray, shape (3 nc,)
+        G, m/s.
     """
 
     x: Array
@@ -63,7 +63,6 @@ class Point(NamedTuple):
     slip: Array
     v: Array
     defect: Array
-    rate: Array
 
 
 class Path:
@@ -99,14 +98,20 @@ class Path:
     def at(self, x: Array) -> Point:
         """The point x = (z, t); ZeroDivisionError where floating point has none."""
         tau, part = float(np.exp(x[-1])), float(np.exp(x[-1] - self.t0))
-        r, u, dr, defect, rate = np.empty((5, self.q.size))
+        r, u, defect = np.empty((3, self.q.size))
         slip = np.empty((self.mu.size, 2))
         _kernels.law(x[:-1], self.mu, self.kappa, tau, r, u, slip)
-        _kernels.rate(r, u, slip, self.mu, self.kappa, tau, dr)
         v = self.W.product(r) + self.q
         _kernels.velocities_differ(v, u + part * self.G0, self.mu, defect)
-        _kernels.velocities_differ(self.W.product(dr), dr / self.k + part * self.G0, self.mu, rate)
-        return Point(x, r, u, slip, v, defect, rate)
+        return Point(x, r, u, slip, v, defect)
+
+    def rate(self, point: Point) -> Array:
+        """∂G/∂t at a point, m/s."""
+        tau, part = float(np.exp(point.x[-1])), float(np.exp(point.x[-1] - self.t0))
+        dr, out = np.empty((2, self.q.size))
+        _kernels.rate(point.r, point.u, point.slip, self.mu, self.kappa, tau, dr)
+        _kernels.velocities_differ(self.W.product(dr), dr / self.k + part * self.G0, self.mu, out)
+        return out
 
     def metric(self, t: float) -> Array:
         """Weights of (dz, dt): a contact's z in units of √(κ τ), what the smoothing rounds off."""
@@ -162,12 +167,12 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
             point = path.at(x)
             size = path.size(point)
             if linear is not None and size < CLOSE:
-                return point, linear.tangent(point.rate), count
+                return point, linear.tangent(path.rate(point)), count
             if not size <= CONTRACTION * last:
                 break
             if linear is None or size > AGAIN * last:
                 linear, count = Linear(path, point), count + 1
-                tangent = linear.tangent(point.rate)
+                tangent = linear.tangent(path.rate(point))
         except (ZeroDivisionError, RuntimeError):
             break
         last = size
@@ -215,7 +220,7 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int, sp
         keep(x, measure)
 
     try:
-        direction = -_unit(Linear(path, here).tangent(here.rate), path.metric(here.x[-1]))
+        direction = -_unit(Linear(path, here).tangent(path.rate(here)), path.metric(here.x[-1]))
     except RuntimeError:
         return count, best
     while best > tol and count < most:
