@@ -81,17 +81,16 @@ class Path:
     t0 : float
         log τ_0.
     start : Point
-        Where the curve begins, with τ_0 = speed² / λ_max(W_cc): at z_0 = r - κ u of an impulse, or, without a speed, at
-        z_0 = 0 with that of q.
+        Where the curve begins: z_0 = 0 and τ_0 = max |q|² / λ_max(W_cc).
     """
 
-    def __init__(self, p: FC3D, W: Operator, r: Array, speed: float) -> None:
+    def __init__(self, p: FC3D, W: Operator) -> None:
         self.problem, self.W, self.q, self.mu, self.scales, self.q_norm = p, W, p.q, p.mu, p.scales, p.q_norm
         self.kappa = STRETCH / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.G0 = np.zeros_like(p.q)
-        self.t0 = float(np.log((speed or np.abs(p.q).max() or 1.0) ** 2 / p.scales.mean()))
-        begin = np.append(r - self.k * p.velocity(r) if speed else np.zeros_like(p.q), self.t0)
+        self.t0 = float(np.log((np.abs(p.q).max() or 1.0) ** 2 / p.scales.mean()))
+        begin = np.append(np.zeros_like(p.q), self.t0)
         self.G0 = self.at(begin).defect
         self.start = self.at(begin)
 
@@ -182,11 +181,10 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
     return None, tangent, count
 
 
-def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int, speed: float = 0.0) -> tuple[int, float]:
+def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
     """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure).
 
-    Or from r itself, at a smoothing of that speed, m/s, some hundred times what r misses: a shorter path where r is
-    near a solution, which leads to none more often. Where no point has a finite measure r stays what it is.
+    Where no point has a finite measure r stays what it is.
 
     The smoothed law of `_kernels.smoothing` has a solution for every z, and with τ from large to 0 it describes a path
     to a solution of Coulomb's law, which turns back in τ where much slides: there the methods stall that lower τ. Here
@@ -199,7 +197,7 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int, sp
     bifurcation and nonlinear eigenvalue problems, 1977. S. Robinson, Normal maps induced by linear transformations,
     Math. Oper. Res. 17, 1992.
     """
-    path = Path(problem, W, r, speed)
+    path = Path(problem, W)
     here, scale = path.start, float(path.scales.mean())
     count, best, length, attempt = 1, np.inf, 1.0, ATTEMPT
 
