@@ -32,12 +32,8 @@ class Tuning:
     """What sweeps with momentum take in a round, and in one after a warm start that was left."""
 
     path: tuple[int, int] = (40, 500)
-    """What a path of smoothed laws takes at least, unless it is not begun, and at most: once, from nothing, after the
-    second round, or after the third if one from the best goes before it."""
-
-    near: tuple[float, int] = (100.0, 150)
-    """Smoothing of the one from the best, over what that misses, and what it takes at most: where a warm start was left
-    and two rounds miss the loose tolerance. What rests creeps where it leads."""
+    """What the path of smoothed laws takes at least, unless it is not begun, and at most: once, after the second
+    round."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -149,14 +145,12 @@ class Search:
         used = run.count - before
         self._note(run.best, used, used, run.r)
 
-    def follow(self, most: float, speed: float = 0.0) -> None:
-        """The path of smoothed laws from nothing, or from the best at a smoothing of that speed, m/s.
-
-        Where there is enough for it.
-        """
-        x, most = self.r.copy() if speed else np.zeros_like(self.r), int(self._most(most))
-        if most >= TUNING.path[0]:
-            used, best = continuation(self.problem, self.W, x, self.tol, most, speed)
+    def follow(self) -> None:
+        """The path of smoothed laws, which begins from nothing, where there is enough for it."""
+        x, (least, most) = np.zeros_like(self.r), TUNING.path
+        most = int(self._most(most))
+        if most >= least:
+            used, best = continuation(self.problem, self.W, x, self.tol, most)
             self._note(best, used, used, x)
 
     def converge(self, tol: float) -> None:
@@ -186,14 +180,11 @@ class Search:
                 self.newton(length, self.tol)
             if self.over:
                 break
-            far = self.best > self.loose
-            if k == 0 and warm and far:
+            if k == 0 and warm and self.best > self.loose:
                 self.begin_anew()
                 left = True
-            elif k == 1 and left and far:
-                self.follow(TUNING.near[1], TUNING.near[0] * self.best)
             elif k > 0 and not followed:
-                self.follow(TUNING.path[1])
+                self.follow()
                 followed = True
         if self._kept[0] < self.best:
             self.best, self.r[:] = self._kept
@@ -213,11 +204,9 @@ class Auto:
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
     step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
-    the first misses the loose tolerance is left, and all begins from nothing. The second ends with the path of smoothed
-    laws from nothing; where a start was left and that tolerance is still missed, with one from the best, and the third
-    with that from nothing. Sweeps and Newton go on where they were, or begin anew where another has found better. A
-    problem given by W alone, which need not be symmetric, has the sweeps of the first round in one kernel call, and the
-    same means after.
+    the first misses the loose tolerance is left, and all begins from nothing. The path of smoothed laws follows the
+    second. Sweeps and Newton go on where they were, or begin anew where another has found better. A problem given by W
+    alone, which need not be symmetric, has the sweeps of the first round in one kernel call, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:

@@ -53,8 +53,8 @@ class Point(NamedTuple):
         The law's λ, kg⁻¹, and D, (N·s)².
     v : ndarray, shape (3 nc,)
         W r + q, m/s.
-    defect, rate : ndarray, shape (3 nc,)
-        G and ∂G/∂t, m/s.
+    defect : ndarray, shape (3 nc,)
+        G, m/s.
     """
 
     x: Array
@@ -63,7 +63,6 @@ class Point(NamedTuple):
     slip: Array
     v: Array
     defect: Array
-    rate: Array
 
 
 class Path:
@@ -82,31 +81,36 @@ class Path:
     t0 : float
         log τ_0.
     start : Point
-        Where the curve begins, with τ_0 = speed² / λ_max(W_cc): at z_0 = r - κ u of an impulse, or, without a speed, at
-        z_0 = 0 with that of q.
+        Where the curve begins: z_0 = 0 and τ_0 = max |q|² / λ_max(W_cc).
     """
 
-    def __init__(self, p: FC3D, W: Operator, r: Array, speed: float) -> None:
+    def __init__(self, p: FC3D, W: Operator) -> None:
         self.problem, self.W, self.q, self.mu, self.scales, self.q_norm = p, W, p.q, p.mu, p.scales, p.q_norm
         self.kappa = STRETCH / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.G0 = np.zeros_like(p.q)
-        self.t0 = float(np.log((speed or np.abs(p.q).max() or 1.0) ** 2 / p.scales.mean()))
-        begin = np.append(r - self.k * p.velocity(r) if speed else np.zeros_like(p.q), self.t0)
+        self.t0 = float(np.log((np.abs(p.q).max() or 1.0) ** 2 / p.scales.mean()))
+        begin = np.append(np.zeros_like(p.q), self.t0)
         self.G0 = self.at(begin).defect
         self.start = self.at(begin)
 
     def at(self, x: Array) -> Point:
         """The point x = (z, t); ZeroDivisionError where floating point has none."""
         tau, part = float(np.exp(x[-1])), float(np.exp(x[-1] - self.t0))
-        r, u, dr, defect, rate = np.empty((5, self.q.size))
+        r, u, defect = np.empty((3, self.q.size))
         slip = np.empty((self.mu.size, 2))
         _kernels.law(x[:-1], self.mu, self.kappa, tau, r, u, slip)
-        _kernels.rate(r, u, slip, self.mu, self.kappa, tau, dr)
         v = self.W.product(r) + self.q
         _kernels.velocities_differ(v, u + part * self.G0, self.mu, defect)
-        _kernels.velocities_differ(self.W.product(dr), dr / self.k + part * self.G0, self.mu, rate)
-        return Point(x, r, u, slip, v, defect, rate)
+        return Point(x, r, u, slip, v, defect)
+
+    def rate(self, point: Point) -> Array:
+        """∂G/∂t at a point, m/s."""
+        tau, part = float(np.exp(point.x[-1])), float(np.exp(point.x[-1] - self.t0))
+        dr, out = np.empty((2, self.q.size))
+        _kernels.rate(point.r, point.u, point.slip, self.mu, self.kappa, tau, dr)
+        _kernels.velocities_differ(self.W.product(dr), dr / self.k + part * self.G0, self.mu, out)
+        return out
 
     def metric(self, t: float) -> Array:
         """Weights of (dz, dt): a contact's z in units of √(κ τ), what the smoothing rounds off."""
@@ -162,12 +166,12 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
             point = path.at(x)
             size = path.size(point)
             if linear is not None and size < CLOSE:
-                return point, linear.tangent(point.rate), count
+                return point, linear.tangent(path.rate(point)), count
             if not size <= CONTRACTION * last:
                 break
             if linear is None or size > AGAIN * last:
                 linear, count = Linear(path, point), count + 1
-                tangent = linear.tangent(point.rate)
+                tangent = linear.tangent(path.rate(point))
         except (ZeroDivisionError, RuntimeError):
             break
         last = size
@@ -177,11 +181,10 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
     return None, tangent, count
 
 
-def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int, speed: float = 0.0) -> tuple[int, float]:
+def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
     """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure).
 
-    Or from r itself, at a smoothing of that speed, m/s, some hundred times what r misses: a shorter path where r is
-    near a solution, which leads to none more often. Where no point has a finite measure r stays what it is.
+    Where no point has a finite measure r stays what it is.
 
     The smoothed law of `_kernels.smoothing` has a solution for every z, and with τ from large to 0 it describes a path
     to a solution of Coulomb's law, which turns back in τ where much slides: there the methods stall that lower τ. Here
@@ -194,7 +197,7 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int, sp
     bifurcation and nonlinear eigenvalue problems, 1977. S. Robinson, Normal maps induced by linear transformations,
     Math. Oper. Res. 17, 1992.
     """
-    path = Path(problem, W, r, speed)
+    path = Path(problem, W)
     here, scale = path.start, float(path.scales.mean())
     count, best, length, attempt = 1, np.inf, 1.0, ATTEMPT
 
@@ -215,7 +218,7 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int, sp
         keep(x, measure)
 
     try:
-        direction = -_unit(Linear(path, here).tangent(here.rate), path.metric(here.x[-1]))
+        direction = -_unit(Linear(path, here).tangent(path.rate(here)), path.metric(here.x[-1]))
     except RuntimeError:
         return count, best
     while best > tol and count < most:

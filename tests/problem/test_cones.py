@@ -69,6 +69,25 @@ def test_kernels_are_twins(sample):
         np.testing.assert_allclose(D, expected[c], rtol=1e-13, atol=1e-14)
 
 
+def test_measures_of_contacts_that_are_open_and_closed(sample, rng):
+    """Against the projection of all, without impulses at every other; a velocity that is no number is no measure."""
+    r, mu = sample
+    r[::2], u, scales = 0.0, rng.normal(size=r.shape), rng.uniform(0.5, 2.0, mu.size)
+    r[1::2] = cones.project(r[1::2], mu[1::2])
+    for open_only in (False, True):
+        if open_only:
+            r[:], u[:, 0] = 0.0, np.abs(u[:, 0])
+        missed = r - cones.project(r - cones.saxce(u, mu), mu)
+        scaled = (r - cones.project(r - cones.saxce(u, mu) / scales[:, None], mu)) * scales[:, None]
+        error, residual = kernels.measures(scales, u.ravel(), r.ravel(), mu)
+        assert error == pytest.approx(np.linalg.norm(missed), rel=1e-13, abs=1e-15)
+        assert residual == pytest.approx(np.linalg.norm(scaled, axis=1).max(), rel=1e-13, abs=1e-15)
+    for k in range(3):
+        bad = u.copy()
+        bad[300, k] = np.nan
+        assert np.isnan(kernels.measures(scales, bad.ravel(), r.ravel(), mu)).all()
+
+
 def test_largest_eigenvalue(rng):
     for _ in range(200):
         A = rng.normal(size=(3, 3))

@@ -51,6 +51,8 @@ def natural_residual(W_diagonal, u, r, mu):
     for c in range(mu.size):
         i, rho = 3 * c, 1.0 / W_diagonal[c]
         s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        if r[i] == r[i + 1] == r[i + 2] == 0.0 and u[i] + s >= s:  # open; no NaN gets here
+            continue
         pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu[c])
         e = math.sqrt(square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)) / rho
         floor = ROUNDING * math.sqrt(square(r[i]) + square(r[i + 1]) + square(r[i + 2])) / rho
@@ -67,6 +69,8 @@ def natural_error(u, r, mu):
     for c in range(mu.size):
         i = 3 * c
         s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
+        if r[i] == r[i + 1] == r[i + 2] == 0.0 and u[i] + s >= s:  # open; no NaN gets here
+            continue
         pn, p1, p2 = project(r[i] - u[i] - s, r[i + 1] - u[i + 1], r[i + 2] - u[i + 2], mu[c])
         total += square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)
     return math.sqrt(total)
