@@ -125,6 +125,7 @@ def _sideways(poses: Poses, flight: Flight) -> Found:
     """How free bodies move otherwise than projections lift them, which is along normals of their contacts, m.
 
     These turn as bodies roll, so that what is across them in the middle of a step may be as much as what is along.
+    Between others, what is squeezed moves across normals that are all but parallel by their angle times what it moves.
     """
     t, free, eps = poses.trajectory, poses.free, float(np.finfo(float).eps)
     normal, lines = t.columns["contacts/normal"], np.zeros((t.steps, free, 3, 3))
@@ -134,11 +135,12 @@ def _sideways(poses: Poses, flight: Flight) -> Found:
         own = (body >= 0) & (body < free)
         np.add.at(lines, (step[own], body[own]), normal[own, :, None] * normal[own, None])
     sizes, axes = np.linalg.eigh(np.nan_to_num(lines))  # what is no number, the axes of contacts are looked at for
-    open_to = sizes > PARALLEL * np.maximum(sizes[..., -1:], 1.0)
-    parts = np.abs(np.einsum("nbij,nbi->nbj", axes, flight.lift))
-    along, across = (np.linalg.norm(np.where(some, parts, 0.0), axis=2) for some in (open_to, ~open_to))
+    tilt = np.sqrt(np.clip(sizes / np.maximum(sizes[..., -1:], 1.0), 0.0, 1.0))
     speed = np.linalg.norm(velocities(poses), axis=2)
     moved = t.dt * (speed[:-1] + speed[1:] + t.dt * float(np.linalg.norm(poses.scene["gravity"])))
+    parts, open_to = np.abs(np.einsum("nbij,nbi->nbj", axes, flight.lift)), tilt**2 > PARALLEL
+    along = np.linalg.norm(np.where(open_to, parts, 0.0), axis=2)
+    across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - tilt * moved[..., None], 0.0)), axis=2)
     rounded = 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
     return of_bodies(poses, "sideways", across - along - flight.unknown - rounded, moved, "m")
 

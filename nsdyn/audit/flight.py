@@ -102,8 +102,13 @@ class Flight:
         How far velocities there may be off in steps that were cut, m/s: free bodies do not tell how long pieces are.
     cut : ndarray of bool, shape (n, free)
         Whether impulses act at several times, or not where those of a step in one piece would.
+    coming : ndarray, shape (contacts, 3)
+        How relative velocities there may yet change until the end of a piece of which the length is not recorded, in
+        the frame of the contact, m/s: by all of it, if no other piece follows, or by a part.
     strikes : ndarray of bool, shape (contacts,)
         Whether free bodies surely strike there, in no time: first in their step, which is cut for no more.
+    instant : ndarray of bool, shape (contacts,)
+        Whether an impulse surely acts in no time, be it on links.
     timed : bool
         Whether times are recorded; without, all impulses of a step are taken to act where those of one piece would.
     """
@@ -119,8 +124,10 @@ class Flight:
     turn: Array
     met: Meetings
     unsure: Array
+    coming: Array
     cut: NDArray[np.bool_]
     strikes: NDArray[np.bool_]
+    instant: NDArray[np.bool_]
     timed: bool
 
     @classmethod
@@ -134,7 +141,7 @@ class Flight:
         steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
         sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
         when, timed, cut = _times(poses, steps, frames)
-        piece, length = _pieces(poses, steps)
+        piece, length, known = _pieces(poses, steps)
         pushes = Pushes.of(frames, free, steps, when, piece, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
         row, side, step, body, time, _, push = pushes
         instants, (first, group), one = np.zeros(shape, np.int64), together(step, body, time), np.zeros(row.size)
@@ -182,10 +189,16 @@ class Flight:
         alone &= parted
         off = np.where(alone, unknown[step, body], within[step, body]) + np.linalg.norm(lift, axis=2)[step, body]
         off += 2.0 * np.linalg.norm(arm, axis=1) * lifted[step, body]
+        strikes = np.bincount(row, ~alone, len(n)) == 0
         levers = summed(size * np.linalg.norm(arm, axis=1))
         doubt = _fastest(poses, levers)[step, body] * off
-        doubt += np.where(length[row] > 0.0, 0.0, (theta - 0.5) * np.linalg.norm(forced[step, body], axis=1))
+        doubt += np.where(known[row], 0.0, (theta - 0.5) * np.linalg.norm(forced[step, body], axis=1))
         unsure = np.bincount(row, np.where(parted, doubt, 0.0), len(n)).astype(float)
+        # An impulse acts 1 - θ of its piece after the beginning of it, which is none before that of the step.
+        ahead = np.minimum(h - time, theta * time / max(1.0 - theta, 1e-300))
+        yet = np.where(parted & ~known[row], np.where(side, ahead, -ahead), 0.0) / h
+        coming = np.zeros((len(n), 3))
+        np.add.at(coming, row, yet[:, None] * forced[step, body])
         return cls(
             impulse,
             summed(moment),
@@ -196,10 +209,12 @@ class Flight:
             within,
             turned,
             lifted,
-            Meetings.of(sides, axes, c["contacts/point"]),
+            Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1)),
             unsure,
+            np.einsum("cij,cj->ci", axes, coming),
             cut,
-            np.bincount(row, ~alone, len(n)) == 0,
+            strikes,
+            np.where(known, length == 0.0, strikes & np.isin(np.arange(len(n)), row)),
             timed,
         )
 
@@ -249,15 +264,16 @@ def _times(poses: Poses, steps: Index, frames: Index) -> tuple[Array, bool, NDAr
     return when, timed, np.where(met[0], met[1], cut)
 
 
-def _pieces(poses: Poses, step: Index) -> tuple[Index, Array]:
-    """The piece that each contact acts in, and its length, s; 0 where steps were not cut, or no pieces are recorded."""
+def _pieces(poses: Poses, step: Index) -> tuple[Index, Array, NDArray[np.bool_]]:
+    """The piece that each contact acts in, its length, s, and where it is known: in steps cut into what is recorded."""
     c, piece, length = poses.trajectory.columns, np.zeros(step.size, np.int64), np.zeros(step.size)
+    known = np.zeros(step.size, np.bool_)
     if {f"pieces/{name}" for name in ("offset", "contacts", "duration")} <= c.keys():
         own = np.flatnonzero((np.diff(c["pieces/offset"]) > 0)[step])
         each = np.repeat(np.arange(len(c["pieces/contacts"])), np.maximum(c["pieces/contacts"], 0))
         if each.size == own.size:
-            piece[own], length[own] = each, c["pieces/duration"][each]
-    return piece, length
+            piece[own], length[own], known[own] = each, c["pieces/duration"][each], True
+    return piece, length, known
 
 
 def together(*keys: NDArray[Any]) -> tuple[Index, Index]:

@@ -56,6 +56,7 @@ class Poses:
             self.kind[k] = kinds[key]
         extents = np.array([solid.extent for solid in self.solids])
         self.extent = extents[self.kind] if len(geoms) else np.empty(0)
+        self.rounding = np.array([self.solids[kind].rounding for kind in self.kind])
         # Of any point of a shape from the origin of its frame, m.
         arms = np.linalg.norm(self.placement[:, :3, 3], axis=1)
         self.bounding_radius = np.array([self.solids[kind].bounding_radius for kind in self.kind]) + arms

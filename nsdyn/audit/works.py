@@ -9,9 +9,9 @@ import numpy as np
 
 from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
 from nsdyn.audit.flight import Flight, spins, together
-from nsdyn.audit.overlap import separation
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.retraced import Retraced
+from nsdyn.audit.touching import apart
 from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -172,9 +172,7 @@ def _stays(poses: Poses, step: Index) -> Bools:
     """Contacts of shapes that touch where their step begins, or met before: what they do may be booked as numerics."""
     c: Any = poses.trajectory.columns
     i, j = (c[f"contacts/geom{k}"].astype(np.int64) for k in "12")
-    out, least = np.empty(step.size, np.bool_), TOLERANCES["overlap"] * poses.size(i, j)
-    for a, b, some in poses.by_kind(i, j):
-        out[some] = separation(a, *poses.of(i[some], step[some]), b, *poses.of(j[some], step[some])) <= least[some]
+    out = apart(poses, i, j, step) <= TOLERANCES["overlap"] * poses.size(i, j)
     when: Array = c["contacts/time"]
     order = np.lexsort((when, j, i, step))
     begin, group = together(step[order], i[order], j[order])
