@@ -66,6 +66,12 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
         there = *poses.of(i[some], step[some] + 1), b, *poses.of(j[some], step[some] + 1)
         lengthwise[some] = along(a, *there, n[some])
     out: Array = np.minimum(nearest, lengthwise) - gap
+    # What the same shapes meet later in a step may have the gap of where its piece ends.
+    _, pair = np.unique((step * len(poses.names) + i) * len(poses.names) + j, return_inverse=True)
+    last = np.zeros(gap.size)
+    np.maximum.at(last, pair, c["time"])
+    met = np.flatnonzero((out > 0.0) & (c["time"] < last[pair]))
+    out[met] -= _travel(poses, flight, c, who, met)
     above = np.flatnonzero(gap > nearest)
     # Round shapes have one contact, whose gap is theirs.
     round_ = np.array([solid.kind in ("sphere", "ellipsoid", "halfspace") for solid in poses.solids], np.bool_)[

@@ -87,7 +87,10 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     normal = c["work_normal"] - r[:, 0] * u[:, 0] - turned
     friction = c["work_friction"] - (r[:, 1:] * u[:, 1:]).sum(axis=1)
     size = np.linalg.norm(r, axis=1)
-    doubt = size * flight.unsure
+    # Nothing that turns is in more doubt than its surface, at the least distance, is.
+    least = poses.size(*(c[f"geom{k}"].astype(np.int64) for k in "12"))
+    lever = np.linalg.norm(np.nan_to_num(c["couple"]), axis=1) / least
+    doubt = (size + 2.0 * lever) * flight.unsure
     if found is not None:
         doubt = doubt + found.met_doubt
     bounces = (c["restitution"] > 0.0) & (r[:, 0] > 0.0)
