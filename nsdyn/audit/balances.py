@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from nsdyn.audit.findings import Found, at_play, not_audited, of_bodies, worst_of
-from nsdyn.audit.flight import Flight, angles, spins, velocities
+from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
+from nsdyn.audit.pushes import velocities
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
-from nsdyn.audit.flight import Flight, spins, together
+from nsdyn.audit.flight import Flight, spins
 from nsdyn.audit.poses import Poses
+from nsdyn.audit.pushes import together
 from nsdyn.audit.retraced import Retraced
 from nsdyn.audit.touching import apart
 from nsdyn.recording.tables import left_out
