@@ -49,7 +49,9 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     yield _velocities(poses, flight, c, step, names)
     yield _partings(poses, flight, c, step, names)
     # With θ = 1 what follows an impact acts at its time.
-    wrong = _states(poses, c, step) | _keys(c, (i, j, step), len(poses.names), 1 + (float(t.meta["theta"]) == 1.0))
+    wrong = _states(poses, flight, c, step) | _keys(
+        c, (i, j, step), len(poses.names), 1 + (float(t.meta["theta"]) == 1.0)
+    )
     yield worst_of("states", wrong.astype(float), wrong.astype(float), "-", step + 1, names)
 
 
@@ -69,7 +71,7 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
     # What the same shapes meet later in a step may have the gap of where its piece ends.
     _, pair = np.unique((step * len(poses.names) + i) * len(poses.names) + j, return_inverse=True)
     last = np.zeros(gap.size)
-    np.maximum.at(last, pair, c["time"])
+    np.fmax.at(last, pair, c["time"])
     met = np.flatnonzero((out > 0.0) & (c["time"] < last[pair]))
     out[met] -= _travel(poses, flight, c, who, met)
     above = np.flatnonzero(gap > nearest)
@@ -150,7 +152,7 @@ def _partings(
     return worst_of("partings", figure[some], off[some], "m/s", step[some] + 1, lambda k: names(some[k]))
 
 
-def _states(poses: Poses, c: Mapping[str, Any], step: Index) -> Bools:
+def _states(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Bools:
     """Which contacts are not what they are said to be."""
     r, mu, state = c["impulse"], c["mu"], c["status"]
     pushes, drag, most = r[:, 0] > 0.0, np.linalg.norm(r[:, 1:], axis=1), mu * r[:, 0]
@@ -161,8 +163,8 @@ def _states(poses: Poses, c: Mapping[str, Any], step: Index) -> Bools:
         [~pushes, pushes & ((drag < most) | slow), pushes & (drag >= most * (1.0 - EDGE))],
         pushes & jams[step],
     )
-    # Couples see to it that what free bodies do to each other does no work; links have none.
-    out: Bools = ~fits.astype(np.bool_) | (carried & (np.nan_to_num(c["couple"]) != 0.0).any(axis=1))
+    # Couples see to it that what free bodies do to each other does no work as they move; links and impacts have none.
+    out: Bools = ~fits.astype(np.bool_) | ((carried | flight.instant) & (np.nan_to_num(c["couple"]) != 0.0).any(axis=1))
     return out
 
 

@@ -25,6 +25,9 @@ CREEP = 1e-2
 ROUND_OFF = 1e-12
 """Of the energy at play, below which a work is nothing."""
 
+SLIP = 2
+"""Of `nsdyn.recording.columns.CONTACT_STATES`."""
+
 PARADOXICAL = "newton", "poisson"
 """Laws of impact that create energy in some impacts, which their runs tell."""
 
@@ -132,12 +135,13 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     doubt = nothing if found is None else found.doubt.sum(axis=1)
     step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
     stays, left = _stays(poses, step), dict[str, Array]()
+    sticks = stays & ~_slid(poses, step)
     twice = _twice(poses, flight) + (0.0 if found is None else found.met_twice)
-    for name in ("normal", "friction"):
+    for name, lasts in (("normal", stays), ("friction", sticks)):
         work = c[f"contacts/work_{name}"]
-        off = np.abs(getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~stays], work[~stays], t.steps))
+        off = np.abs(getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~lasts], work[~lasts], t.steps))
         # Of no contacts NumPy counts whole numbers.
-        left[name] = off - np.bincount(step, np.where(stays, np.abs(work), 0.0) + twice, t.steps)
+        left[name] = off - np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
     left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
     if not (poses.free and t.meta.get("external_force", True)):
         left["external"] = np.abs(e.external - of_trees.get("external", nothing))
@@ -185,3 +189,16 @@ def _stays(poses: Poses, step: Index) -> Bools:
     code = step * len(poses.names) ** 2 + pair
     last = np.isin(code - len(poses.names) ** 2, code[c["contacts/status"] > 0])
     return np.asarray(out | last)
+
+
+def _slid(poses: Poses, step: Index) -> Bools:
+    """Contacts that slipped in the last step, whose work in this is booked as friction; none of steps that are cut."""
+    c: Any = poses.trajectory.columns
+    pair, key = c["contacts/geom1"].astype(np.int64) * len(poses.names) + c["contacts/geom2"], c["contacts/key"]
+    order, out = np.lexsort((c["contacts/time"], step, key, pair)), np.zeros(step.size, np.bool_)
+    before, now = order[:-1], order[1:]
+    again = (pair[before] == pair[now]) & (key[before] == key[now]) & (step[now] - step[before] == 1)
+    late = (1.0 - float(poses.trajectory.meta["theta"])) * poses.trajectory.dt
+    whole = np.abs(c["contacts/time"] - late) <= 1e-9 * poses.trajectory.dt
+    out[now] = again & whole[before] & whole[now] & (c["contacts/status"][before] == SLIP)
+    return out
