@@ -87,8 +87,7 @@ class Flight:
         t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
         c, h, shape = t.columns, t.dt, (t.steps, free)
         axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
-        geoms = np.stack([c["contacts/geom1"], c["contacts/geom2"]], axis=1).astype(np.int64)
-        steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+        geoms, steps = poses.pair.T, poses.step
         when, timed, cut = times(poses, steps, poses.frame[geoms])
         pieces, r = Pieces.of(poses, steps), np.einsum("ci,cij->cj", c["contacts/impulse"], axes)
         pushes = Pushes.of(poses.frame[geoms], free, steps, when, pieces, r)

@@ -37,9 +37,7 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     if flight is None:
         yield from (not_audited(name, unit, left_out(t)) for name, unit in UNITS.items())
         return
-    c = {name.removeprefix("contacts/"): x for name, x in t.columns.items() if name.startswith("contacts/")}
-    step = np.repeat(np.arange(t.steps), np.diff(c["offset"]))
-    i, j = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
+    c, step, (i, j) = poses.contacts, poses.step, poses.pair
 
     def names(k: int) -> tuple[str, str]:
         return poses.names[i[k]], poses.names[j[k]]
@@ -128,7 +126,7 @@ def _velocities(
     theta = float(t.meta["theta"])
     bent = max(theta, 1.0 - theta) * t.dt * met.bent
     # Edges that cross turn their normal by more than they turn, as far as is seen until the impulse.
-    edges = poses.rounding[c["geom1"].astype(np.int64)] + poses.rounding[c["geom2"].astype(np.int64)] == 0.0
+    edges = poses.rounding[poses.pair].sum(axis=0) == 0.0
     crossed = np.linalg.norm(met.before - met.begin, axis=2).max(axis=0)
     bent = np.where(edges, np.maximum(bent, crossed), bent)
     off = off - 2.0 * flight.unsure - np.where(flight.instant, 0.0, bent)
@@ -144,7 +142,7 @@ def _partings(
     t, met, pushes = poses.trajectory, flight.met, c["impulse"][:, 0] > 0.0
     _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
     bounces = np.bincount(instant.ravel(), pushes & (c["restitution"] > 0.0))[instant.ravel()] > 0.0
-    links = np.any([poses.frame[c[f"geom{k}"].astype(np.int64)] >= poses.free for k in "12"], axis=0)
+    links = (poses.frame[poses.pair] >= poses.free).any(axis=0)
     some = np.flatnonzero(pushes & ~bounces & ~links & ~np.isnan(met.after).any(axis=1))
     turning = max(theta := float(t.meta["theta"]), 1.0 - theta) * t.dt * met.bent + flight.unsure
     off = np.minimum(c["u"], met.after)[:, 0] - turning - SLOW
@@ -156,7 +154,7 @@ def _states(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> 
     """Which contacts are not what they are said to be."""
     r, mu, state = c["impulse"], c["mu"], c["status"]
     pushes, drag, most = r[:, 0] > 0.0, np.linalg.norm(r[:, 1:], axis=1), mu * r[:, 0]
-    carried = np.any([poses.frame[c[f"geom{k}"].astype(np.int64)] >= poses.free for k in "12"], axis=0)
+    carried = (poses.frame[poses.pair] >= poses.free).any(axis=0)
     slow, jams = np.linalg.norm(c["u"][:, 1:], axis=1) <= SLOW, poses.trajectory.solver.status == Status.JAM
     fits = np.select(
         [state == OPEN, state == STICK, state == SLIP],

@@ -147,9 +147,7 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     yield from (not_audited(name, units[name], left_out(t)) for name in missing)
     if not t.has_contacts:
         return
-    c = {name.removeprefix("contacts/"): values for name, values in t.columns.items() if name.startswith("contacts/")}
-    step = np.repeat(np.arange(1, t.steps + 1), np.diff(c["offset"]))
-    first, second = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
+    c, step, (first, second) = poses.contacts, poses.step + 1, poses.pair
     r, mu = c["impulse"], c["mu"]
     drag = np.linalg.norm(r[:, 1:], axis=1)
 
@@ -238,7 +236,7 @@ def _round_off(poses: Poses) -> Array:
 def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
     """Contacts of islands of moving bodies in which one with restitution parts after its impulse, in each step."""
     count = poses.x.shape[1]
-    frames = poses.frame[c["geom1"].astype(np.int64)], poses.frame[c["geom2"].astype(np.int64)]
+    frames = poses.frame[poses.pair]
     first, second = (step * count + frame for frame in frames)
     free1, free2 = (frame >= 0 for frame in frames)
     pushes = c["impulse"][:, 0] > 0.0
@@ -255,7 +253,7 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
     """Where pairs are that push each other: along the normal, from a step before to a step after, and as they push."""
     t, r = poses.trajectory, c["impulse"]
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
-    i, j, k, n = c["geom1"][push].astype(np.int64), c["geom2"][push].astype(np.int64), step[push], c["normal"][push]
+    i, j, k, n = *poses.pair[:, push], step[push], c["normal"][push]
     n = n / np.linalg.norm(n, axis=1)[:, None]
     states = [(k - 2).clip(0), k - 1, k, (k + 1).clip(None, t.steps)]
     moments = [(poses.of(i, row), poses.of(j, row)) for row in states]

@@ -85,15 +85,13 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     links or external forces, which act in the same piece, even that is not so.
     """
     t = poses.trajectory
-    c = {name.removeprefix("contacts/"): x for name, x in t.columns.items() if name.startswith("contacts/")}
-    step, r, u = np.repeat(np.arange(t.steps), np.diff(c["offset"])), c["impulse"], flight.met.mean
+    c, step, r, u = poses.contacts, poses.step, poses.contacts["impulse"], flight.met.mean
     turned = (np.nan_to_num(c["couple"]) * np.nan_to_num(flight.met.spin)).sum(axis=1)
     normal = c["work_normal"] - r[:, 0] * u[:, 0] - turned
     friction = c["work_friction"] - (r[:, 1:] * u[:, 1:]).sum(axis=1)
     size = np.linalg.norm(r, axis=1)
     # Nothing that turns is in more doubt than its surface, at the least distance, is.
-    least = poses.size(*(c[f"geom{k}"].astype(np.int64) for k in "12"))
-    lever = np.linalg.norm(np.nan_to_num(c["couple"]), axis=1) / least
+    lever = np.linalg.norm(np.nan_to_num(c["couple"]), axis=1) / poses.size(*poses.pair)
     doubt = (size + 2.0 * lever) * flight.unsure
     if found is not None:
         doubt = doubt + found.met_doubt
@@ -103,7 +101,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     of = np.empty(step.size, np.int64)
     of[order] = group
     several = np.bincount(of, bounces, begin.size)[of] > 0.0
-    frames = np.stack([poses.frame[c[f"geom{k}"].astype(np.int64)] for k in "12"])
+    frames = poses.frame[poses.pair]
     hidden = np.isnan(u).any(axis=1) | (
         bool(t.meta.get("external_force", True)) & ((0 <= frames) & (frames < poses.free)).any(axis=0)
     )
@@ -133,7 +131,7 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     nothing, scale = np.zeros(t.steps), at_play(poses)
     of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
     doubt = nothing if found is None else found.doubt.sum(axis=1)
-    step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    step = poses.step
     stays, left = _stays(poses, step), dict[str, Array]()
     sticks = stays & ~_slid(poses, step)
     twice = _twice(poses, flight) + (0.0 if found is None else found.met_twice)
@@ -179,7 +177,7 @@ def _twice(poses: Poses, flight: Flight) -> Array:
 def _stays(poses: Poses, step: Index) -> Bools:
     """Contacts of shapes that touch where their step begins, or met before: what they do may be booked as numerics."""
     c: Any = poses.trajectory.columns
-    i, j = (c[f"contacts/geom{k}"].astype(np.int64) for k in "12")
+    i, j = poses.pair
     out = apart(poses, i, j, step) <= TOLERANCES["overlap"] * poses.size(i, j)
     when: Array = c["contacts/time"]
     order = np.lexsort((when, j, i, step))
@@ -194,7 +192,7 @@ def _stays(poses: Poses, step: Index) -> Bools:
 def _slid(poses: Poses, step: Index) -> Bools:
     """Contacts that slipped in the last step, whose work in this is booked as friction; none of steps that are cut."""
     c: Any = poses.trajectory.columns
-    pair, key = c["contacts/geom1"].astype(np.int64) * len(poses.names) + c["contacts/geom2"], c["contacts/key"]
+    pair, key = poses.pair[0] * len(poses.names) + poses.pair[1], c["contacts/key"]
     order, out = np.lexsort((c["contacts/time"], step, key, pair)), np.zeros(step.size, np.bool_)
     before, now = order[:-1], order[1:]
     again = (pair[before] == pair[now]) & (key[before] == key[now]) & (step[now] - step[before] == 1)
