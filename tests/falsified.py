@@ -969,7 +969,10 @@ ANYWHERE = {
     "relative velocities turned round": (TOUCHING, _times("contacts/u", -1.0)),
     "relative velocities left out": (("boxes", "bounces", "pushes", "snake"), _times("contacts/u", 0.0)),
     "relative velocities in another step": (("bounces", "pushes", "snake"), _moved("contacts/u")),
-    "a relative velocity off by 1e-3 m/s": (("gripper",), _strong("u", lambda x: x + 1e-3, (0,))),
+    "a relative velocity off by 1e-3 m/s": (
+        ("gripper", "arm", "snake", "bounces", "pushes"),
+        _strong("u", lambda x: x + 1e-3, (0,)),
+    ),
     "a contact that is said to be open": (TOUCHING, _strong("status", lambda x: 0)),
     "a contact that is said to jam": (TOUCHING, _strong("status", lambda x: 3)),
     "contacts that slip said to stick": (
@@ -988,7 +991,7 @@ ANYWHERE = {
     "work of one contact in another of its step": (("boxes", "theta"), _worked("friction", 1e-2, "other")),
     "a work of a contact and of the ledger": (TOUCHING, _worked("friction", 1e-2, "ledger")),
     "works of contacts exchanged": (("boxes", "theta", "pushes"), _two("work_friction")),
-    "friction booked as numerics": (FREE, _booked_anywhere("friction", "integration")),
+    "friction booked as numerics": ((*FREE, "pushes"), _booked_anywhere("friction", "integration")),
     "friction booked as impacts": (ALL, _booked_anywhere("friction", "normal")),
     "friction booked as external": (FREE, _booked_anywhere("friction", "external")),
     "friction booked as damping": (FREE, _booked_anywhere("friction", "damping")),
@@ -998,6 +1001,10 @@ ANYWHERE = {
     "impacts booked as numerics": (("bounces", "fremond"), _booked_anywhere("normal", "integration")),
     "energy said to be created": (ALL, _created),
     "a couple of its own": (("boxes", "bounces", "theta"), _strong("couple", lambda x: x + 1e-3, (0,))),
+    "a couple of a link, or of an impact": (
+        ("arm", "snake", "woodpecker", "bounces", "fremond"),
+        _strong("couple", lambda x: np.nan_to_num(x) + 1e-6, (0,)),
+    ),
     "couples turned round": (("boxes", "theta"), _times("contacts/couple", -1.0)),
     "a point off by a tenth of a millimetre": (TOUCHING, _strong("point", lambda x: x + 1e-4, (0,))),
     "points exchanged": (("boxes", "theta", "pushes"), _two("point")),

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from nsdyn.audit.findings import Found, at_play, not_audited, of_bodies, worst_of
-from nsdyn.audit.flight import Flight, angles, spins, velocities
+from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
+from nsdyn.audit.pushes import velocities
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out
@@ -31,8 +32,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
         why = reason or "when impulses acted is not recorded"
         yield from (not_audited(name, "m", why) for name in ("sideways", "lifts"))
     else:
-        yield _sideways(poses, flight)
-        yield _lifts(poses, flight)
+        yield from _lifts(poses, flight)
     if t.meta.get("external_force", True) and free:
         known = "external_force" in t.meta
         reason = "external forces act" if known else "whether external forces act is not recorded"
@@ -121,41 +121,29 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
     return of_bodies(poses, "motion", amount, np.broadcast_to(_extents(poses), amount.shape), "m")
 
 
-def _sideways(poses: Poses, flight: Flight) -> Found:
-    """How free bodies move otherwise than projections lift them, which is along normals of their contacts, m.
+def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
+    """How free bodies move otherwise than they fly and projections lift them, m: along normals of contacts, if any.
 
     These turn as bodies roll, so that what is across them in the middle of a step may be as much as what is along.
+    Between others, what is squeezed moves across normals that are all but parallel by their angle times what it moves.
     """
     t, free, eps = poses.trajectory, poses.free, float(np.finfo(float).eps)
     normal, lines = t.columns["contacts/normal"], np.zeros((t.steps, free, 3, 3))
-    step = np.repeat(np.arange(t.steps), np.diff(t.columns["contacts/offset"]))
-    for geom in ("geom1", "geom2"):
-        body = poses.frame[t.columns[f"contacts/{geom}"].astype(np.int64)]
+    for body in poses.frame[poses.pair]:
         own = (body >= 0) & (body < free)
-        np.add.at(lines, (step[own], body[own]), normal[own, :, None] * normal[own, None])
+        np.add.at(lines, (poses.step[own], body[own]), normal[own, :, None] * normal[own, None])
+    met = (lines != 0.0).any(axis=(2, 3))
     sizes, axes = np.linalg.eigh(np.nan_to_num(lines))  # what is no number, the axes of contacts are looked at for
-    open_to = sizes > PARALLEL * np.maximum(sizes[..., -1:], 1.0)
-    parts = np.abs(np.einsum("nbij,nbi->nbj", axes, flight.lift))
-    along, across = (np.linalg.norm(np.where(some, parts, 0.0), axis=2) for some in (open_to, ~open_to))
+    tilt = np.sqrt(np.clip(sizes / np.maximum(sizes[..., -1:], 1.0), 0.0, 1.0))
     speed = np.linalg.norm(velocities(poses), axis=2)
     moved = t.dt * (speed[:-1] + speed[1:] + t.dt * float(np.linalg.norm(poses.scene["gravity"])))
-    rounded = 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
-    return of_bodies(poses, "sideways", across - along - flight.unknown - rounded, moved, "m")
-
-
-def _lifts(poses: Poses, flight: Flight) -> Found:
-    """How far bodies that met nothing in a step move otherwise than they fly, m: no projection lifts them."""
-    t, free, eps = poses.trajectory, poses.free, float(np.finfo(float).eps)
-    step, met = (
-        np.repeat(np.arange(t.steps), np.diff(t.columns["contacts/offset"])),
-        np.zeros((t.steps, free), np.bool_),
-    )
-    for geom in ("geom1", "geom2"):
-        body = poses.frame[t.columns[f"contacts/{geom}"].astype(np.int64)]
-        own = (body >= 0) & (body < free)
-        met[step[own], body[own]] = True
-    off = np.linalg.norm(flight.lift, axis=2) - flight.unknown - 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
-    return of_bodies(poses, "lifts", np.where(met, 0.0, off), np.broadcast_to(_extents(poses), off.shape), "m")
+    parts, open_to = np.abs(np.einsum("nbij,nbi->nbj", axes, flight.lift)), tilt**2 > PARALLEL
+    along = np.linalg.norm(np.where(open_to, parts, 0.0), axis=2)
+    across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - tilt * moved[..., None], 0.0)), axis=2)
+    beside = flight.unknown + 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
+    yield of_bodies(poses, "sideways", across - along - beside, moved, "m")
+    off = np.where(met, 0.0, np.linalg.norm(flight.lift, axis=2) - beside)
+    yield of_bodies(poses, "lifts", off, np.broadcast_to(_extents(poses), off.shape), "m")
 
 
 def _extents(poses: Poses) -> Array:

@@ -94,11 +94,9 @@ def _no_body(mass: float, inertia: Any, strictly: bool = True) -> float:
 
 def touched(poses: Poses) -> Found:
     """Contacts of shapes that cannot touch: of one body, of none that moves, or of links that are joined."""
-    c = poses.trajectory.columns
-    i, j = (c[f"contacts/geom{k}"].astype(np.int64) for k in "12")
+    i, j = poses.pair
     wrong = (~(tested(poses) | tested(poses).T)[i, j]).astype(float) if i.size else np.zeros(0)
-    step = np.repeat(np.arange(1, poses.trajectory.steps + 1), np.diff(c["contacts/offset"]))
-    return worst_of("pairs", wrong, wrong, "-", step, lambda k: (poses.names[i[k]], poses.names[j[k]]))
+    return worst_of("pairs", wrong, wrong, "-", poses.step + 1, lambda k: (poses.names[i[k]], poses.names[j[k]]))
 
 
 def unseen(poses: Poses) -> Iterator[Found]:

@@ -3,71 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import Poses
+from nsdyn.audit.pushes import Pieces, Pushes, times, together, velocities
 from nsdyn.recording.series import rotate
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled", "velocities"]
+__all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled"]
 
 LEAP = 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
 
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 """Makes a quaternion xyzw that of the turn back."""
-
-
-class Pushes(NamedTuple):
-    """Impulses on free bodies, one by one, sorted by step, body and time; two of a contact of two free bodies.
-
-    Attributes
-    ----------
-    row, side : ndarray of int, shape (m,)
-        Of the contact, and 0 or 1 for its first or second body.
-    step, body : ndarray of int, shape (m,)
-    time : ndarray, shape (m,)
-        Within the step, s.
-    piece : ndarray of int, shape (m,)
-        What the step was cut into; 0 where that is not known.
-    push : ndarray, shape (m, 3)
-        World axes, N·s.
-    """
-
-    row: Index
-    side: Index
-    step: Index
-    body: Index
-    time: Array
-    piece: Index
-    push: Array
-
-    @classmethod
-    def of(cls, frames: Index, free: int, step: Index, time: Array, piece: Index, impulse: Array) -> Pushes:
-        """From the frames (contacts, 2) and the impulses (contacts, 3) on the second ones."""
-        row, side = np.nonzero((frames >= 0) & (frames < free))
-        body, push = frames[row, side], np.where(side, 1.0, -1.0)[:, None] * impulse[row]
-        order = np.lexsort((time[row], body, step[row]))
-        row, side = row[order], side[order]
-        return cls(row, side, step[row], body[order], time[row], piece[row], push[order])
-
-    def earlier(self, values: Array) -> Array:
-        """Of each impulse the sum of values of those before it on its body in its step."""
-        so_far, (begin, group) = np.cumsum(values, axis=0) - values, together(self.step, self.body)
-        out: Array = so_far - so_far[begin][group]
-        return out
-
-    def around(self, values: Array) -> Array:
-        """Of each impulse the sums before and after all that act on its body at its time, (2, m, ...)."""
-        begin, group = together(self.step, self.body, self.time, self.piece)
-        if not begin.size:
-            return np.stack([values, values])
-        so_far, sums = self.earlier(values), np.add.reduceat(values, begin)
-        return np.stack([so_far[begin][group], so_far[begin][group] + sums[group]])
 
 
 @dataclass(frozen=True)
@@ -102,8 +53,13 @@ class Flight:
         How far velocities there may be off in steps that were cut, m/s: free bodies do not tell how long pieces are.
     cut : ndarray of bool, shape (n, free)
         Whether impulses act at several times, or not where those of a step in one piece would.
+    coming : ndarray, shape (contacts, 3)
+        How relative velocities there may yet change until the end of a piece of which the length is not recorded, in
+        the frame of the contact, m/s: by all of it, if no other piece follows, or by a part.
     strikes : ndarray of bool, shape (contacts,)
         Whether free bodies surely strike there, in no time: first in their step, which is cut for no more.
+    instant : ndarray of bool, shape (contacts,)
+        Whether an impulse surely acts in no time, be it on links.
     timed : bool
         Whether times are recorded; without, all impulses of a step are taken to act where those of one piece would.
     """
@@ -119,8 +75,10 @@ class Flight:
     turn: Array
     met: Meetings
     unsure: Array
-    cut: NDArray[np.bool_]
-    strikes: NDArray[np.bool_]
+    coming: Array
+    cut: Bools
+    strikes: Bools
+    instant: Bools
     timed: bool
 
     @classmethod
@@ -129,79 +87,85 @@ class Flight:
         t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
         c, h, shape = t.columns, t.dt, (t.steps, free)
         axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
-        geoms = np.stack([c["contacts/geom1"], c["contacts/geom2"]], axis=1).astype(np.int64)
-        frames = poses.frame[geoms]
-        steps = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
-        sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
-        when, timed, cut = _times(poses, steps, frames)
-        piece, length = _pieces(poses, steps)
-        pushes = Pushes.of(frames, free, steps, when, piece, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
+        geoms, steps = poses.pair.T, poses.step
+        when, timed, cut = times(poses, steps, poses.frame[geoms])
+        pieces, r = Pieces.of(poses, steps), np.einsum("ci,cij->cj", c["contacts/impulse"], axes)
+        pushes = Pushes.of(poses.frame[geoms], free, steps, when, pieces, r)
         row, side, step, body, time, _, push = pushes
-        instants, (first, group), one = np.zeros(shape, np.int64), together(step, body, time), np.zeros(row.size)
-        np.add.at(instants, (step[first], body[first]), 1)
-        one[first] = 1.0
-        mass = np.array(poses.scene["masses"])
-
-        def summed(values: Array) -> Array:
-            out = np.zeros((*shape, *values.shape[1:]))
-            np.add.at(out, (step, body), values)
-            return out
-
-        impulse, moments = summed(push), summed(time[:, None] * push)
-        before = velocities(poses)[:-1]
+        mass, impulse = np.array(poses.scene["masses"]), pushes.summed(shape, push)
+        moments, before, parted = pushes.summed(shape, time[:, None] * push), velocities(poses)[:-1], cut[step, body]
         forced = np.diff(velocities(poses), axis=0) - impulse / mass[:, None]
-        share, parted = np.where(cut, 0.5, theta)[:, :, None], cut[step, body]
+        share = np.where(cut, 0.5, theta)[:, :, None]
         path = h * before + (h * impulse - moments) / mass[:, None] + share * h * forced
         # How far impulses before and forces have brought the body until each.
         way = time[:, None] * pushes.earlier(push) - pushes.earlier(time[:, None] * push)
         fall = np.where(parted, 0.5 * time**2 / h, 0.0)[:, None] * forced[step, body]
         at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
         arm, size = c["contacts/point"][row] - at, np.linalg.norm(push, axis=1)
-        unknown = np.where(cut, (theta - 0.5) * h * np.linalg.norm(forced, axis=2), 0.0)
-        within = unknown + np.where(cut, 0.5 * (1.0 - theta) ** 2 * h * np.linalg.norm(forced, axis=2), 0.0)
         # Of older recordings, which have none of it, the angular momentum is not audited.
         moment = np.cross(arm, push) + np.where(side, 1.0, -1.0)[:, None] * np.nan_to_num(c["contacts/couple"][row])
         turned, then, turning = _turned(poses, step * free + body, time, moment)
-        # Forces act together with the impulses of a step in one piece, else all the time.
-        parts = (theta - 1.0, 0.0), (theta, 1.0)
-        gone = [np.where(parted, (time + part * length[row]) / h, alone)[:, None] for part, alone in parts]
-        linear = before[step, body] + np.stack(gone) * forced[step, body] + pushes.around(push) / mass[body, None]
-        back = product(poses.quaternion[step, body], then * CONJUGATE)
-        spin = rotate(poses.quaternion[step, body], poses.v[step, body, 3:])
-        begin = before[step, body] + np.cross(spin, rotate(back, arm))
-        own = Side(at, then, np.stack([begin, *(linear + np.cross(turning, arm))]), turning, back)
+        sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
+        own = _sides(poses, pushes, (before, forced), (at, arm, then, turning), parted)
         _put(poses, sides, geoms, pushes, own)
         lift, lifted = np.diff(poses.x[:, :free], axis=0) - path, angles(turned, poses.quaternion[1:, :free])
-        # Where on its way the projection, and pieces of unknown length, have brought the body.
+        fell = h * np.linalg.norm(forced, axis=2)
+        unknown = np.where(cut, (theta - 0.5) * fell, 0.0)
+        within = unknown + np.where(cut, 0.5 * (1.0 - theta) ** 2 * fell, 0.0)
         # What strikes first does so in no time, and the body has fallen as in one piece until then.
-        alone = (
-            (c["contacts/restitution"][row] > 0.0)
-            & (instants[step, body] <= 2)
-            & (pushes.earlier(one)[first][group] == 0.0)
-        )
-        alone &= parted
+        alone = (c["contacts/restitution"][row] > 0.0) & parted & pushes.alone(shape)
+        strikes = np.bincount(row, ~alone, len(n)) == 0
+        # Where on its way the projection, and pieces of unknown length, have brought the body.
         off = np.where(alone, unknown[step, body], within[step, body]) + np.linalg.norm(lift, axis=2)[step, body]
         off += 2.0 * np.linalg.norm(arm, axis=1) * lifted[step, body]
-        levers = summed(size * np.linalg.norm(arm, axis=1))
+        levers = pushes.summed(shape, size * np.linalg.norm(arm, axis=1))
         doubt = _fastest(poses, levers)[step, body] * off
-        doubt += np.where(length[row] > 0.0, 0.0, (theta - 0.5) * np.linalg.norm(forced[step, body], axis=1))
-        unsure = np.bincount(row, np.where(parted, doubt, 0.0), len(n)).astype(float)
+        doubt += np.where(pushes.pieces.known, 0.0, (theta - 0.5) / h * fell[step, body])
         return cls(
             impulse,
-            summed(moment),
-            summed(size),
+            pushes.summed(shape, moment),
+            pushes.summed(shape, size),
             levers,
             lift,
             unknown,
             within,
             turned,
             lifted,
-            Meetings.of(sides, axes, c["contacts/point"]),
-            unsure,
+            Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1)),
+            np.bincount(row, np.where(parted, doubt, 0.0), len(n)).astype(float),
+            np.einsum("cij,cj->ci", axes, _coming(poses, pushes, forced, parted, len(n))),
             cut,
-            np.bincount(row, ~alone, len(n)) == 0,
+            strikes,
+            np.where(pieces.known, pieces.length == 0.0, strikes & np.isin(np.arange(len(n)), row)),
             timed,
         )
+
+
+def _sides(
+    poses: Poses, pushes: Pushes, moved: tuple[Array, Array], met: tuple[Array, Array, Array, Array], parted: Bools
+) -> Side:
+    """Free bodies at their contacts, that begin at v, which forces change by w, and are at x, (p - x), q, (ω⁻, ω⁺)."""
+    (before, forced), (at, arm, then, turning), h = moved, met, poses.trajectory.dt
+    step, body, theta = pushes.step, pushes.body, float(poses.trajectory.meta["theta"])
+    # Forces act together with the impulses of a step in one piece, else all the time.
+    parts = (theta - 1.0, 0.0), (theta, 1.0)
+    time, length = pushes.time, pushes.pieces.length
+    gone = [np.where(parted, (time + part * length) / h, alone)[:, None] for part, alone in parts]
+    mass = np.array(poses.scene["masses"])[body, None]
+    linear = before[step, body] + np.stack(gone) * forced[step, body] + pushes.around(pushes.push) / mass
+    back = product(poses.quaternion[step, body], then * CONJUGATE)
+    spin = rotate(poses.quaternion[step, body], poses.v[step, body, 3:])
+    begin = before[step, body] + np.cross(spin, rotate(back, arm))
+    return Side(at, then, np.stack([begin, *(linear + np.cross(turning, arm))]), turning, back)
+
+
+def _coming(poses: Poses, pushes: Pushes, forced: Array, parted: Bools, contacts: int) -> Array:
+    """`Flight.coming` in world axes: an impulse acts 1 - θ of its piece after that begins, with its step or later."""
+    theta, h, out = float(poses.trajectory.meta["theta"]), poses.trajectory.dt, np.zeros((contacts, 3))
+    ahead = np.minimum(h - pushes.time, theta * pushes.time / max(1.0 - theta, 1e-300))
+    share = np.where(parted & ~pushes.pieces.known, np.where(pushes.side, ahead, -ahead), 0.0) / h
+    np.add.at(out, pushes.row, share[:, None] * forced[pushes.step, pushes.body])
+    return out
 
 
 def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, own: Side) -> None:
@@ -232,51 +196,6 @@ def angles(one: Array, other: Array) -> Array:
     """Angles between orientations (..., 4), to second order, (...), rad."""
     near = np.where((one * other).sum(axis=-1, keepdims=True) < 0.0, -other, other)
     out: Array = 2.0 * np.linalg.norm(one - near, axis=-1)
-    return out
-
-
-def _times(poses: Poses, steps: Index, frames: Index) -> tuple[Array, bool, NDArray[np.bool_]]:
-    """When each contact acts in its step, s; whether that is recorded; and `Flight.cut`."""
-    t, free, late = poses.trajectory, poses.free, (1.0 - float(poses.trajectory.meta["theta"])) * poses.trajectory.dt
-    when: Array = t.columns["contacts/time"]
-    timed = not np.isnan(when).any()
-    when = when if timed else np.full(len(when), late)
-    cut, met = _fell_in_pieces(poses), np.zeros((2, t.steps, free), np.bool_)
-    for side in frames.T:
-        own = (side >= 0) & (side < free)
-        np.logical_or.at(met[0], (steps[own], side[own]), True)
-        np.logical_or.at(met[1], (steps[own], side[own]), np.abs(when[own] - late) > 1e-9 * t.dt)
-    return when, timed, np.where(met[0], met[1], cut)
-
-
-def _pieces(poses: Poses, step: Index) -> tuple[Index, Array]:
-    """The piece that each contact acts in, and its length, s; 0 where steps were not cut, or no pieces are recorded."""
-    c, piece, length = poses.trajectory.columns, np.zeros(step.size, np.int64), np.zeros(step.size)
-    if {f"pieces/{name}" for name in ("offset", "contacts", "duration")} <= c.keys():
-        own = np.flatnonzero((np.diff(c["pieces/offset"]) > 0)[step])
-        each = np.repeat(np.arange(len(c["pieces/contacts"])), np.maximum(c["pieces/contacts"], 0))
-        if each.size == own.size:
-            piece[own], length[own] = each, c["pieces/duration"][each]
-    return piece, length
-
-
-def together(*keys: NDArray[Any]) -> tuple[Index, Index]:
-    """Of sorted rows those alike in all keys together: where each group begins, and the group of each row."""
-    new = np.ones(keys[0].size, np.bool_)
-    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
-    return np.flatnonzero(new), np.cumsum(new) - 1
-
-
-def _fell_in_pieces(poses: Poses) -> NDArray[np.bool_]:
-    """Steps of bodies, (n, free), where what fell does not end as in one piece, if nothing touched it.
-
-    Only with theta above ½ does it matter, and that some seemed to touch on their way and did not is all that cuts.
-    """
-    t, theta, v = poses.trajectory, float(poses.trajectory.meta["theta"]), velocities(poses)
-    forced = t.dt * np.diff(v, axis=0)
-    left = np.diff(poses.x[:, : poses.free], axis=0) - t.dt * v[:-1] - theta * forced
-    least = 1e-6 * np.linalg.norm(forced, axis=2)
-    out: NDArray[np.bool_] = (np.linalg.norm(left, axis=2) > least) & (theta > 0.5)
     return out
 
 
@@ -315,12 +234,6 @@ def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array
     then[order] = met[group]
     end, _ = tumbled(q, w, inertia, t.dt - now)
     return end.reshape(t.steps, free, 4), then[:given, :4], np.stack([then[:given, 4:7], then[:given, 7:]])
-
-
-def velocities(poses: Poses) -> Array:
-    """Velocities of free bodies in world axes, (n + 1, free, 3), m/s."""
-    out: Array = rotate(poses.quaternion[:, : poses.free], poses.v[..., :3])
-    return out
 
 
 def spins(poses: Poses) -> Array:

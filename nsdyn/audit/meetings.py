@@ -74,7 +74,7 @@ class Meetings(NamedTuple):
     spin : ndarray, shape (contacts, 3)
         How the second body turns on the first, the mean of before and after, world axes, rad/s.
     bent : ndarray, shape (contacts,)
-        Most that relative velocities change in a second by what turns, m/s².
+        Most that relative velocities change in a second by what turns, bodies and normals of what is round, m/s².
     """
 
     sides: tuple[Side, Side]
@@ -91,15 +91,16 @@ class Meetings(NamedTuple):
         return out
 
     @classmethod
-    def of(cls, sides: tuple[Side, Side], axes: Array, point: Array) -> Meetings:
-        """From frames (contacts, 3, 3), whose rows are axes, and points."""
+    def of(cls, sides: tuple[Side, Side], axes: Array, point: Array, rounding: Array) -> Meetings:
+        """From frames (contacts, 3, 3), whose rows are axes, points, and sums of the radii of curvature of both, m."""
         one, other = sides
         apart = other.v - one.v
         begin, before, after = (np.einsum("cij,cj->ci", axes, v) for v in apart)
         # u_i = a_i · v with the axes a turned back: of what is turned forth.
         turned = [np.einsum("cij,cj->ci", axes, rotate(s.back * (-1.0, -1.0, -1.0, 1.0), apart[0])) for s in sides]
         speed = np.linalg.norm(apart, axis=2).max(axis=0)
-        bent = np.zeros(len(point))
+        # What slides around what is round turns the normal; corners and faces turn it with their bodies.
+        bent = np.where(rounding > 0.0, speed * speed / np.maximum(rounding, 1e-300), 0.0)
         for side in sides:
             # What turns changes its axes by as much, and its own ω no faster than that.
             turning = np.linalg.norm(side.spin, axis=2).max(axis=0)

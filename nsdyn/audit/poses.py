@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -56,9 +57,26 @@ class Poses:
             self.kind[k] = kinds[key]
         extents = np.array([solid.extent for solid in self.solids])
         self.extent = extents[self.kind] if len(geoms) else np.empty(0)
+        self.rounding = np.array([self.solids[kind].rounding for kind in self.kind])
         # Of any point of a shape from the origin of its frame, m.
         arms = np.linalg.norm(self.placement[:, :3, 3], axis=1)
         self.bounding_radius = np.array([self.solids[kind].bounding_radius for kind in self.kind]) + arms
+
+    @cached_property
+    def contacts(self) -> dict[str, Any]:
+        """Columns of contacts, without the name of their group."""
+        columns = self.trajectory.columns.items()
+        return {name.removeprefix("contacts/"): x for name, x in columns if name.startswith("contacts/")}
+
+    @cached_property
+    def step(self) -> Index:
+        """Step of every contact, the first 0."""
+        return np.repeat(np.arange(self.trajectory.steps), np.diff(self.contacts["offset"]))
+
+    @cached_property
+    def pair(self) -> Index:
+        """Shapes of every contact, (2, contacts)."""
+        return np.stack([self.contacts[f"geom{k}"] for k in "12"]).astype(np.int64)
 
     @cached_property
     def middle(self) -> tuple[Array, Array]:

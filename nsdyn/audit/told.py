@@ -9,9 +9,8 @@ import numpy as np
 
 from nsdyn.audit.findings import Found, not_audited, worst_of
 from nsdyn.audit.flight import Flight
-from nsdyn.audit.overlap import separation
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.touching import along, from_surface, pushing
+from nsdyn.audit.touching import along, apart, from_surface, pushing
 from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -38,9 +37,7 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     if flight is None:
         yield from (not_audited(name, unit, left_out(t)) for name, unit in UNITS.items())
         return
-    c = {name.removeprefix("contacts/"): x for name, x in t.columns.items() if name.startswith("contacts/")}
-    step = np.repeat(np.arange(t.steps), np.diff(c["offset"]))
-    i, j = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
+    c, step, (i, j) = poses.contacts, poses.step, poses.pair
 
     def names(k: int) -> tuple[str, str]:
         return poses.names[i[k]], poses.names[j[k]]
@@ -49,7 +46,10 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     yield worst_of("gaps", off / poses.size(i, j), off, "m", step + 1, names)
     yield _velocities(poses, flight, c, step, names)
     yield _partings(poses, flight, c, step, names)
-    wrong = _states(poses, c, step) | _keys(c, (i, j, step), len(poses.names))
+    # With θ = 1 what follows an impact acts at its time.
+    wrong = _states(poses, flight, c, step) | _keys(
+        c, (i, j, step), len(poses.names), 1 + (float(t.meta["theta"]) == 1.0)
+    )
     yield worst_of("states", wrong.astype(float), wrong.astype(float), "-", step + 1, names)
 
 
@@ -61,12 +61,17 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
     """
     (i, j, step), gap, n = who, c["gap"], c["normal"]
     n = n / np.linalg.norm(n, axis=1)[:, None]
-    nearest, least = np.empty((2, gap.size))
+    nearest, lengthwise = apart(poses, i, j, step + 1, exact=True), np.empty(gap.size)
     for a, b, some in poses.by_kind(i, j):
         there = *poses.of(i[some], step[some] + 1), b, *poses.of(j[some], step[some] + 1)
-        nearest[some] = separation(a, *there, exact=True)
-        least[some] = np.minimum(nearest[some], along(a, *there, n[some]))
-    out: Array = least - gap
+        lengthwise[some] = along(a, *there, n[some])
+    out: Array = np.minimum(nearest, lengthwise) - gap
+    # What the same shapes meet later in a step may have the gap of where its piece ends.
+    _, pair = np.unique((step * len(poses.names) + i) * len(poses.names) + j, return_inverse=True)
+    last = np.zeros(gap.size)
+    np.fmax.at(last, pair, c["time"])
+    met = np.flatnonzero((out > 0.0) & (c["time"] < last[pair]))
+    out[met] -= _travel(poses, flight, c, who, met)
     above = np.flatnonzero(gap > nearest)
     # Round shapes have one contact, whose gap is theirs.
     round_ = np.array([solid.kind in ("sphere", "ellipsoid", "halfspace") for solid in poses.solids], np.bool_)[
@@ -81,7 +86,7 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
 def _travel(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, Index, Index], rows: Index) -> Array:
     """How far apart contacts of some rows may be where the step ends, by their points and how both shapes move, m."""
     step, point = who[2][rows], c["point"][rows]
-    out, apart = np.zeros(rows.size), np.zeros((rows.size, 3))
+    out, gone = np.zeros(rows.size), np.zeros((rows.size, 3))
     for side, geom in enumerate(who[:2]):
         geom = geom[rows]
         (R, x), (R1, x1) = pushing(poses, flight, geom, step, rows, side), poses.of(geom, step + 1)
@@ -89,12 +94,12 @@ def _travel(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index
         for kind in np.unique(poses.kind[geom]):
             some = poses.kind[geom] == kind
             out[some] += from_surface(poses.solids[kind], own[some])
-        apart += (2 * side - 1) * (np.einsum("mij,mj->mi", R1, own) + x1)
+        gone += (2 * side - 1) * (np.einsum("mij,mj->mi", R1, own) + x1)
         # Features of what turns slide on it: by no more than they may be from the point, as far as the shapes reach.
         turned = np.linalg.norm(R1 - R, axis=(1, 2))
         reach = np.where(turned > 0.0, poses.bounding_radius[geom], 0.0)
         out += turned * reach
-    out += np.linalg.norm(apart, axis=1)
+    out += np.linalg.norm(gone, axis=1)
     return out
 
 
@@ -103,18 +108,28 @@ def _velocities(
 ) -> Found:
     """Velocities of what pushes are those after the impulse; in a piece that moves, as they are foreseen for its end.
 
-    Foreseen is as much change once more as there was until the impulse, or as much as what turns can make. What does
-    not push may have a gap, at whose two ends bodies move otherwise than where its point is.
+    Foreseen is as much change once more as there was until the impulse, up to as much as what turns can make, and what
+    forces do until then. What does not push may have a gap, at whose two ends bodies move otherwise than where its
+    point is.
     """
     t, met, u = poses.trajectory, flight.met, c["u"]
     moves = ~np.isnan(met.after).any(axis=1)
     known = np.flatnonzero(moves & (c["impulse"][:, 0] > 0.0))
     if step.size and not moves.any():
         return not_audited("velocities", "m/s", "how what touches moves is not recorded")
-    later = [met.after, *(met.after + met.before - begin for begin in met.begin)]
-    off = np.min([np.linalg.norm(u - v, axis=1) for v in later], axis=0)
-    turned, theta = np.linalg.norm(met.before - met.begin, axis=2).max(axis=0), float(t.meta["theta"])
-    off = off - 2.0 * flight.unsure - np.maximum(turned, max(theta, 1.0 - theta) * t.dt * met.bent)
+    off = np.linalg.norm(u - met.after, axis=1)
+    for v in (met.after, *(met.after + met.before - begin for begin in met.begin)):
+        coming = flight.coming
+        part = np.clip(((u - v) * coming).sum(axis=1) / np.maximum((coming * coming).sum(axis=1), 1e-300), 0.0, 1.0)
+        left = np.linalg.norm(u - v - part[:, None] * coming, axis=1)
+        off = np.where(flight.instant, off, np.minimum(off, left))
+    theta = float(t.meta["theta"])
+    bent = max(theta, 1.0 - theta) * t.dt * met.bent
+    # Edges that cross turn their normal by more than they turn, as far as is seen until the impulse.
+    edges = poses.rounding[poses.pair].sum(axis=0) == 0.0
+    crossed = np.linalg.norm(met.before - met.begin, axis=2).max(axis=0)
+    bent = np.where(edges, np.maximum(bent, crossed), bent)
+    off = off - 2.0 * flight.unsure - np.where(flight.instant, 0.0, bent)
     speed = np.maximum(np.linalg.norm(met.before, axis=1), np.linalg.norm(met.after, axis=1))
     figure = off / np.maximum(speed, CREEP)
     return worst_of("velocities", figure[known], off[known], "m/s", step[known] + 1, lambda k: names(known[k]))
@@ -127,7 +142,7 @@ def _partings(
     t, met, pushes = poses.trajectory, flight.met, c["impulse"][:, 0] > 0.0
     _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
     bounces = np.bincount(instant.ravel(), pushes & (c["restitution"] > 0.0))[instant.ravel()] > 0.0
-    links = np.any([poses.frame[c[f"geom{k}"].astype(np.int64)] >= poses.free for k in "12"], axis=0)
+    links = (poses.frame[poses.pair] >= poses.free).any(axis=0)
     some = np.flatnonzero(pushes & ~bounces & ~links & ~np.isnan(met.after).any(axis=1))
     turning = max(theta := float(t.meta["theta"]), 1.0 - theta) * t.dt * met.bent + flight.unsure
     off = np.minimum(c["u"], met.after)[:, 0] - turning - SLOW
@@ -135,24 +150,26 @@ def _partings(
     return worst_of("partings", figure[some], off[some], "m/s", step[some] + 1, lambda k: names(some[k]))
 
 
-def _states(poses: Poses, c: Mapping[str, Any], step: Index) -> Bools:
+def _states(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Bools:
     """Which contacts are not what they are said to be."""
     r, mu, state = c["impulse"], c["mu"], c["status"]
     pushes, drag, most = r[:, 0] > 0.0, np.linalg.norm(r[:, 1:], axis=1), mu * r[:, 0]
+    carried = (poses.frame[poses.pair] >= poses.free).any(axis=0)
     slow, jams = np.linalg.norm(c["u"][:, 1:], axis=1) <= SLOW, poses.trajectory.solver.status == Status.JAM
     fits = np.select(
         [state == OPEN, state == STICK, state == SLIP],
         [~pushes, pushes & ((drag < most) | slow), pushes & (drag >= most * (1.0 - EDGE))],
         pushes & jams[step],
     )
-    out: Bools = ~fits.astype(np.bool_)
+    # Couples see to it that what free bodies do to each other does no work as they move; links and impacts have none.
+    out: Bools = ~fits.astype(np.bool_) | ((carried | flight.instant) & (np.nan_to_num(c["couple"]) != 0.0).any(axis=1))
     return out
 
 
-def _keys(c: Mapping[str, Any], who: tuple[Index, Index, Index], count: int) -> Bools:
-    """Which contacts have the key of another of their shapes at their instant."""
+def _keys(c: Mapping[str, Any], who: tuple[Index, Index, Index], count: int, instants: int) -> Bools:
+    """Which contacts have the key of more others of their shapes than have one time: those of as many instants."""
     (i, j, step), out = who, np.zeros(who[2].size, np.bool_)
     order = np.lexsort((c["key"], c["time"], i * count + j, step))
     rows = np.stack([step, i * count + j, c["time"], c["key"]])[:, order]
-    out[order[1:]] = (np.diff(rows, axis=1) == 0.0).all(axis=0)
+    out[order[instants:]] = (rows[:, instants:] == rows[:, :-instants]).all(axis=0)
     return out

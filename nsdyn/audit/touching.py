@@ -20,7 +20,7 @@ from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["along", "contacts", "from_surface", "overlaps", "pushing", "separations", "tested"]
+__all__ = ["along", "apart", "contacts", "from_surface", "overlaps", "pushing", "separations", "tested"]
 
 STATES = 200_000
 """Most poses of shapes that are looked at together."""
@@ -44,13 +44,22 @@ def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
     for begin in range(0, states, block):
         rows = np.arange(begin, min(begin + block, states))
         first, second, state = _close(poses, pairs, rows)
-        depth = np.empty(first.size)
-        for a, b, some in poses.by_kind(first, second):
-            there = (*poses.of(first[some], state[some]), b, *poses.of(second[some], state[some]))
-            depth[some] = -separation(a, *there)
-        found.append((depth, first, second, state))
+        found.append((-apart(poses, first, second, state), first, second, state))
     depth, first, second, state = (np.concatenate(items) for items in zip(*found, strict=True))
     return depth, first, second, state
+
+
+def apart(poses: Poses, first: Index, second: Index, row: Index, exact: bool = False) -> Array:
+    """True separation of pairs of shapes in rows of the states, m; that of each pair in a state is found once."""
+    count, states = len(poses.names), poses.trajectory.steps + 1
+    _, one, all_ = np.unique((first * count + second) * states + row, return_index=True, return_inverse=True)
+    first, second, row = first[one], second[one], row[one]
+    out = np.empty(one.size)
+    for a, b, some in poses.by_kind(first, second):
+        there = *poses.of(first[some], row[some]), b, *poses.of(second[some], row[some])
+        out[some] = separation(a, *there, exact=exact)
+    found: Array = out[all_.ravel()]
+    return found
 
 
 def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
@@ -138,9 +147,7 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     yield from (not_audited(name, units[name], left_out(t)) for name in missing)
     if not t.has_contacts:
         return
-    c = {name.removeprefix("contacts/"): values for name, values in t.columns.items() if name.startswith("contacts/")}
-    step = np.repeat(np.arange(1, t.steps + 1), np.diff(c["offset"]))
-    first, second = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
+    c, step, (first, second) = poses.contacts, poses.step + 1, poses.pair
     r, mu = c["impulse"], c["mu"]
     drag = np.linalg.norm(r[:, 1:], axis=1)
 
@@ -229,7 +236,7 @@ def _round_off(poses: Poses) -> Array:
 def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
     """Contacts of islands of moving bodies in which one with restitution parts after its impulse, in each step."""
     count = poses.x.shape[1]
-    frames = poses.frame[c["geom1"].astype(np.int64)], poses.frame[c["geom2"].astype(np.int64)]
+    frames = poses.frame[poses.pair]
     first, second = (step * count + frame for frame in frames)
     free1, free2 = (frame >= 0 for frame in frames)
     pushes = c["impulse"][:, 0] > 0.0
@@ -246,17 +253,19 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
     """Where pairs are that push each other: along the normal, from a step before to a step after, and as they push."""
     t, r = poses.trajectory, c["impulse"]
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
-    i, j, k, n = c["geom1"][push].astype(np.int64), c["geom2"][push].astype(np.int64), step[push], c["normal"][push]
+    i, j, k, n = *poses.pair[:, push], step[push], c["normal"][push]
     n = n / np.linalg.norm(n, axis=1)[:, None]
     states = [(k - 2).clip(0), k - 1, k, (k + 1).clip(None, t.steps)]
     moments = [(poses.of(i, row), poses.of(j, row)) for row in states]
     moments.insert(2, (pushing(poses, flight, i, k - 1, push, 0), pushing(poses, flight, j, k - 1, push, 1)))
-    lengthwise, free = np.empty((2, len(moments), push.size))
+    lengthwise, free = np.empty((5, push.size)), np.empty((3, push.size))
+    free[0], free[2] = apart(poses, i, j, k - 1), apart(poses, i, j, k)
     for a, b, some in poses.by_kind(i, j):
         for moment, ((R1, x1), (R2, x2)) in enumerate(moments):
             where = a, R1[some], x1[some], b, R2[some], x2[some]
             lengthwise[moment, some] = along(*where, n[some])
-            free[moment, some] = separation(*where)
+            if moment == 2:
+                free[1, some] = separation(*where)
     size = poses.size(i, j)
     shift, turn = poses.uncertain
     unsure = np.zeros(push.size)
@@ -266,13 +275,13 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
         unsure[moving] += shift[k[moving] - 1, body] + radius * turn[k[moving] - 1, body]
     travel = np.abs(np.diff(lengthwise, axis=0)).sum(axis=0) + unsure
     # A contact and its normal are those of some time within the step.
-    apart, skew = lengthwise[1:4].min(axis=0) - travel, (np.minimum(free, 0.0) - lengthwise)[1:4].min(axis=0) - travel
+    away, skew = lengthwise[1:4].min(axis=0), (np.minimum(free, 0.0) - lengthwise[1:4]).min(axis=0)
 
     def names(row: int) -> tuple[str, str]:
         return poses.names[i[row]], poses.names[j[row]]
 
-    yield worst_of("distance", apart / size, apart, "m", k, names)
-    yield worst_of("normal", skew / size, skew, "m", k, names)
+    for name, off in (("distance", away - travel), ("normal", skew - travel)):
+        yield worst_of(name, off / size, off, "m", k, names)
     off = _off_surfaces(poses, flight, (i, j, k), moments[1:4], c["point"][push], n) - unsure
     yield worst_of("points", off / size, off, "m", k, names)
 
@@ -287,7 +296,7 @@ def _off_surfaces(
     between where these points of either body were, which slip past each other. Where on its way the projection lifts
     and turns bodies is not recorded.
     """
-    off, apart, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
+    off, gone, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
     lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.within, flight.turn), np.zeros(len(point))
     for side, geom in enumerate(push[:2]):
         (R, x), frame = moments[1][side], poses.frame[geom]
@@ -297,12 +306,12 @@ def _off_surfaces(
             off[some] = np.maximum(off[some], from_surface(poses.solids[kind], own[some]))
         for row, moment in enumerate(moments):
             R, x = moment[side]
-            apart[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
+            gone[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
         free = np.flatnonzero((frame >= 0) & (frame < poses.free))
         free = free[flight.cut[step[free], frame[free]]]
         shift, angle = (part[step[free], frame[free]] for part in lift)
         lifted[free] += shift + poses.bounding_radius[geom[free]] * angle
-    went = np.diff(apart, axis=0)
+    went = np.diff(gone, axis=0)
     closed, slid = np.abs((went * normal).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
     out: Array = off - closed - slid - lifted
     return out

@@ -87,6 +87,13 @@ class Solid:
         return self.kind in ("cylinder", "ellipsoid")
 
     @property
+    def rounding(self) -> float:
+        """Smallest radius of curvature of what is round of it, m; 0 of what has corners, infinite of a half-space."""
+        if self.kind == "ellipsoid":
+            return float(self.size.min() ** 2 / self.size.max())
+        return {"halfspace": np.inf, "cylinder": float(self.size[0])}.get(self.kind, self.radius)
+
+    @property
     def half(self) -> Array:
         """Half extents along the axes, shape (3,), m."""
         if self.smooth:

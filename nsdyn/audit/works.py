@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
-from nsdyn.audit.flight import Flight, spins, together
-from nsdyn.audit.overlap import separation
+from nsdyn.audit.flight import Flight, spins
 from nsdyn.audit.poses import Poses
+from nsdyn.audit.pushes import together
 from nsdyn.audit.retraced import Retraced
+from nsdyn.audit.touching import apart
 from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -23,6 +24,9 @@ CREEP = 1e-2
 
 ROUND_OFF = 1e-12
 """Of the energy at play, below which a work is nothing."""
+
+SLIP = 2
+"""Of `nsdyn.recording.columns.CONTACT_STATES`."""
 
 PARADOXICAL = "newton", "poisson"
 """Laws of impact that create energy in some impacts, which their runs tell."""
@@ -81,13 +85,14 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     links or external forces, which act in the same piece, even that is not so.
     """
     t = poses.trajectory
-    c = {name.removeprefix("contacts/"): x for name, x in t.columns.items() if name.startswith("contacts/")}
-    step, r, u = np.repeat(np.arange(t.steps), np.diff(c["offset"])), c["impulse"], flight.met.mean
+    c, step, r, u = poses.contacts, poses.step, poses.contacts["impulse"], flight.met.mean
     turned = (np.nan_to_num(c["couple"]) * np.nan_to_num(flight.met.spin)).sum(axis=1)
     normal = c["work_normal"] - r[:, 0] * u[:, 0] - turned
     friction = c["work_friction"] - (r[:, 1:] * u[:, 1:]).sum(axis=1)
     size = np.linalg.norm(r, axis=1)
-    doubt = size * flight.unsure
+    # Nothing that turns is in more doubt than its surface, at the least distance, is.
+    lever = np.linalg.norm(np.nan_to_num(c["couple"]), axis=1) / poses.size(*poses.pair)
+    doubt = (size + 2.0 * lever) * flight.unsure
     if found is not None:
         doubt = doubt + found.met_doubt
     bounces = (c["restitution"] > 0.0) & (r[:, 0] > 0.0)
@@ -96,7 +101,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     of = np.empty(step.size, np.int64)
     of[order] = group
     several = np.bincount(of, bounces, begin.size)[of] > 0.0
-    frames = np.stack([poses.frame[c[f"geom{k}"].astype(np.int64)] for k in "12"])
+    frames = poses.frame[poses.pair]
     hidden = np.isnan(u).any(axis=1) | (
         bool(t.meta.get("external_force", True)) & ((0 <= frames) & (frames < poses.free)).any(axis=0)
     )
@@ -126,14 +131,15 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     nothing, scale = np.zeros(t.steps), at_play(poses)
     of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
     doubt = nothing if found is None else found.doubt.sum(axis=1)
-    step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
+    step = poses.step
     stays, left = _stays(poses, step), dict[str, Array]()
+    sticks = stays & ~_slid(poses, step)
     twice = _twice(poses, flight) + (0.0 if found is None else found.met_twice)
-    for name in ("normal", "friction"):
+    for name, lasts in (("normal", stays), ("friction", sticks)):
         work = c[f"contacts/work_{name}"]
-        off = np.abs(getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~stays], work[~stays], t.steps))
+        off = np.abs(getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~lasts], work[~lasts], t.steps))
         # Of no contacts NumPy counts whole numbers.
-        left[name] = off - np.bincount(step, np.where(stays, np.abs(work), 0.0) + twice, t.steps)
+        left[name] = off - np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
     left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
     if not (poses.free and t.meta.get("external_force", True)):
         left["external"] = np.abs(e.external - of_trees.get("external", nothing))
@@ -171,10 +177,8 @@ def _twice(poses: Poses, flight: Flight) -> Array:
 def _stays(poses: Poses, step: Index) -> Bools:
     """Contacts of shapes that touch where their step begins, or met before: what they do may be booked as numerics."""
     c: Any = poses.trajectory.columns
-    i, j = (c[f"contacts/geom{k}"].astype(np.int64) for k in "12")
-    out, least = np.empty(step.size, np.bool_), TOLERANCES["overlap"] * poses.size(i, j)
-    for a, b, some in poses.by_kind(i, j):
-        out[some] = separation(a, *poses.of(i[some], step[some]), b, *poses.of(j[some], step[some])) <= least[some]
+    i, j = poses.pair
+    out = apart(poses, i, j, step) <= TOLERANCES["overlap"] * poses.size(i, j)
     when: Array = c["contacts/time"]
     order = np.lexsort((when, j, i, step))
     begin, group = together(step[order], i[order], j[order])
@@ -183,3 +187,16 @@ def _stays(poses: Poses, step: Index) -> Bools:
     code = step * len(poses.names) ** 2 + pair
     last = np.isin(code - len(poses.names) ** 2, code[c["contacts/status"] > 0])
     return np.asarray(out | last)
+
+
+def _slid(poses: Poses, step: Index) -> Bools:
+    """Contacts that slipped in the last step, whose work in this is booked as friction; none of steps that are cut."""
+    c: Any = poses.trajectory.columns
+    pair, key = poses.pair[0] * len(poses.names) + poses.pair[1], c["contacts/key"]
+    order, out = np.lexsort((c["contacts/time"], step, key, pair)), np.zeros(step.size, np.bool_)
+    before, now = order[:-1], order[1:]
+    again = (pair[before] == pair[now]) & (key[before] == key[now]) & (step[now] - step[before] == 1)
+    late = (1.0 - float(poses.trajectory.meta["theta"])) * poses.trajectory.dt
+    whole = np.abs(c["contacts/time"] - late) <= 1e-9 * poses.trajectory.dt
+    out[now] = again & whole[before] & whole[now] & (c["contacts/status"][before] == SLIP)
+    return out
