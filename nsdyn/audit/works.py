@@ -12,6 +12,7 @@ from nsdyn.audit.flight import Flight, spins
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.pushes import together
 from nsdyn.audit.retraced import Retraced
+from nsdyn.audit.told import JAM
 from nsdyn.audit.touching import apart
 from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
@@ -87,8 +88,10 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     t = poses.trajectory
     c, step, r, u = poses.contacts, poses.step, poses.contacts["impulse"], flight.met.mean
     turned = (np.nan_to_num(c["couple"]) * np.nan_to_num(flight.met.spin)).sum(axis=1)
-    normal = c["work_normal"] - r[:, 0] * u[:, 0] - turned
-    friction = c["work_friction"] - (r[:, 1:] * u[:, 1:]).sum(axis=1)
+    pressed, rubbed = r[:, 0] * u[:, 0] + turned, (r[:, 1:] * u[:, 1:]).sum(axis=1)
+    jams = c["status"] == JAM  # all that they do is normal work
+    normal = c["work_normal"] - np.where(jams, pressed + rubbed, pressed)
+    friction = c["work_friction"] - np.where(jams, 0.0, rubbed)
     size = np.linalg.norm(r, axis=1)
     # Nothing that turns is in more doubt than its surface, at the least distance, is.
     lever = np.linalg.norm(np.nan_to_num(c["couple"]), axis=1) / poses.size(*poses.pair)
