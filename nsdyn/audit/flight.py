@@ -131,7 +131,7 @@ class Flight:
             within,
             turned,
             lifted,
-            Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1)),
+            Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),
             np.bincount(row, np.where(parted, doubt, 0.0), len(n)).astype(float),
             np.einsum("cij,cj->ci", axes, _coming(poses, pushes, forced, parted, len(n))),
             cut,
@@ -177,6 +177,19 @@ def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, o
         rows, pushed = np.flatnonzero(still[geoms[:, k]]), pushes.side == k
         met.put(rows, Side.still(rows.size))
         met.put(pushes.row[pushed], own.some(pushed))
+
+
+def _wander(poses: Poses) -> Array:
+    """How fast each contact comes from where its key was last, or goes to where it is next, (contacts,), m/s."""
+    c = poses.contacts
+    when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
+    order = np.lexsort((when, c["key"]))
+    way = np.linalg.norm(np.diff(c["point"][order], axis=0), axis=1)
+    took = np.where(np.diff(c["key"][order]) == 0, np.diff(when[order]), 0.0)
+    speed = np.where(took > 0.0, way / np.where(took > 0.0, took, 1.0), 0.0)
+    out[order[1:]] = speed
+    out[order[:-1]] = np.maximum(out[order[:-1]], speed)
+    return out
 
 
 def _fastest(poses: Poses, levers: Array) -> Array:

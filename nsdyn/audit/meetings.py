@@ -91,8 +91,11 @@ class Meetings(NamedTuple):
         return out
 
     @classmethod
-    def of(cls, sides: tuple[Side, Side], axes: Array, point: Array, rounding: Array) -> Meetings:
-        """From frames (contacts, 3, 3), whose rows are axes, points, and sums of the radii of curvature of both, m."""
+    def of(cls, sides: tuple[Side, Side], axes: Array, point: Array, rounding: Array, wander: Array) -> Meetings:
+        """From frames (contacts, 3, 3), whose rows are axes, points, and sums of the radii of curvature of both, m.
+
+        And from how fast contacts move, m/s: where bodies roll other points of theirs meet.
+        """
         one, other = sides
         apart = other.v - one.v
         begin, before, after = (np.einsum("cij,cj->ci", axes, v) for v in apart)
@@ -105,6 +108,6 @@ class Meetings(NamedTuple):
             # What turns changes its axes by as much, and its own ω no faster than that.
             turning = np.linalg.norm(side.spin, axis=2).max(axis=0)
             arm = np.where(turning > 0.0, np.linalg.norm(point - side.x, axis=1), 0.0)
-            bent += turning * (speed + 2.0 * turning * arm)
+            bent += turning * (speed + wander + 2.0 * turning * arm)
         spin = (other.spin - one.spin).mean(axis=0)
         return cls(sides, np.stack([begin, *turned]), before, after, spin, bent)
