@@ -81,7 +81,8 @@ def plain(poses: Poses) -> Iterator[Found]:
 def _alone(t: Trajectory) -> Array:
     """How far from 1 - θ of a step its impulses act where they have one instant, which others have too, (n,), s.
 
-    Impacts have instants of their own, and steps that are cut for many have several.
+    Impacts have instants of their own, which may be the beginnings of their steps, and steps that are cut for many have
+    several.
     """
     out, when = np.zeros(t.steps), t.columns["contacts/time"]
     if left_out(t) or np.isnan(when).any():
@@ -89,7 +90,9 @@ def _alone(t: Trajectory) -> Array:
     first, last = t.columns["contacts/offset"][:-1], t.columns["contacts/offset"][1:]
     some = np.flatnonzero(last > first)
     low, high = (f.reduceat(when, first[some]) if some.size else when[:0] for f in (np.minimum, np.maximum))
-    some, low = some[low == high], low[low == high]
+    strikes = np.maximum.reduceat(t.columns["contacts/restitution"], first[some]) > 0.0 if some.size else low > 0.0
+    one = (low == high) & ~(strikes & (low == 0.0))
+    some, low = some[one], low[one]
     _, which, count = np.unique(low, return_inverse=True, return_counts=True)
     often = count[which] > 0.5 * some.size
     late = np.abs(low - (1.0 - float(t.meta["theta"])) * t.dt)

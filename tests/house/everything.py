@@ -97,6 +97,9 @@ def everything() -> None:
     Stepper(scenes.load("bounce")(), 2.0, on_fail="ignore").step()  # more bounces than are located
     Stepper(scenes.load("quadruped")(), 1e-5).step()  # hardly moves
     Stepper(scenes.load("rod")(mu=2.0, slip=-1.0, spin=5.0), 1e-4).step()  # may move otherwise
+    linkage = scenes.load("four_bar")()
+    linkage.add_halfspace("ground", normal=(0, 0, 1), offset=0.08)  # on which its uprights stand
+    Stepper(linkage, 1e-3, on_fail="ignore").step()
     belt = Scene()
     belt.add_box("belt", (1.0, 1.0, 0.1), position=(0, 0, -0.05), fixed=True)
     belt.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
