@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -159,8 +159,9 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     names = list(left)
     off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
     which, steps = np.indices(off.shape)
-    who: Callable[[int], list[str]] = lambda k: [names[which.ravel()[k]]]  # noqa: E731
-    yield worst_of("works", off.ravel() / scale, off.ravel(), "J", steps.ravel() + 1, who)
+    yield worst_of(
+        "works", off.ravel() / scale, off.ravel(), "J", steps.ravel() + 1, lambda k: [names[which.ravel()[k]]]
+    )
     if any(kind != "joint" for kind in t.scene.get("motions", {}).values()):
         yield not_audited("drives", "J", "velocities of driven bodies and of surfaces are not recorded")
         return
