@@ -195,14 +195,17 @@ def _least(pairs: _Pairs, r: Array) -> Array:
 def _descended(pairs: _Pairs, wanted: Array, y: Array, off: Array, step: Array) -> Array:
     """Where a step leads, halved until it lowers ½ Σ ‖P(H y)‖² - wanted·y, whose gradient is `off`."""
 
-    def value(y: Array) -> Array:
-        out: Array = 0.5 * pairs.total((pairs.impulses(y)[1] ** 2).sum(axis=1)) - (wanted * y).sum(axis=1)
+    def value(some: Bools, y: Array) -> Array:
+        own = pairs.some(some)
+        out: Array = 0.5 * own.total((own.impulses(y)[1] ** 2).sum(axis=1)) - (wanted[some] * y).sum(axis=1)
         return out
 
-    part, begin, slope = np.ones((len(y), 1)), value(y), (off * step).sum(axis=1)
+    part, short = np.ones((len(y), 1)), np.ones(len(y), np.bool_)
+    begin, slope = value(short, y), (off * step).sum(axis=1)
     for _ in range(HALVINGS):
         # The values are below 1: what is smaller than their round-off counts as lower.
-        short = value(y + part * step) > begin + 1e-4 * part[:, 0] * slope + 1e-15
+        least = begin[short] + 1e-4 * part[short, 0] * slope[short] + 1e-15
+        short[short] = value(short, (y + part * step)[short]) > least
         if not short.any():
             break
         part[short] *= 0.5

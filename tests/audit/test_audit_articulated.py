@@ -249,9 +249,10 @@ def test_what_touches_at_the_start_stays(audits):
 
 
 @pytest.mark.slow
-def test_two_hundred_true_recordings_pass(audits, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["audits.py", "--count", "190"])
+def test_many_true_recordings_pass(audits, monkeypatch, capsys):
+    """Sixty random robots and the named scenes; `demos/bench/audits.py` has any number."""
+    monkeypatch.setattr(sys, "argv", ["audits.py", "--count", "60"])
     audits.main()
     lines = capsys.readouterr().out.splitlines()
     assert not [line for line in lines if line.endswith(":")]
-    assert sum(int(line.split()[0]) for line in lines if "passed" in line) >= 200
+    assert sum(int(line.split()[0]) for line in lines if "passed" in line) >= 70

@@ -43,20 +43,40 @@ def test_threads_give_the_bits_of_one(tmp_path):
         assert_same(alone[name], nd.Trajectory.load(tmp_path / f"{k}.h5"))
 
 
-@pytest.mark.slow
-def test_processes_give_the_bits_of_one(tmp_path):
-    """Four at once, with other numbers of threads and other hashes, the last two beside each other on one new cache."""
+def solve(target):
+    """Impulses of a problem of two contacts, saved."""
+    W = np.diag([2.0, 1.0, 1.0, 3.0, 1.5, 1.0]) + 0.1
+    np.save(target, nd.solve(nd.FC3D(W, [-1.0, 3.0, 0.2, -2.0, 0.1, 0.3], [0.5, 0.8]), "pgs", tol=1e-12).r)
+
+
+def beside(script, targets, settings):
+    """Run a script of this module for each target at once, in processes with these settings."""
     paths = os.pathsep.join([str(Path(__file__).parent), str(Path(nd.__file__).parents[1])])
     running = []
-    for k, more in enumerate(
-        [{}, {"OMP_NUM_THREADS": "4", "PYTHONHASHSEED": "7"}, *({"NSDYN_CACHE_DIR": str(tmp_path / "cache")},) * 2]
-    ):
-        command = [sys.executable, "-c", f"from test_bits import run; run('pile', {str(tmp_path / f'{k}.h5')!r})"]
+    for target, more in zip(targets, settings, strict=True):
+        command = [sys.executable, "-c", f"from test_bits import run, solve; {script % repr(str(target))}"]
         running.append(subprocess.Popen(command, env=os.environ | {"PYTHONPATH": paths, "PYTHONHASHSEED": "1"} | more))
-    assert [process.wait() for process in running] == [0, 0, 0, 0]
+    assert [process.wait() for process in running] == [0] * len(running)
+
+
+@pytest.mark.slow
+def test_processes_give_the_bits_of_one(tmp_path):
+    """Two at once, with other numbers of threads and other hashes."""
+    files = [tmp_path / f"{k}.h5" for k in range(2)]
+    beside("run('pile', %s)", files, [{}, {"OMP_NUM_THREADS": "4", "PYTHONHASHSEED": "7"}])
     whole = run("pile")
-    for k in range(4):
-        assert_same(whole, nd.Trajectory.load(tmp_path / f"{k}.h5"))
+    for file in files:
+        assert_same(whole, nd.Trajectory.load(file))
+
+
+@pytest.mark.slow
+def test_processes_share_a_new_cache(tmp_path):
+    """Both compile the same kernels at once."""
+    files = [tmp_path / f"{k}.npy" for k in range(3)]
+    beside("solve(%s)", files[:2], [{"NSDYN_CACHE_DIR": str(tmp_path / "cache")}] * 2)
+    solve(files[2])
+    assert len({np.load(file).tobytes() for file in files}) == 1
+    assert list((tmp_path / "cache").glob("*.nbc")), "kernels are kept there"
     assert not list((tmp_path / "cache").glob("tmp*")), "no file of the cache is half written"
 
 

@@ -46,7 +46,7 @@ def test_bar(name):
 
 
 # Too long for a test: `python demos/bench/truth.py NAME` runs them, 2 to 10 minutes each.
-LONG = "cubes", "ball_on_wall", "models", "random_scenes"
+LONG = "cubes", "ball_on_wall", "models", "random_scenes", "elastic_box"
 
 
 @pytest.mark.slow

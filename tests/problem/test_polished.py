@@ -93,7 +93,7 @@ def test_bounds_of_random_answers(rng):
 @extended
 @pytest.mark.slow
 def test_bounds_of_many_random_answers(rng):
-    judge(trials(rng, 200), 1200)
+    judge(trials(rng, 80), 480)
 
 
 def noisy(problem, rng, noise):
