@@ -29,6 +29,8 @@ class Actuator(NamedTuple):
         b0, b1 ≤ 0 and b2 ≤ 0, of the joint's angle q [rad] or length [m] and its velocity v.
     control_range, force_range : (float, float)
         Least and most u, and k u + b0 + b1 g q + b2 g v; infinite where there are none.
+    control : float, optional
+        u of the keyframe that the file was read with.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Actuator(NamedTuple):
     bias: tuple[float, float, float]
     control_range: tuple[float, float]
     force_range: tuple[float, float]
+    control: float | None = None
 
     @property
     def servo(self) -> bool:
@@ -55,14 +58,14 @@ class Actuation:
 
     Parameters
     ----------
-    controls : mapping of str to float, or array
+    controls : mapping of str to float, or array, optional
         By the names of the actuators, or of their joints where they have none of their own; or one for each actuator
-        in the order of the file, as MuJoCo's ``ctrl``.
+        in the order of the file, as MuJoCo's ``ctrl``. Default: the ``ctrl`` of the keyframe given to `add_mjcf`.
 
     Raises
     ------
     ValueError
-        For what are no finite numbers.
+        For what are no finite numbers; where it acts, for names and numbers that do not fit, or without a keyframe.
 
     Examples
     --------
@@ -73,10 +76,12 @@ class Actuation:
     (0.3, -0.1)
     """
 
-    controls: Mapping[str, float] | ArrayLike
+    controls: Mapping[str, float] | ArrayLike | None = None
 
     def __post_init__(self) -> None:
         given: Any = self.controls
+        if given is None:
+            return
         named = isinstance(given, Mapping)
         try:
             values = np.array(list(given.values()) if named else given, dtype=float)
@@ -92,6 +97,13 @@ class Actuation:
         """Controls of the actuators of an articulation, the `owner`, by name; ValueError if they do not fit."""
         given: Any = self.controls
         names = [a.name for a in actuators]
+        if given is None:
+            held = {a.name: a.control for a in actuators if a.control is not None}
+            if not held:
+                raise ValueError(
+                    f"controls of an Actuation must be given: {owner!r} was read without a keyframe's ctrl"
+                )
+            return held
         if isinstance(given, Mapping):
             return {choice(name, names, f"actuator of {owner!r}"): value for name, value in given.items()}
         if len(given) != len(names):

@@ -118,6 +118,35 @@ def test_controls_in_the_order_of_the_file(leg):
     assert np.abs(listed.v).max() > 0.0
 
 
+def keyed(tmp_path, keyframe="up", key='ctrl=".1 .2 .3 .4 .5"'):
+    """The leg at one of two keyframes."""
+    keys = f'<keyframe><key name="up" qpos="0 0 0 0" {key}/><key name="plain"/></keyframe></mujoco>'
+    text = (LEG % DRIVES).replace("</mujoco>", keys)
+    (tmp_path / "leg.xml").write_text(text)
+    scene = nd.Scene()
+    scene.add_mjcf("leg", tmp_path / "leg.xml", keyframe=keyframe)
+    return scene, text
+
+
+def test_controls_of_a_keyframe(tmp_path):
+    """They are told without a name, and are those that MuJoCo sets; where there are none, that is refused."""
+    scene, text = keyed(tmp_path)
+    held = [a.control for a in scene.articulations["leg"].actuators]
+    assert held == [0.1, 0.2, 0.3, 0.4, 0.5] and scene.articulations["leg"].dropped == ()
+    one, other = (run(scene, nd.Actuation(*given), time=0.02) for given in ((), (held,)))
+    np.testing.assert_array_equal(one.q, other.q)
+    with pytest.raises(ValueError, match="must be given: 'leg' was read without a keyframe's ctrl"):
+        run(keyed(tmp_path, "plain")[0], nd.Actuation())
+    assert not keyed(tmp_path, "plain")[0].articulations["leg"].q.any(), "qpos0, as in MuJoCo"
+    with pytest.raises(ValueError, match="ctrl of keyframe 'up' must be 5 numbers of at most"):
+        keyed(tmp_path, key='ctrl="1 2"')
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    assert data.ctrl.tolist() == held
+
+
 @pytest.mark.parametrize(
     ("control", "words"),
     [

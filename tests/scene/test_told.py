@@ -239,10 +239,10 @@ def test_gains_that_defaults_of_another_kind_give_are_told(tmp_path):
 
 
 def test_what_a_keyframe_says_beyond_its_configuration(tmp_path):
-    key = '<keyframe><key name="k" qpos="0 0" ctrl="{}" mpos="1" time="3"/></keyframe>'
+    key = '<keyframe><key name="k" qpos="0 0" act="{}" mpos="1" time="3"/></keyframe>'
     path = tmp_path / "r.xml"
     path.write_text(mjcf(end=key.format("0 1")))
-    with pytest.warns(UserWarning, match="keyframe 'k': ctrl; keyframe 'k': mpos"):
+    with pytest.warns(UserWarning, match="keyframe 'k': act; keyframe 'k': mpos"):
         nd.Scene().add_mjcf("r", path, keyframe="k")
 
 

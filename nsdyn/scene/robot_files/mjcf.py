@@ -80,7 +80,8 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         places = {e.get("name", ""): (a.start, b.start) for e, kind, a, b in _joints(root) if SIZES[kind] == (1, 1)}
         gears = tuple(gears_of(root, model, places, report.missing))
         autolimits = all(e.get("autolimits", "true") == "true" for e in root.iterfind("compiler"))
-        actuators = actuators_of(driven, model, places, autolimits, report.dropped)
+        controls = _controls(root, keyframe, len(driven))
+        actuators = actuators_of(driven, model, places, autolimits, controls, report.dropped)
         links, bodies = links_of(model, geometry.geometryObjects, report.dropped)
         drawn = [k for k, body in enumerate(bodies) if trees[body] != WORLD or not any(geoms.masks[links[k].name])]
         visuals = visuals_of(geoms, [(links[k], bodies[k]) for k in drawn], geometry, path.parent, report.unused)
@@ -397,15 +398,25 @@ def _initial(root: Element, model: Any, keyframe: str | None, report: Report) ->
     """Initial configuration: that of the bodies as they are written, or of a keyframe."""
     keys = {e.get("name", f"key{k}"): e for k, e in enumerate(root.iterfind("keyframe/key"))}
     report.unused.extend(f"keyframe {key!r}" for key in keys if key != keyframe)
+    q = np.array(model.referenceConfigurations["qpos0"])
     if keyframe is None:
-        return np.array(model.referenceConfigurations["qpos0"])
+        return q
     key = keys[choice(keyframe, keys, "keyframe")]
-    q = numbers(key.get("qpos"), model.nq, None, f"qpos of keyframe {keyframe!r}")
-    for _, kind, at, _ in _joints(root):
-        if kind in ("free", "ball"):  # MuJoCo writes w x y z
-            q[at.stop - 4 : at.stop] = np.roll(q[at.stop - 4 : at.stop], -1)
-    for what in sorted(key.attrib.keys() - {"name", "time", "qpos"}):
+    if "qpos" in key.attrib:
+        q = numbers(key.get("qpos"), model.nq, None, f"qpos of keyframe {keyframe!r}")
+        for _, kind, at, _ in _joints(root):
+            if kind in ("free", "ball"):  # MuJoCo writes w x y z
+                q[at.stop - 4 : at.stop] = np.roll(q[at.stop - 4 : at.stop], -1)
+    for what in sorted(key.attrib.keys() - {"name", "time", "qpos", "ctrl"}):
         count = model.nv if what == "qvel" else None
         if numbers(key.get(what), count, None, f"{what} of keyframe {keyframe!r}").any():
             report.dropped.append(f"keyframe {keyframe!r}: {what}")
     return q
+
+
+def _controls(root: Element, keyframe: str | None, count: int) -> list[float | None]:
+    """What a keyframe tells each of `count` actuators."""
+    keys = {e.get("name", f"key{k}"): e.get("ctrl") for k, e in enumerate(root.iterfind("keyframe/key"))}
+    if keyframe is None or keys[keyframe] is None or not count:
+        return [None] * count
+    return [float(u) for u in numbers(keys[keyframe], count, None, f"ctrl of keyframe {keyframe!r}")]

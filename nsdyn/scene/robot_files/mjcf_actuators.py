@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -42,11 +42,16 @@ NONE = (-math.inf, math.inf)
 
 
 def actuators_of(
-    elements: Iterable[Element], model: Any, places: Mapping[str, tuple[int, int]], autolimits: bool, dropped: Notes
+    elements: Iterable[Element],
+    model: Any,
+    places: Mapping[str, tuple[int, int]],
+    autolimits: bool,
+    controls: Sequence[float | None],
+    dropped: Notes,
 ) -> tuple[Actuator, ...]:
-    """Actuators of the joints at `places`, in q and v; what is not used of them is noted."""
+    """Actuators of the joints at `places`, in q and v, with a keyframe's controls; what is not used is noted."""
     out: dict[str, Actuator] = {}
-    for element in elements:
+    for element, control in zip(elements, controls, strict=True):
         joint = element.get("joint", "")
         label = element.get(
             "name", joint or next((v for k, v in element.items() if k in ("tendon", "site", "body")), "")
@@ -55,7 +60,7 @@ def actuators_of(
             dropped.append(f"<actuator> {label!r}: {why}")
             continue
         q, v = places[joint]
-        a = _read(element, label, joint, v, autolimits)
+        a = _read(element, label, joint, v, autolimits)._replace(control=control)
         if element.get("inheritrange"):
             share = float(numbers(element.get("inheritrange"), 1, None, f"inheritrange of actuator {label!r}")[0])
             low, high = model.lowerPositionLimit[q], model.upperPositionLimit[q]
