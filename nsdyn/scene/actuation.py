@@ -48,6 +48,11 @@ class Actuator(NamedTuple):
         """Whether it acts on what the joint does, not on its control alone."""
         return self.bias[1] != 0.0 or self.bias[2] != 0.0
 
+    @property
+    def acts(self) -> bool:
+        """Whether it acts as the file has it: a servo, or what a keyframe gives a control."""
+        return self.servo or bool(self.control)
+
 
 @dataclass(frozen=True, eq=False)
 class Actuation:

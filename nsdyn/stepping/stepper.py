@@ -161,9 +161,9 @@ class Stepper:
         own = (mu for mu, _ in scene.pairs.values() if mu is not None)
         steepest = max([0.0, *(g.material.mu for g in geoms), *own])
         self._paradoxes = Paradoxes(self.dynamics, solver, self.system.arm, steepest)
-        servos = [f"{a.name}/{one.name}" for a in scene.articulations.values() for one in a.actuators if one.servo]
-        if servos and controller is None:
-            warnings.warn(f"without a controller these servos are off: {', '.join(servos)}", stacklevel=2)
+        off = [f"{a.name}/{one.name}" for a in scene.articulations.values() for one in a.actuators if one.acts]
+        if off and controller is None:
+            warnings.warn(f"without a controller these actuators are off: {', '.join(off)}", stacklevel=2)
         if not (scene.free_bodies or scene.articulations or scene.driven_bodies):
             warnings.warn("the scene has nothing that moves: all its bodies are fixed, if any", stacklevel=2)
         self._prescribed = None

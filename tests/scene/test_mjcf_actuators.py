@@ -104,7 +104,9 @@ def test_what_is_not_named_is_off_and_told(leg):
     ):
         one = run(scene, nd.Actuation({"knee": 0.05}), time=0.02)
     np.testing.assert_array_equal(one.q, run(scene, {"knee": 1.0}, time=0.02).q)  # a torque
-    with pytest.warns(UserWarning, match="without a controller these servos are off: leg/hip, leg/slide, leg/spring"):
+    with pytest.warns(
+        UserWarning, match="without a controller these actuators are off: leg/hip, leg/slide, leg/spring"
+    ):
         nd.Stepper(scene)
 
 
@@ -135,6 +137,8 @@ def test_controls_of_a_keyframe(tmp_path):
     assert held == [0.1, 0.2, 0.3, 0.4, 0.5] and scene.articulations["leg"].dropped == ()
     one, other = (run(scene, nd.Actuation(*given), time=0.02) for given in ((), (held,)))
     np.testing.assert_array_equal(one.q, other.q)
+    with pytest.warns(UserWarning, match="these actuators are off: leg/hip, leg/roll_motor, leg/knee, leg/slide"):
+        nd.Stepper(scene)
     with pytest.raises(ValueError, match="must be given: 'leg' was read without a keyframe's ctrl"):
         run(keyed(tmp_path, "plain")[0], nd.Actuation())
     assert not keyed(tmp_path, "plain")[0].articulations["leg"].q.any(), "qpos0, as in MuJoCo"

@@ -75,13 +75,13 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         model, geometry = _build(root, path)
         check_size(name, model)
         stiffness, rest = _set_joints(root, model, report)
-        q = _initial(root, model, keyframe, report)
+        q, controls = _start(root, model, keyframe, len(driven), report)
         loops = tuple(loops_of(root, model, q, report.missing))
         places = {e.get("name", ""): (a.start, b.start) for e, kind, a, b in _joints(root) if SIZES[kind] == (1, 1)}
         gears = tuple(gears_of(root, model, places, report.missing))
         autolimits = all(e.get("autolimits", "true") == "true" for e in root.iterfind("compiler"))
-        controls = _controls(root, keyframe, len(driven))
-        actuators = actuators_of(driven, model, places, autolimits, controls, report.dropped)
+        drives = zip(driven, controls, strict=True)
+        actuators = actuators_of(drives, model, places, autolimits, report.dropped)
         links, bodies = links_of(model, geometry.geometryObjects, report.dropped)
         drawn = [k for k, body in enumerate(bodies) if trees[body] != WORLD or not any(geoms.masks[links[k].name])]
         visuals = visuals_of(geoms, [(links[k], bodies[k]) for k in drawn], geometry, path.parent, report.unused)
@@ -394,29 +394,26 @@ def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array
     return stiffness, rest
 
 
-def _initial(root: Element, model: Any, keyframe: str | None, report: Report) -> Array:
-    """Initial configuration: that of the bodies as they are written, or of a keyframe."""
+def _start(
+    root: Element, model: Any, keyframe: str | None, drives: int, report: Report
+) -> tuple[Array, list[float | None]]:
+    """Configuration and controls of a keyframe; else the bodies as they are written, and none."""
+    q: Array = np.array(model.referenceConfigurations["qpos0"])
+    controls: list[float | None] = [None] * drives
     keys = {e.get("name", f"key{k}"): e for k, e in enumerate(root.iterfind("keyframe/key"))}
     report.unused.extend(f"keyframe {key!r}" for key in keys if key != keyframe)
-    q = np.array(model.referenceConfigurations["qpos0"])
     if keyframe is None:
-        return q
+        return q, controls
     key = keys[choice(keyframe, keys, "keyframe")]
     if "qpos" in key.attrib:
         q = numbers(key.get("qpos"), model.nq, None, f"qpos of keyframe {keyframe!r}")
         for _, kind, at, _ in _joints(root):
             if kind in ("free", "ball"):  # MuJoCo writes w x y z
                 q[at.stop - 4 : at.stop] = np.roll(q[at.stop - 4 : at.stop], -1)
+    if "ctrl" in key.attrib and drives:
+        controls = numbers(key.get("ctrl"), drives, None, f"ctrl of keyframe {keyframe!r}").tolist()
     for what in sorted(key.attrib.keys() - {"name", "time", "qpos", "ctrl"}):
         count = model.nv if what == "qvel" else None
         if numbers(key.get(what), count, None, f"{what} of keyframe {keyframe!r}").any():
             report.dropped.append(f"keyframe {keyframe!r}: {what}")
-    return q
-
-
-def _controls(root: Element, keyframe: str | None, count: int) -> list[float | None]:
-    """What a keyframe tells each of `count` actuators."""
-    keys = {e.get("name", f"key{k}"): e.get("ctrl") for k, e in enumerate(root.iterfind("keyframe/key"))}
-    if keyframe is None or keys[keyframe] is None or not count:
-        return [None] * count
-    return [float(u) for u in numbers(keys[keyframe], count, None, f"ctrl of keyframe {keyframe!r}")]
+    return q, controls

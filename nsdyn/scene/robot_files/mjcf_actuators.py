@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -42,16 +42,15 @@ NONE = (-math.inf, math.inf)
 
 
 def actuators_of(
-    elements: Iterable[Element],
+    drives: Iterable[tuple[Element, float | None]],
     model: Any,
     places: Mapping[str, tuple[int, int]],
     autolimits: bool,
-    controls: Sequence[float | None],
     dropped: Notes,
 ) -> tuple[Actuator, ...]:
-    """Actuators of the joints at `places`, in q and v, with a keyframe's controls; what is not used is noted."""
+    """Actuators, each with a keyframe's control, of the joints at `places`, in q and v; what is not used is noted."""
     out: dict[str, Actuator] = {}
-    for element, control in zip(elements, controls, strict=True):
+    for element, control in drives:
         joint = element.get("joint", "")
         label = element.get(
             "name", joint or next((v for k, v in element.items() if k in ("tendon", "site", "body")), "")
