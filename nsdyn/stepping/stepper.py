@@ -24,6 +24,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.scene import pairs
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
+from nsdyn.stepping import equations
 from nsdyn.stepping.contradictions import Prescribed
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
@@ -248,21 +249,14 @@ class Stepper:
 
     def mass_matrix(self) -> Array:
         """M(q) at the present state, shape (n, n), kg, kg m and kg m², for v in Pinocchio's layout, as `Step.v` is."""
-        return self._factors()[1]
+        return equations.mass_matrix(self.dynamics, self.get_state().instant)
 
     def bias(self) -> Array:
         """Coriolis, centrifugal and gravity terms at the present state, shape (n,), N and N m.
 
         M v̇ + bias = joint forces + Jᵀ contact forces, but for joint springs and damping; v in Pinocchio's layout.
         """
-        d, i = self.dynamics, self.get_state().instant
-        _, v = d.pinocchio_state(i.position, i.v)
-        linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
-        R = i.placement.R[: d.free]
-        force = d.mass[:, None] * (np.cross(spin, linear) - np.einsum("kji,j->ki", R, d.gravity))
-        torque = np.cross(spin, np.einsum("kij,kj->ki", d.J, spin))
-        trees = [t.bias(q, v[t.coordinates]) for t, q in zip(d.trees, i.position.trees, strict=True)]
-        return np.concatenate([np.concatenate((force, torque), axis=1).ravel(), *trees])
+        return equations.bias(self.dynamics, self.get_state().instant)
 
     def contact_jacobian(self) -> tuple[ContactSet, Array, Array]:
         """The contacts at the present state, their frames and their Jacobian.
@@ -277,16 +271,8 @@ class Stepper:
             u = J v [m/s], (N, T1, T2) of body 2 relative to body 1, v in Pinocchio's layout; without what prescribed
             motions and surfaces add.
         """
-        frame, _, H = self._factors()
-        for k, R in enumerate(self.get_state().instant.placement.R[: self.dynamics.free]):
-            H[6 * k : 6 * k + 3] = R.T @ H[6 * k : 6 * k + 3]  # from the world's axes to the body's
-        return self.get_state().instant.contacts, frame, H.T
-
-    def _factors(self) -> tuple[Array, Array, Array]:
-        """(frames of the contacts, M, H) at the present state, in the step's own coordinates."""
-        d, i = self.dynamics, self.get_state().instant
-        rows, frame = d.rows(i.contacts, i.placement, d.inertia(i.position, i.v), None)
-        return frame, *rows.full.dense()
+        at = self.get_state().instant
+        return at.contacts, *equations.jacobian(self.dynamics, at)
 
     # -- one step ----------------------------------------------------------------------------------------------
 

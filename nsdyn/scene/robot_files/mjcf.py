@@ -2,13 +2,11 @@
 
 Pinocchio builds the tree, the inertias and the shapes from a file simplified here: one file without includes, classes
 and pictures, every default written out and everything named, under one body without a joint, because Pinocchio reads
-the first tree of a file only. The values of the joints are read here: Pinocchio takes the range of a slide for
-degrees, shifts that of a joint with `ref`, and knows no springs.
+the first tree of a file only.
 """
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Iterator, Mapping
 from itertools import combinations
@@ -28,18 +26,15 @@ from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, of_o
 from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
 from nsdyn.scene.robot_files.mjcf_geoms import Geoms, mesh_name
+from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, set_joints, start_of
 from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
-from nsdyn.scene.robot_files.xml import Report, inside, is_range, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
 from nsdyn.tools import noise
-from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 __all__ = ["read_mjcf"]
-
-SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
-"""(nq, nv) of every type of joint."""
 
 PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
 """Attributes by which a tendon acts of itself; without them it does what an actuator says."""
@@ -71,13 +66,13 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         geoms, trees = _simplify(root, report)
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         # Before Pinocchio builds it: of several joints of one body it makes one, whose tables are as large as that.
-        check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in _joints(root)))
+        check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in joints_of(root)))
         model, geometry = _build(root, path)
         check_size(name, model)
-        stiffness, rest = _set_joints(root, model, report)
-        q, controls = _start(root, model, keyframe, len(driven), report)
+        stiffness, rest = set_joints(root, model, report)
+        q, controls = start_of(root, model, keyframe, len(driven), report)
         loops = tuple(loops_of(root, model, q, report.missing))
-        places = {e.get("name", ""): (a.start, b.start) for e, kind, a, b in _joints(root) if SIZES[kind] == (1, 1)}
+        places = {e.get("name", ""): (a.start, b.start) for e, kind, a, b in joints_of(root) if SIZES[kind] == (1, 1)}
         gears = tuple(gears_of(root, model, places, report.missing))
         autolimits = all(e.get("autolimits", "true") == "true" for e in root.iterfind("compiler"))
         drives = zip(driven, controls, strict=True)
@@ -324,96 +319,7 @@ def _of_joints(trees: Mapping[str, str], model: Any) -> dict[str, str]:
     return {model.names[f.parentJoint]: trees[f.name] for f in carried}
 
 
-# -- joints ----------------------------------------------------------------------------------------------------
-
-
 def _excluded(root: Element, known: Mapping[str, str]) -> Iterator[frozenset[str]]:
     """Pairs of bodies that never touch each other."""
     for element in root.iterfind("contact/exclude"):
         yield frozenset(choice(element.get(end, ""), known, f"{end} of an <exclude>") for end in ("body1", "body2"))
-
-
-def _joints(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
-    """(element, type, its part of q, its part of v) of every joint, in the order of Pinocchio: depth first."""
-    q = v = 0
-    for element in root.iter():
-        if element.tag in ("joint", "freejoint") and "joint1" not in element.attrib:
-            kind = "free" if element.tag == "freejoint" else element.get("type", "hinge")
-            if kind not in SIZES:
-                raise ValueError(f"joint {element.get('name')!r} must be of type {', '.join(SIZES)}, got {kind!r}")
-            nq, nv = SIZES[kind]
-            yield element, kind, slice(q, q + nq), slice(v, v + nv)
-            q, v = q + nq, v + nv
-
-
-def _set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
-    """Put limits, efforts, damping, friction and armature into the model; returns (stiffness, rest) of the springs."""
-    compiler = root.find("compiler")
-    settings: dict[str, str] = {} if compiler is None else compiler.attrib
-    unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
-    lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
-    damping, friction, armature, stiffness, rest = np.zeros((5, model.nv))
-    effort = np.full(model.nv, np.inf)
-    for element, kind, at, rows in _joints(root):
-        label = f"joint {element.get('name')!r}"
-        if element.tag == "freejoint":
-            continue
-
-        def value(attribute: str, label: str = label, element: Element = element) -> float:
-            return float(numbers(element.get(attribute), 1, (0.0,), f"{attribute} of {label}")[0])
-
-        damping[rows], friction[rows], armature[rows] = value("damping"), value("frictionloss"), value("armature")
-        factor = unit if kind == "hinge" else 1.0
-        limited = element.get("limited", "auto")
-        if limited == "auto":
-            limited = (
-                "true" if settings.get("autolimits", "true") == "true" and is_range(element.get("range")) else "false"
-            )
-        if element.get("actuatorfrcrange") and element.get("actuatorfrclimited", "auto") != "false":
-            low, high = numbers(element.get("actuatorfrcrange"), 2, None, f"actuatorfrcrange of {label}")
-            effort[rows] = high
-            if kind == "ball" or low != -high:
-                report.dropped.append(f"{label}: actuatorfrcrange that is not ± the same, or of a ball joint")
-                effort[rows] = np.inf
-        if kind in ("hinge", "slide"):
-            stiffness[rows], rest[rows] = value("stiffness"), factor * value("springref")
-            if limited == "true":
-                bounds = factor * numbers(element.get("range"), 2, None, f"range of {label}")
-                lower[at], upper[at] = bounds[0], bounds[1]
-        else:
-            if limited == "true":
-                report.missing.append(f"{label}: range of a {kind} joint")
-            if value("stiffness"):
-                report.missing.append(f"{label}: stiffness of a {kind} joint")
-            if value("frictionloss") and kind == "free":
-                report.missing.append(f"{label}: frictionloss of a {kind} joint")
-                friction[rows] = 0.0
-    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
-    model.damping, model.armature, model.upperEffortLimit = damping, armature, effort
-    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -friction, friction
-    return stiffness, rest
-
-
-def _start(
-    root: Element, model: Any, keyframe: str | None, drives: int, report: Report
-) -> tuple[Array, list[float | None]]:
-    """Configuration and controls of a keyframe; else the bodies as they are written, and none."""
-    q: Array = np.array(model.referenceConfigurations["qpos0"])
-    controls: list[float | None] = [None] * drives
-    keys = {e.get("name", f"key{k}"): e for k, e in enumerate(root.iterfind("keyframe/key"))}
-    report.unused.extend(f"keyframe {key!r}" for key in keys if key != keyframe)
-    if keyframe is None:
-        return q, controls
-    key = keys[choice(keyframe, keys, "keyframe")]
-    if "qpos" in key.attrib:
-        q = numbers(key.get("qpos"), model.nq, None, f"qpos of keyframe {keyframe!r}")
-        for _, kind, at, _ in _joints(root):
-            if kind in ("free", "ball"):  # MuJoCo writes w x y z
-                q[at.stop - 4 : at.stop] = np.roll(q[at.stop - 4 : at.stop], -1)
-    if "ctrl" in key.attrib and drives:
-        controls = numbers(key.get("ctrl"), drives, None, f"ctrl of keyframe {keyframe!r}").tolist()
-    for what in sorted(key.attrib.keys() - {"name", "time", "qpos", "ctrl"}):
-        count = model.nv if what == "qvel" else None
-        if numbers(key.get(what), count, None, f"{what} of keyframe {keyframe!r}").any():
-            report.dropped.append(f"keyframe {keyframe!r}: {what}")
-    return q, controls

@@ -1,0 +1,109 @@
+"""Joints of MJCF files: their limits, springs and friction, and where a keyframe puts them.
+
+Pinocchio takes the range of a slide for degrees, shifts that of a joint with `ref`, and knows no springs: the values of
+the joints are read here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from nsdyn.scene.robot_files.xml import Report, is_range, numbers
+from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
+
+__all__ = ["SIZES", "joints_of", "set_joints", "start_of"]
+
+SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
+"""(nq, nv) of every type of joint."""
+
+
+def joints_of(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
+    """(element, type, its part of q, its part of v) of every joint, in the order of Pinocchio: depth first."""
+    q = v = 0
+    for element in root.iter():
+        if element.tag in ("joint", "freejoint") and "joint1" not in element.attrib:
+            kind = "free" if element.tag == "freejoint" else element.get("type", "hinge")
+            if kind not in SIZES:
+                raise ValueError(f"joint {element.get('name')!r} must be of type {', '.join(SIZES)}, got {kind!r}")
+            nq, nv = SIZES[kind]
+            yield element, kind, slice(q, q + nq), slice(v, v + nv)
+            q, v = q + nq, v + nv
+
+
+def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
+    """Put limits, efforts, damping, friction and armature into the model; returns (stiffness, rest) of the springs."""
+    compiler = root.find("compiler")
+    settings: dict[str, str] = {} if compiler is None else compiler.attrib
+    unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
+    lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
+    damping, friction, armature, stiffness, rest = np.zeros((5, model.nv))
+    effort = np.full(model.nv, np.inf)
+    for element, kind, at, rows in joints_of(root):
+        label = f"joint {element.get('name')!r}"
+        if element.tag == "freejoint":
+            continue
+
+        def value(attribute: str, label: str = label, element: Element = element) -> float:
+            return float(numbers(element.get(attribute), 1, (0.0,), f"{attribute} of {label}")[0])
+
+        damping[rows], friction[rows], armature[rows] = value("damping"), value("frictionloss"), value("armature")
+        factor = unit if kind == "hinge" else 1.0
+        limited = element.get("limited", "auto")
+        if limited == "auto":
+            limited = (
+                "true" if settings.get("autolimits", "true") == "true" and is_range(element.get("range")) else "false"
+            )
+        if element.get("actuatorfrcrange") and element.get("actuatorfrclimited", "auto") != "false":
+            low, high = numbers(element.get("actuatorfrcrange"), 2, None, f"actuatorfrcrange of {label}")
+            effort[rows] = high
+            if kind == "ball" or low != -high:
+                report.dropped.append(f"{label}: actuatorfrcrange that is not ± the same, or of a ball joint")
+                effort[rows] = np.inf
+        if kind in ("hinge", "slide"):
+            stiffness[rows], rest[rows] = value("stiffness"), factor * value("springref")
+            if limited == "true":
+                bounds = factor * numbers(element.get("range"), 2, None, f"range of {label}")
+                lower[at], upper[at] = bounds[0], bounds[1]
+        else:
+            if limited == "true":
+                report.missing.append(f"{label}: range of a {kind} joint")
+            if value("stiffness"):
+                report.missing.append(f"{label}: stiffness of a {kind} joint")
+            if value("frictionloss") and kind == "free":
+                report.missing.append(f"{label}: frictionloss of a {kind} joint")
+                friction[rows] = 0.0
+    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+    model.damping, model.armature, model.upperEffortLimit = damping, armature, effort
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -friction, friction
+    return stiffness, rest
+
+
+def start_of(
+    root: Element, model: Any, keyframe: str | None, drives: int, report: Report
+) -> tuple[Array, list[float | None]]:
+    """Configuration and controls of a keyframe; else the bodies as they are written, and none."""
+    q: Array = np.array(model.referenceConfigurations["qpos0"])
+    controls: list[float | None] = [None] * drives
+    keys = {e.get("name", f"key{k}"): e for k, e in enumerate(root.iterfind("keyframe/key"))}
+    report.unused.extend(f"keyframe {key!r}" for key in keys if key != keyframe)
+    if keyframe is None:
+        return q, controls
+    key = keys[choice(keyframe, keys, "keyframe")]
+    if "qpos" in key.attrib:
+        q = numbers(key.get("qpos"), model.nq, None, f"qpos of keyframe {keyframe!r}")
+        for _, kind, at, _ in joints_of(root):
+            if kind in ("free", "ball"):  # MuJoCo writes w x y z
+                q[at.stop - 4 : at.stop] = np.roll(q[at.stop - 4 : at.stop], -1)
+    if "ctrl" in key.attrib and drives:
+        controls = numbers(key.get("ctrl"), drives, None, f"ctrl of keyframe {keyframe!r}").tolist()
+    for what in sorted(key.attrib.keys() - {"name", "time", "qpos", "ctrl"}):
+        count = model.nv if what == "qvel" else None
+        if numbers(key.get(what), count, None, f"{what} of keyframe {keyframe!r}").any():
+            report.dropped.append(f"keyframe {keyframe!r}: {what}")
+    return q, controls

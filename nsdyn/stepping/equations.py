@@ -1,0 +1,41 @@
+"""The equations of motion at an instant: M(q) v̇ + bias = joint forces + Jᵀ contact forces, v in Pinocchio's layout."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.stepping.instant import Instant
+from nsdyn.tools.arrays import Array
+
+__all__ = ["bias", "jacobian", "mass_matrix"]
+
+
+def mass_matrix(d: Dynamics, at: Instant) -> Array:
+    """M(q), shape (n, n), kg, kg m and kg m²."""
+    return _factors(d, at)[1]
+
+
+def bias(d: Dynamics, at: Instant) -> Array:
+    """Coriolis, centrifugal and gravity terms, shape (n,), N and N m."""
+    _, v = d.pinocchio_state(at.position, at.v)
+    linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
+    R = at.placement.R[: d.free]
+    force = d.mass[:, None] * (np.cross(spin, linear) - np.einsum("kji,j->ki", R, d.gravity))
+    torque = np.cross(spin, np.einsum("kij,kj->ki", d.J, spin))
+    trees = [t.bias(q, v[t.coordinates]) for t, q in zip(d.trees, at.position.trees, strict=True)]
+    return np.concatenate([np.concatenate((force, torque), axis=1).ravel(), *trees])
+
+
+def jacobian(d: Dynamics, at: Instant) -> tuple[Array, Array]:
+    """Frames of the contacts, (nc, 3, 3), rows n, t1, t2 in world axes, and J, (3 nc, n), of u = J v."""
+    frame, _, H = _factors(d, at)
+    for k, R in enumerate(at.placement.R[: d.free]):
+        H[6 * k : 6 * k + 3] = R.T @ H[6 * k : 6 * k + 3]  # from the world's axes to the body's
+    return frame, H.T
+
+
+def _factors(d: Dynamics, at: Instant) -> tuple[Array, Array, Array]:
+    """(frames of the contacts, M, H) in the step's own coordinates."""
+    rows, frame = d.rows(at.contacts, at.placement, d.inertia(at.position, at.v), None)
+    return frame, *rows.full.dense()
