@@ -36,6 +36,10 @@ class Timed:
         """Solve the problem."""
         return self._counted(self._timed(self.solver, problem, r0))
 
+    def balanced(self, problem: nd.FC3D, r0: Array, before: Array) -> nd.Solution:
+        """Solve it from a start that is to be balanced."""
+        return self._counted(self._timed(self.solver.balanced, problem, r0, before))
+
     def loosely(self, problem: nd.FC3D, r0: Array) -> nd.Solution:
         """Solve it to the loose tolerance."""
         return self._counted(self._timed(self.solver.loosely, problem, r0))
@@ -45,9 +49,9 @@ class Timed:
         solution: nd.Solution | None = self._timed(self.solver.roughly, problem, r0)
         return solution
 
-    def _timed(self, solve: Callable[..., Any], problem: nd.FC3D, r0: Array | None) -> Any:
+    def _timed(self, solve: Callable[..., Any], *given: Any) -> Any:
         start = time.process_time()
-        solution = solve(problem, r0)
+        solution = solve(*given)
         self.spent += time.process_time() - start
         return solution
 

@@ -16,17 +16,9 @@ from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["joints"]
 
-UNITS = {
-    "links": "m",
-    "loops": "m",
-    "limits": "rad",
-    "pieces": "-",
-    **joint_rows.UNITS,
-    "lift": "√J·s",
-    "joint_momentum": "√J",
-    "joint_motion": "√J·s",
-}
-"""Of the amounts; of coordinates that are lengths, m and N·s."""
+PLACES = "links", "loops", "limits"
+
+FINDINGS = *PLACES, "pieces", *joint_rows.FINDINGS, "lift", "joint_momentum", "joint_motion"
 
 
 def joints(poses: Poses, found: Retraced | str | None) -> Iterator[Found]:
@@ -36,12 +28,11 @@ def joints(poses: Poses, found: Retraced | str | None) -> Iterator[Found]:
         return
     built = trees(t) if isinstance(found, str) else found.trees
     if isinstance(built, str):
-        yield from (not_audited(name, unit, built) for name, unit in UNITS.items())
+        yield from (not_audited(name, built) for name in FINDINGS)
         return
     yield from _places(poses, built)
     if isinstance(found, str):
-        places = ("links", "loops", "limits")
-        yield from (not_audited(name, unit, found) for name, unit in UNITS.items() if name not in places)
+        yield from (not_audited(name, found) for name in FINDINGS if name not in PLACES)
         return
     yield _pieces(found.trees)
     yield from joint_rows.on_joints(found)
@@ -53,7 +44,7 @@ def joints(poses: Poses, found: Retraced | str | None) -> Iterator[Found]:
     ):
         steps, which = np.indices(amount.shape)
         figure = (amount / np.maximum(scale, 1e-300)).ravel()
-        yield worst_of(name, figure, amount.ravel(), UNITS[name], steps.ravel() + 1, _who(names, which.ravel()))
+        yield worst_of(name, figure, amount.ravel(), steps.ravel() + 1, _who(names, which.ravel()))
 
 
 def _who(names: list[str], which: Index) -> Callable[[int], list[str]]:
@@ -91,16 +82,16 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
             labels.append((k, i))
     steps, which = np.indices(off.shape)
     figure = (off / (radius + far + 1e-300)).ravel()
-    yield worst_of("links", figure, off.ravel(), "m", steps.ravel(), _who(frames, which.ravel()))
+    yield worst_of("links", figure, off.ravel(), steps.ravel(), _who(frames, which.ravel()))
     k, i = np.array(labels).T
     trees_ = [m.name for m in found.mechanisms]
     looped = np.array([found.mechanisms[tree].loops > 0 for tree in i])
     gap = np.array(gaps)[looped]
-    yield worst_of("loops", gap / np.array(scales)[looped], gap, "m", k[looped], _who(trees_, i[looped]))
+    yield worst_of("loops", gap / np.array(scales)[looped], gap, k[looped], _who(trees_, i[looped]))
     most = np.array([b.max(initial=-np.inf) for b in beyond])
     limited = most > -np.inf
     wide = np.array([r[b.argmax()] if b.size else 1.0 for r, b in zip(ranges, beyond, strict=True)])
-    yield worst_of("limits", most[limited], (most * wide)[limited], "rad", k[limited], _who(trees_, i[limited]))
+    yield worst_of("limits", most[limited], (most * wide)[limited], k[limited], _who(trees_, i[limited]))
 
 
 def _pieces(found: Trees) -> Found:
@@ -137,4 +128,4 @@ def _pieces(found: Trees) -> Found:
         times = np.full(np.count_nonzero(own), np.inf)
     acts[own] = times
     np.maximum.at(worst, step, np.abs(c["contacts/time"] - acts) / t.dt)
-    return worst_of("pieces", worst, worst, UNITS["pieces"], np.arange(t.steps) + 1, lambda _: ())
+    return worst_of("pieces", worst, worst, np.arange(t.steps) + 1, lambda _: ())

@@ -26,31 +26,31 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     """Momentum and angular momentum of free bodies in every step, and how they move; None as of `contacts`."""
     t, free = poses.trajectory, poses.free
     reason = left_out(t)
-    missing = not_audited("motion", "m", f"of every {t.every} steps one is recorded")
+    missing = not_audited("motion", f"of every {t.every} steps one is recorded")
     yield _motion(poses, flight) if t.every == 1 else missing
     if flight is None or not flight.timed:
         why = reason or "when impulses acted is not recorded"
-        yield from (not_audited(name, "m", why) for name in ("sideways", "lifts"))
+        yield from (not_audited(name, why) for name in ("sideways", "lifts"))
     else:
         yield from _lifts(poses, flight)
     if t.meta.get("external_force", True) and free:
         known = "external_force" in t.meta
         reason = "external forces act" if known else "whether external forces act is not recorded"
     if reason or flight is None:
-        yield not_audited("momentum", "N·s", reason)
-        yield not_audited("spin", "N·m·s", reason)
+        yield not_audited("momentum", reason)
+        yield not_audited("spin", reason)
         return
     mass, weight = np.array(poses.scene["masses"]), t.dt * np.array(poses.scene["gravity"])
     velocity = velocities(poses)
     left = mass[:, None] * (np.diff(velocity, axis=0) - weight) - flight.impulse
     speed = np.linalg.norm(velocity, axis=2)
     scale = flight.size + mass * (speed[:-1] + speed[1:] + np.linalg.norm(weight))
-    yield of_bodies(poses, "momentum", np.linalg.norm(left, axis=2), scale, "N·s")
+    yield of_bodies(poses, "momentum", np.linalg.norm(left, axis=2), scale)
     if not flight.timed:
-        yield not_audited("spin", "N·m·s", "when impulses acted is not recorded")
+        yield not_audited("spin", "when impulses acted is not recorded")
         return
     if np.isnan(t.columns["contacts/couple"]).any():
-        yield not_audited("spin", "N·m·s", "couples of contacts are not recorded")
+        yield not_audited("spin", "couples of contacts are not recorded")
         return
     spin, rounded = spins(poses), 8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2)
     rest = np.diff(spin, axis=0) - flight.torque
@@ -58,7 +58,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within + rounded)
     left = np.maximum(left, 0.0)
     turning = np.linalg.norm(spin, axis=2)
-    yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:], "N·m·s")
+    yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:])
 
 
 def plain(poses: Poses) -> Iterator[Found]:
@@ -68,14 +68,14 @@ def plain(poses: Poses) -> Iterator[Found]:
     # Times are rounded where they are large.
     late = np.maximum(np.abs(np.diff(t.t) - h) - 4.0 * np.finfo(float).eps * np.abs(t.t[1:]), 0.0)
     late = np.maximum(late, _alone(t))
-    yield worst_of("times", late / h, late, "s", np.arange(1, t.steps + 1), lambda _: ())
+    yield worst_of("times", late / h, late, np.arange(1, t.steps + 1), lambda _: ())
     off = np.abs(np.linalg.norm(poses.quaternion, axis=2) - 1.0)
     state, which = np.indices(off.shape)
-    yield worst_of("turns", off.ravel(), off.ravel(), "-", state.ravel(), lambda k: [frames[which.ravel()[k]]])
+    yield worst_of("turns", off.ravel(), off.ravel(), state.ravel(), lambda k: [frames[which.ravel()[k]]])
     if "frames/x" in t.columns:
         apart = np.linalg.norm(t.columns["frames/x"] - poses.x, axis=2)
         apart += np.linalg.norm(t.columns["frames/quat"] - poses.quaternion, axis=2)
-        yield worst_of("frames", apart.ravel(), apart.ravel(), "m", state.ravel(), lambda k: [frames[which.ravel()[k]]])
+        yield worst_of("frames", apart.ravel(), apart.ravel(), state.ravel(), lambda k: [frames[which.ravel()[k]]])
 
 
 def _alone(t: Trajectory) -> Array:
@@ -121,7 +121,7 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
     radius, own = np.zeros(free), np.flatnonzero((poses.frame >= 0) & (poses.frame < free))
     np.maximum.at(radius, poses.frame[own], poses.bounding_radius[own])
     amount = np.maximum(left, (turn - later) * radius)
-    return of_bodies(poses, "motion", amount, np.broadcast_to(_extents(poses), amount.shape), "m")
+    return of_bodies(poses, "motion", amount, np.broadcast_to(_extents(poses), amount.shape))
 
 
 def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
@@ -144,9 +144,9 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
     along = np.linalg.norm(np.where(open_to, parts, 0.0), axis=2)
     across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - tilt * moved[..., None], 0.0)), axis=2)
     beside = flight.unknown + 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
-    yield of_bodies(poses, "sideways", across - along - beside, moved, "m")
+    yield of_bodies(poses, "sideways", across - along - beside, moved)
     off = np.where(met, 0.0, np.linalg.norm(flight.lift, axis=2) - beside)
-    yield of_bodies(poses, "lifts", off, np.broadcast_to(_extents(poses), off.shape), "m")
+    yield of_bodies(poses, "lifts", off, np.broadcast_to(_extents(poses), off.shape))
 
 
 def _extents(poses: Poses) -> Array:
@@ -168,7 +168,7 @@ def energies(poses: Poses) -> Iterator[Found]:
 
     total, built = e.total, articulations(t)
     if isinstance(built, str):
-        yield not_audited("energy", "J", built)
+        yield not_audited("energy", built)
     else:
         pose = t.q[:, : 7 * free].reshape(t.steps + 1, free, 7)
         twist = t.v[:, : 6 * free].reshape(t.steps + 1, free, 6)
@@ -180,8 +180,8 @@ def energies(poses: Poses) -> Iterator[Found]:
             each = np.array([m.energies(*built.state(i, k)) for k in range(t.steps + 1)])
             kinetic, potential = kinetic + each[:, 0], potential + each[:, 1]
         off = np.maximum(np.abs(kinetic - e.kinetic), np.abs(potential - e.potential))
-        yield worst_of("energy", off / (scale + np.abs(potential)), off, "J", steps, nobody)
+        yield worst_of("energy", off / (scale + np.abs(potential)), off, steps, nobody)
         total = kinetic + potential
     works: Mapping[str, Array] = {name: getattr(e, name) for name in e.names[2:] if name != "defect"}
     off = np.maximum(np.abs(np.diff(total) - sum(works.values())), np.abs(e.defect))
-    yield worst_of("balance", off / (scale + np.abs(e.potential[1:])), off, "J", steps[1:], nobody)
+    yield worst_of("balance", off / (scale + np.abs(e.potential[1:])), off, steps[1:], nobody)

@@ -43,7 +43,7 @@ def described(poses: Poses, built: object) -> Found:
     if not poses.trajectory.has_contacts and poses.trajectory.columns["contacts/offset"][-1]:
         rows.append((1.0, "contacts that were not recorded"))
     off = np.array([figure for figure, _ in rows])
-    return worst_of("scene", off, off, "-", np.zeros(off.size, np.int64), lambda k: [rows[k][1]])
+    return worst_of("scene", off, off, np.zeros(off.size, np.int64), lambda k: [rows[k][1]])
 
 
 def _geom(geom: Mapping[str, Any]) -> Iterator[Row]:
@@ -96,7 +96,7 @@ def touched(poses: Poses) -> Found:
     """Contacts of shapes that cannot touch: of one body, of none that moves, or of links that are joined."""
     i, j = poses.pair
     wrong = (~(tested(poses) | tested(poses).T)[i, j]).astype(float) if i.size else np.zeros(0)
-    return worst_of("pairs", wrong, wrong, "-", poses.step + 1, lambda k: (poses.names[i[k]], poses.names[j[k]]))
+    return worst_of("pairs", wrong, wrong, poses.step + 1, poses.named(i, j))
 
 
 def unseen(poses: Poses) -> Iterator[Found]:
@@ -107,6 +107,6 @@ def unseen(poses: Poses) -> Iterator[Found]:
         driven = tree.get("model", {}).get("driven", {})
         varied += [f"{tree['name']}/{joint}" for joint, rate in driven.items() if rate is None]
     if varied:
-        yield not_audited("prescribed", "-", f"how {', '.join(map(repr, varied))} should move is not recorded")
-    yield not_audited("certificates", "-", "the problems that were solved are not recorded")
-    yield not_audited("provenance", "-", "nothing moves by it")
+        yield not_audited("prescribed", f"how {', '.join(map(repr, varied))} should move is not recorded")
+    yield not_audited("certificates", "the problems that were solved are not recorded")
+    yield not_audited("provenance", "nothing moves by it")

@@ -11,7 +11,7 @@ import numpy as np
 from nsdyn.audit.poses import Poses
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["MEANING", "TOLERANCES", "Finding", "Found", "at_play", "not_audited", "of_bodies", "worst_of"]
+__all__ = ["MEANING", "TOLERANCES", "UNITS", "Finding", "Found", "at_play", "not_audited", "of_bodies", "worst_of"]
 
 TOLERANCES = {
     "scene": 1e-12,  # some hundred roundings
@@ -119,6 +119,25 @@ MEANING = {
 }
 """What each finding is a number of."""
 
+UNITS = {
+    name: unit
+    for unit, names in {
+        "-": "scene pairs materials axes states turns pieces prescribed certificates provenance",
+        "m": "overlap distance normal points gaps motion sideways lifts frames links loops",
+        "s": "times",
+        "m/s": "velocities partings",
+        "rad": "limits stops",
+        "rad/s": "rebounds shared_rebounds",
+        "N·s": "cone momentum",
+        "N·m·s": "spin joint_cone loads wrenches pushes strength",
+        "J": "friction slip dissipation created energy balance joint_slip contact_works works drives",
+        "√J": "joint_momentum",
+        "√J·s": "lift joint_motion",
+    }.items()
+    for name in names.split()
+}
+"""Of the amount of each; of coordinates that are lengths, m and N·s."""
+
 
 SMALL = 1e-6
 """What an articulation without weight is measured by where nothing moves: the energy of so much of its size a step."""
@@ -165,27 +184,27 @@ class Finding:
 Found = tuple[str, Callable[[float], Finding]]
 
 
-def worst_of(name: str, figure: Array, amount: Array, unit: str, step: Index, bodies: Callable[[int], Any]) -> Found:
+def worst_of(name: str, figure: Array, amount: Array, step: Index, bodies: Callable[[int], Any]) -> Found:
     """The largest of some figures; NaN is the largest."""
     if not figure.size:
-        return name, lambda tol: Finding(name, MEANING[name], 0.0, tol, 0.0, unit, -1, (), 0)
+        return name, lambda tol: Finding(name, MEANING[name], 0.0, tol, 0.0, UNITS[name], -1, (), 0)
     k = int(np.argmax(np.where(np.isnan(figure), np.inf, figure)))
     found = max(0.0, float(figure[k])), max(0.0, float(amount[k])), int(step[k]), tuple(bodies(k)), figure.size
     worst, size, at, who, count = found if not np.isnan(figure[k]) else (np.nan, np.nan, *found[2:])
-    return name, lambda tol: Finding(name, MEANING[name], worst, tol, size, unit, at, who, count)
+    return name, lambda tol: Finding(name, MEANING[name], worst, tol, size, UNITS[name], at, who, count)
 
 
-def not_audited(name: str, unit: str, reason: str) -> Found:
+def not_audited(name: str, reason: str) -> Found:
     """An item that there is no figure of, and why."""
-    return name, lambda tol: Finding(name, MEANING[name], np.nan, tol, np.nan, unit, -1, (), 0, reason)
+    return name, lambda tol: Finding(name, MEANING[name], np.nan, tol, np.nan, UNITS[name], -1, (), 0, reason)
 
 
-def of_bodies(poses: Poses, name: str, amount: Array, scale: Array, unit: str) -> Found:
+def of_bodies(poses: Poses, name: str, amount: Array, scale: Array) -> Found:
     """The worst of free bodies and steps, from arrays (n, bodies)."""
     steps, bodies = np.indices(amount.shape)
     figure = (amount / np.maximum(scale, 1e-300)).ravel()
     return worst_of(
-        name, figure, amount.ravel(), unit, steps.ravel() + 1, lambda k: [poses.scene["frames"][bodies.ravel()[k]]]
+        name, figure, amount.ravel(), steps.ravel() + 1, lambda k: [poses.scene["frames"][bodies.ravel()[k]]]
     )
 
 

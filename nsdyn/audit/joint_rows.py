@@ -17,17 +17,7 @@ from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["on_joints"]
 
-UNITS = {
-    "stops": "rad",
-    "rebounds": "rad/s",
-    "shared_rebounds": "rad/s",
-    "joint_cone": "N·m·s",
-    "joint_slip": "J",
-    "loads": "N·m·s",
-    "wrenches": "N·m·s",
-    "pushes": "N·m·s",
-    "strength": "N·m·s",
-}
+FINDINGS = "stops rebounds shared_rebounds joint_cone joint_slip loads wrenches pushes strength".split()
 
 NOTHING = 1e-9
 """Fraction of the largest impulse or momentum of a step below which an impulse is nothing."""
@@ -155,7 +145,7 @@ def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
     yield _worst("rebounds", rows)
     if shared:
         reason = f"{shared} limits rebound together, or in a move, as often as is not recorded"
-        yield not_audited("shared_rebounds", UNITS["shared_rebounds"], reason)
+        yield not_audited("shared_rebounds", reason)
     else:
         yield _worst("shared_rebounds", [])
 
@@ -187,7 +177,7 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
 
 def _worst(name: str, rows: list[Row]) -> Found:
     figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T
-    return worst_of(name, figure, amount, UNITS[name], step.astype(int), lambda k: [rows[k][3]])
+    return worst_of(name, figure, amount, step.astype(int), lambda k: [rows[k][3]])
 
 
 def _labels(m: Mechanism) -> list[str]:
@@ -236,7 +226,7 @@ def _strength(found: Retraced) -> Found:
     k, j = np.nonzero(np.isfinite(most))
     over = np.abs(given[k, j]) - most[k, j]
     figure = over / np.maximum(most[k, j], 1e-300)
-    return worst_of("strength", figure, over, UNITS["strength"], step[k], partial(_named, labels, j))
+    return worst_of("strength", figure, over, step[k], partial(_named, labels, j))
 
 
 def _loads(found: Retraced) -> Iterator[Found]:
@@ -247,10 +237,10 @@ def _loads(found: Retraced) -> Iterator[Found]:
         ("wrenches", "external", "external_force", "external forces"),
     ):
         if found.trees.trajectory.meta.get(given, True):
-            yield not_audited(name, UNITS[name], f"{what} are not recorded")
+            yield not_audited(name, f"{what} are not recorded")
             continue
         amount, step = _acted(found, column)
         largest = np.abs(amount).max(axis=1, initial=0.0)
         figure = largest / max(float(largest.max(initial=0.0)), 1e-300)
         who = np.abs(amount).argmax(axis=1) if amount.size else step
-        yield worst_of(name, figure, largest, UNITS[name], step, partial(_named, labels, who))
+        yield worst_of(name, figure, largest, step, partial(_named, labels, who))

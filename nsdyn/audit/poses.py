@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -134,6 +134,10 @@ class Poses:
         for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
             if rows.size:
                 yield self.solids[self.kind[first[rows[0]]]], self.solids[self.kind[second[rows[0]]]], rows
+
+    def named(self, first: Index, second: Index) -> Callable[[int], tuple[str, str]]:
+        """The names of both shapes of pairs, by number."""
+        return lambda k: (self.names[first[k]], self.names[second[k]])
 
     def size(self, first: Index, second: Index) -> Array:
         """Smallest extent of the smaller shape of pairs, m."""

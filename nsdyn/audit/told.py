@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,6 @@ from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["told"]
-
-UNITS = {"gaps": "m", "velocities": "m/s", "partings": "m/s", "states": "-"}
 
 CREEP = 1e-2
 """m/s: velocities are measured by how fast contacts are, and this, beside which what solvers leave is nothing."""
@@ -35,22 +33,18 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     """Findings of contacts; None where not all steps are recorded."""
     t = poses.trajectory
     if flight is None:
-        yield from (not_audited(name, unit, left_out(t)) for name, unit in UNITS.items())
+        yield from (not_audited(name, left_out(t)) for name in ("gaps", "velocities", "partings", "states"))
         return
     c, step, (i, j) = poses.contacts, poses.step, poses.pair
-
-    def names(k: int) -> tuple[str, str]:
-        return poses.names[i[k]], poses.names[j[k]]
-
     off = _gaps(poses, flight, c, (i, j, step))
-    yield worst_of("gaps", off / poses.size(i, j), off, "m", step + 1, names)
-    yield _velocities(poses, flight, c, step, names)
-    yield _partings(poses, flight, c, step, names)
+    yield worst_of("gaps", off / poses.size(i, j), off, step + 1, poses.named(i, j))
+    yield _velocities(poses, flight, c, step)
+    yield _partings(poses, flight, c, step)
     # With θ = 1 what follows an impact acts at its time.
     wrong = _states(poses, flight, c, step) | _keys(
         c, (i, j, step), len(poses.names), 1 + (float(t.meta["theta"]) == 1.0)
     )
-    yield worst_of("states", wrong.astype(float), wrong.astype(float), "-", step + 1, names)
+    yield worst_of("states", wrong.astype(float), wrong.astype(float), step + 1, poses.named(i, j))
 
 
 def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, Index, Index]) -> Array:
@@ -103,9 +97,7 @@ def _travel(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index
     return out
 
 
-def _velocities(
-    poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, names: Callable[[int], tuple[str, str]]
-) -> Found:
+def _velocities(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Found:
     """Velocities of what pushes are those after the impulse; in a piece that moves, as they are foreseen for its end.
 
     Foreseen is as much change once more as there was until the impulse, up to as much as what turns can make, and what
@@ -116,7 +108,7 @@ def _velocities(
     moves = ~np.isnan(met.after).any(axis=1)
     known = np.flatnonzero(moves & (c["impulse"][:, 0] > 0.0))
     if step.size and not moves.any():
-        return not_audited("velocities", "m/s", "how what touches moves is not recorded")
+        return not_audited("velocities", "how what touches moves is not recorded")
     off = np.linalg.norm(u - met.after, axis=1)
     for v in (met.after, *(met.after + met.before - begin for begin in met.begin)):
         coming = flight.coming
@@ -132,12 +124,10 @@ def _velocities(
     off = off - 2.0 * flight.unsure - np.where(flight.instant, 0.0, bent)
     speed = np.maximum(np.linalg.norm(met.before, axis=1), np.linalg.norm(met.after, axis=1))
     figure = off / np.maximum(speed, CREEP)
-    return worst_of("velocities", figure[known], off[known], "m/s", step[known] + 1, lambda k: names(known[k]))
+    return worst_of("velocities", figure[known], off[known], step[known] + 1, poses.named(*poses.pair[:, known]))
 
 
-def _partings(
-    poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, names: Callable[[int], tuple[str, str]]
-) -> Found:
+def _partings(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Found:
     """What does not rebound, at an instant at which nothing does, does not part where it has pushed free bodies."""
     t, met, pushes = poses.trajectory, flight.met, c["impulse"][:, 0] > 0.0
     _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
@@ -147,7 +137,7 @@ def _partings(
     turning = max(theta := float(t.meta["theta"]), 1.0 - theta) * t.dt * met.bent + flight.unsure
     off = np.minimum(c["u"], met.after)[:, 0] - turning - SLOW
     figure = off / np.maximum(np.abs(met.before[:, 0]), CREEP)
-    return worst_of("partings", figure[some], off[some], "m/s", step[some] + 1, lambda k: names(some[k]))
+    return worst_of("partings", figure[some], off[some], step[some] + 1, poses.named(*poses.pair[:, some]))
 
 
 def _states(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Bools:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -66,12 +66,8 @@ def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
     """True overlaps in all states, the worst by size or in m."""
     depth, first, second, state = separations(poses)
     depth = depth - _squeezed(poses, depth, first * len(poses.names) + second, state)
-
-    def names(k: int) -> tuple[str, str]:
-        return poses.names[first[k]], poses.names[second[k]]
-
     figure = depth / poses.size(first, second) if by_size else depth
-    yield worst_of("overlap", figure, depth, "m", state, names)
+    yield worst_of("overlap", figure, depth, state, poses.named(first, second))
 
 
 def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:
@@ -133,41 +129,29 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
 def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     """Where impulses act, in which cones they are, and what friction does; None where not all steps are recorded."""
     t = poses.trajectory
-    units = {
-        "distance": "m",
-        "normal": "m",
-        "points": "m",
-        "cone": "N·s",
-        "friction": "J",
-        "slip": "J",
-        "materials": "-",
-        "axes": "-",
-    }
-    missing = list(units) if not t.has_contacts else ["distance", "normal", "points"] if t.every > 1 else []
-    yield from (not_audited(name, units[name], left_out(t)) for name in missing)
+    where = "distance", "normal", "points"
+    missing = [*where, "cone", "friction", "slip", "materials", "axes"] if not t.has_contacts else where
+    if not t.has_contacts or t.every > 1:
+        yield from (not_audited(name, left_out(t)) for name in missing)
     if not t.has_contacts:
         return
-    c, step, (first, second) = poses.contacts, poses.step + 1, poses.pair
+    c, step, names = poses.contacts, poses.step + 1, poses.named(*poses.pair)
     r, mu = c["impulse"], c["mu"]
     drag = np.linalg.norm(r[:, 1:], axis=1)
-
-    def names(k: int) -> tuple[str, str]:
-        return poses.names[first[k]], poses.names[second[k]]
-
     largest = np.zeros(t.steps + 1)
     np.maximum.at(largest, step, np.linalg.norm(r, axis=1))
 
     if flight is not None:
         yield from _where(poses, flight, c, step, largest)
-    yield _coefficients(poses, c, (first, second), step, names)
+    yield _coefficients(poses, c, step)
     n, t1 = c["normal"], c["tangent"]
     skew = np.abs(np.stack([(n * n).sum(axis=1) - 1.0, (t1 * t1).sum(axis=1) - 1.0, (n * t1).sum(axis=1)])).max(axis=0)
-    yield worst_of("axes", skew, skew, "-", step, names)
+    yield worst_of("axes", skew, skew, step, names)
     most = mu * np.maximum(r[:, 0], 0.0)
     outside = np.maximum(-r[:, 0], np.where(_slips(c, flight), np.abs(drag - most), drag - most))
     outside -= _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
-    yield worst_of("cone", outside / scale, outside, "N·s", step, names)
+    yield worst_of("cone", outside / scale, outside, step, names)
     # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
     u = np.where(_rebounding(poses, c, step)[:, None], 0.0, c["u"][:, 1:])
     power = (r[:, 1:] * u).sum(axis=1)
@@ -175,22 +159,20 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
         # Of what strikes and rests then, by a law that has friction against the mean slip, it is that.
         mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1)
         power = np.where(c["restitution"] > 0.0, np.fmin(power, mean), power)
-    yield worst_of("friction", power / at_play(poses), power, "J", step, names)
+    yield worst_of("friction", power / at_play(poses), power, step, names)
     most = _rubbed(r, mu, u)
     if flight is not None and flight.timed:
         # One that slides through is rubbed against its mean slip.
         most = np.fmin(most, _rubbed(r, mu, flight.met.mean[:, 1:]))
-    yield worst_of("slip", most / at_play(poses), most, "J", step, names)
+    yield worst_of("slip", most / at_play(poses), most, step, names)
 
 
-def _coefficients(
-    poses: Poses, c: Mapping[str, Any], pair: tuple[Index, Index], step: Index, names: Callable[[int], tuple[str, str]]
-) -> Found:
+def _coefficients(poses: Poses, c: Mapping[str, Any], step: Index) -> Found:
     """Friction and restitution of contacts, which are those of their materials, or of what was set of two bodies."""
     scene = poses.scene
     if "pairs" not in scene:
-        return not_audited("materials", "-", "what was set of pairs of bodies is not recorded")
-    both, which = np.unique(np.stack(pair), axis=1, return_inverse=True)
+        return not_audited("materials", "what was set of pairs of bodies is not recorded")
+    both, which = np.unique(poses.pair, axis=1, return_inverse=True)
     told = np.empty((both.shape[1], 2))
     # Bodies of articulations beat their articulations.
     special = sorted(scene["pairs"], key=lambda of: of["first"].count("/") + of["second"].count("/"))
@@ -203,7 +185,7 @@ def _coefficients(
             by_rule = COMBINATION_RULES[scene[rule]](*(np.array(g[name], float) for g in geoms))
             told[row, column] = by_rule if own.get(name) is None else own[name]
     off = np.abs(np.stack([c["mu"], c["restitution"]], axis=1) - told[which.ravel()]).max(axis=1)
-    return worst_of("materials", off, off, "-", step, names)
+    return worst_of("materials", off, off, step, poses.named(*poses.pair))
 
 
 def _called(geom: Mapping[str, Any]) -> tuple[str, str]:
@@ -276,14 +258,10 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
     travel = np.abs(np.diff(lengthwise, axis=0)).sum(axis=0) + unsure
     # A contact and its normal are those of some time within the step.
     away, skew = lengthwise[1:4].min(axis=0), (np.minimum(free, 0.0) - lengthwise[1:4]).min(axis=0)
-
-    def names(row: int) -> tuple[str, str]:
-        return poses.names[i[row]], poses.names[j[row]]
-
     for name, off in (("distance", away - travel), ("normal", skew - travel)):
-        yield worst_of(name, off / size, off, "m", k, names)
+        yield worst_of(name, off / size, off, k, poses.named(i, j))
     off = _off_surfaces(poses, flight, (i, j, k), moments[1:4], c["point"][push], n) - unsure
-    yield worst_of("points", off / size, off, "m", k, names)
+    yield worst_of("points", off / size, off, k, poses.named(i, j))
 
 
 def _off_surfaces(

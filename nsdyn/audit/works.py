@@ -41,7 +41,7 @@ def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> 
     if isinstance(found, str):
         reason = reason or found
     if reason or flight is None:
-        yield from (not_audited(name, "J", reason) for name in ("contact_works", "works", "drives"))
+        yield from (not_audited(name, reason) for name in ("contact_works", "works", "drives"))
         return
     retraced = None if isinstance(found, str) else found
     yield _of_contacts(poses, retraced, flight)
@@ -53,13 +53,13 @@ def _dissipation(poses: Poses) -> Iterator[Found]:
     t, e, scale = poses.trajectory, poses.trajectory.energy, at_play(poses)
     steps, told = np.arange(1, t.steps + 1), np.nan_to_num(e.created)
     if any(geom.get("restitution", 0.0) for geom in t.scene["geoms"]) and (reason := left_out(t)):
-        yield not_audited("dissipation", "J", reason)
+        yield not_audited("dissipation", reason)
     else:
         work = e.normal + e.friction - _falls(t) - np.maximum(told, 0.0)
-        yield worst_of("dissipation", work / scale, work, "J", steps, _nobody)
+        yield worst_of("dissipation", work / scale, work, steps, _nobody)
     lawful = str(t.meta.get("impact", "")).partition("(")[0].lower() in PARADOXICAL
     off = np.where(np.isnan(e.created) | (e.created >= 0.0), told * (not lawful), np.abs(told))
-    yield worst_of("created", off / scale, off, "J", steps, _nobody)
+    yield worst_of("created", off / scale, off, steps, _nobody)
 
 
 def _nobody(_: int) -> tuple[str, ...]:
@@ -121,11 +121,9 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
         [(np.abs(normal) + np.abs(friction) - doubt)[single], (np.abs(whole[0]) - whole[1])[of[first]]]
     )
     if step.size and not rows.size:
-        return not_audited("contact_works", "J", "how what touches moves is not recorded")
-    names, scale = [c[f"geom{k}"][rows] for k in "12"], np.concatenate([scale[single], whole[2][of[first]]])
-    return worst_of(
-        "contact_works", off / scale, off, "J", step[rows] + 1, lambda k: [poses.names[g[k]] for g in names]
-    )
+        return not_audited("contact_works", "how what touches moves is not recorded")
+    pair, scale = [c[f"geom{k}"][rows] for k in "12"], np.concatenate([scale[single], whole[2][of[first]]])
+    return worst_of("contact_works", off / scale, off, step[rows] + 1, poses.named(*pair))
 
 
 def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[Found]:
@@ -159,14 +157,12 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     names = list(left)
     off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
     which, steps = np.indices(off.shape)
-    yield worst_of(
-        "works", off.ravel() / scale, off.ravel(), "J", steps.ravel() + 1, lambda k: [names[which.ravel()[k]]]
-    )
+    yield worst_of("works", off.ravel() / scale, off.ravel(), steps.ravel() + 1, lambda k: [names[which.ravel()[k]]])
     if any(kind != "joint" for kind in t.scene.get("motions", {}).values()):
-        yield not_audited("drives", "J", "velocities of driven bodies and of surfaces are not recorded")
+        yield not_audited("drives", "velocities of driven bodies and of surfaces are not recorded")
         return
     off = np.abs(e.constraint - of_trees.get("constraint", nothing)) - doubt
-    yield worst_of("drives", off / scale, off, "J", np.arange(1, t.steps + 1), lambda _: ["constraint"])
+    yield worst_of("drives", off / scale, off, np.arange(1, t.steps + 1), lambda _: ["constraint"])
 
 
 def _twice(poses: Poses, flight: Flight) -> Array:

@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
 from nsdyn.audit import touching
-from nsdyn.audit.articulated import UNITS
+from nsdyn.audit.articulated import FINDINGS
 from nsdyn.audit.audit import deepest
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.audit.flight import Flight, tumbled
 from nsdyn.audit.poses import Poses
 
-ARTICULATED = {*UNITS}
+ARTICULATED = {*FINDINGS}
 """Findings of articulations alone."""
 
 UNSEEN = "certificates", "provenance"
