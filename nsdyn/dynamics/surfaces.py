@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene.scene import Scene
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Surfaces"]
 
@@ -112,6 +112,12 @@ class Surfaces:
             # Term by term, so that what one contact gets does not depend on how many there are.
             out[k, : len(frame)] = frame[:, :, 0] * w[..., 0] + frame[:, :, 1] * w[..., 1] + frame[:, :, 2] * w[..., 2]
         return out[0].ravel(), out[1].ravel()
+
+    def carry(self, contacts: ContactSet) -> Bools:
+        """Which contacts are with driven bodies or sliding surfaces, shape (nc,)."""
+        moves = self._motion_of_geom >= 0
+        out: Bools = moves[contacts.geom1] | moves[contacts.geom2]
+        return out
 
     def velocities(self, contacts: ContactSet, driven_x: Array, twist: Array) -> Array:
         """What the surfaces add to the relative velocities, world axes, shape (nc, 3); (0, 3) without surfaces."""

@@ -255,22 +255,23 @@ class Islands:
     def _gaining(self, begin: Instant, made: Passage, tried: Trial, label: Index, opened: Bools) -> None:
         """Open the islands whose contacts add energy in a move made: by themselves these take it in pieces."""
         s, d, a, met = self.whole, self.whole.dynamics, made.done[0], tried.response.met
-        if d.surfaces.count or d.trees or not a.status.size:  # as of `passage`
+        if not a.status.size:
             return
         far = turns_far(s, s.dt, a, begin, made.end)
         opened[label[s.nodes(a.contacts)[far]]] = True
-        nothing = np.where(met.stays, a.normal, 0.0) + np.where(met.sticks & (a.status == 1), a.friction, 0.0)
-        other = a.normal + a.friction - nothing
-        island = label[s.nodes(a.contacts)]
-        gained, more = (np.bincount(island, work, minlength=opened.size) for work in (nothing, other))
+        nc, island, count = a.status.size, label[s.nodes(a.contacts)], opened.size
+        nothing = np.where(met.stays[:nc], a.normal, 0.0) + np.where(met.sticks & (a.status == 1), a.friction, 0.0)
+        gained, more = (np.bincount(island, w, count) for w in (nothing, a.normal + a.friction - nothing))
         if not s.elastic:
+            more[island[d.surfaces.carry(a.contacts)]] = 0.0
             gained += np.maximum(more, 0.0)
+        gained[label[d.free :]] = 0.0  # trees, as of `passage`
         if (gained > 0.0).any():
             energies = []
             for v in (begin.v, s.dt * made.rate):
-                linear, spin = v.reshape(-1, 2, 3).swapaxes(0, 1)
+                linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
                 of_bodies = d.mass * (linear * linear).sum(axis=1) + np.einsum("ki,kij,kj->k", spin, d.J, spin)
-                energies.append(np.bincount(label, 0.5 * of_bodies, minlength=opened.size))
+                energies.append(np.bincount(label[: d.free], 0.5 * of_bodies, count))
             opened |= gained > GAIN * np.maximum(*energies)
 
     def _kept(self, tried: Trial, left: Bools, next_key: int) -> Trial:

@@ -131,7 +131,7 @@ def _pass(
     sunk = sunk or any(turns_far(s, h, a, begin, out.end).any() for a in out.done)
     now, solved, works = out.end, out.solved, out.works
     d, gained = s.dynamics, sum(w.integration for w in works)
-    if not d.surfaces.count:
+    if not any(d.surfaces.carry(a.contacts).any() for a in out.done):  # of what is driven the work is its own
         gained += sum(w.projection for w in works)
         if not s.elastic:  # where nothing rebounds contacts only take energy
             gained += sum(max(0.0, w.normal + w.friction) for w in works)

@@ -253,7 +253,7 @@ def told(s, rows, contacts, begun, flags, status, head, room):
 
     contacts = (met, found at its end), begun = (old state, direction of the last certificate).
     """
-    scene, (_, nowhere, inscribed), inertia, _, loads, _, movers, _ = s
+    scene, (_, nowhere, inscribed), inertia, _, loads, _, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
     (met, now), (b_old, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]
@@ -265,8 +265,6 @@ def told(s, rows, contacts, begun, flags, status, head, room):
     if nc > 0 and num[col.FEWEST] >= 0.0:
         r, u, q = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
         out[col.SUSPECT] = suspect(rows[0], met[2][1], q, u, r, int(num[col.FEWEST]))
-    if movers[1][0].size > 0:
-        return DONE
     works, fallen = (
         (col.column(a, col.NORMAL_WORK, nc), col.column(a, col.FRICTION_WORK, nc)),
         col.velocity(w, col.CHANGE, size),

@@ -128,7 +128,8 @@ def may_gain(mass, works, fallen):
 def gains(num, bodies, blocks, met, flags, status, works, velocities):
     """Whether contacts that persist, and those that could only take energy, add too much to that of any island.
 
-    works = (normal, friction), velocities: those that the step begins with, and that gravity gives in it.
+    Trees keep their own errors small: their islands are passed over. works = (normal, friction), velocities: those that
+    the step begins with, and that gravity gives in it.
     """
     (mass, J), nc, (normal, friction) = bodies, status.size, works
     added, label = np.zeros((2, nc)), np.empty(nc, np.int64)
@@ -146,7 +147,9 @@ def gains(num, bodies, blocks, met, flags, status, works, velocities):
     for c in range(nc):
         for s in range(2):
             k = met[0][2 + s, c]
-            if k >= 0 and not counted[k]:
+            if k >= mass.size:
+                energies[0, label[c]] = np.inf
+            elif k >= 0 and not counted[k]:
                 counted[k] = True
                 for j in range(2):
                     v, i, twice = velocities[j], 6 * k, 0.0
