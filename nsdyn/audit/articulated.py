@@ -121,11 +121,10 @@ def _pieces(found: Trees) -> Found:
     np.maximum.at(worst, each, (begun + duration - t.dt) / t.dt)
     # Impulses act (1 - θ) of a piece after its beginning, those of a step that was not cut of the step's.
     step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
-    acts = np.full(step.size, ahead * t.dt)
+    acts = np.tile([[ahead * t.dt], [t.dt]], step.size)
     own = counts[step] > 0
-    times = np.repeat(begun + ahead * duration, np.maximum(c["pieces/contacts"], 0))
-    if times.size != np.count_nonzero(own):
-        times = np.full(np.count_nonzero(own), np.inf)
-    acts[own] = times
-    np.maximum.at(worst, step, np.abs(c["contacts/time"] - acts) / t.dt)
+    times = np.repeat([begun + ahead * duration, duration], np.maximum(c["pieces/contacts"], 0), axis=1)
+    acts[:, own] = times if times.shape[1] == np.count_nonzero(own) else np.inf
+    for name, told in zip(("time", "duration"), acts, strict=True):
+        np.maximum.at(worst, step, np.nan_to_num(np.abs(c[f"contacts/{name}"] - told)) / t.dt)
     return worst_of("pieces", worst, worst, np.arange(t.steps) + 1, lambda _: ())

@@ -135,10 +135,10 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     Where only every N-th step is recorded there are no balances of momentum, nor of the works of contacts one by
     one, nor is it known where those of the last step were in its middle; the ledger is audited, being of all steps.
     Where contacts are not recorded, nothing is audited that they do. In recordings before format 7 articulations
-    have no model, and nothing is audited of them but overlaps and contacts; before format 6 it is not known when
-    impulses acted, and angular momenta are not audited; before format 3 not whether external forces acted, nor
-    which links may overlap, so links of one articulation are not compared. What is set of pairs of bodies is
-    recorded since coefficients are audited.
+    have no model, and nothing is audited of them but overlaps and contacts; before format 10 it is not known in what
+    moves impulses acted, and angular momenta and works of contacts are not audited; before format 3 not whether
+    external forces acted, nor which links may overlap, so links of one articulation are not compared. What is set of
+    pairs of bodies is recorded since coefficients are audited.
 
     Examples
     --------

@@ -9,11 +9,10 @@ import numpy as np
 from nsdyn.audit.findings import Found, at_play, not_audited, of_bodies, worst_of
 from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
-from nsdyn.audit.pushes import velocities
+from nsdyn.audit.pushes import Times, velocities
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out
-from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array
 
 __all__ = ["energies", "momenta", "plain"]
@@ -29,7 +28,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     missing = not_audited("motion", f"of every {t.every} steps one is recorded")
     yield _motion(poses, flight) if t.every == 1 else missing
     if flight is None or not flight.timed:
-        why = reason or "when impulses acted is not recorded"
+        why = reason or "in what moves impulses acted is not recorded"
         yield from (not_audited(name, why) for name in ("sideways", "lifts"))
     else:
         yield from _lifts(poses, flight)
@@ -47,7 +46,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     scale = flight.size + mass * (speed[:-1] + speed[1:] + np.linalg.norm(weight))
     yield of_bodies(poses, "momentum", np.linalg.norm(left, axis=2), scale)
     if not flight.timed:
-        yield not_audited("spin", "when impulses acted is not recorded")
+        yield not_audited("spin", "in what moves impulses acted is not recorded")
         return
     if np.isnan(t.columns["contacts/couple"]).any():
         yield not_audited("spin", "couples of contacts are not recorded")
@@ -55,19 +54,25 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     spin, rounded = spins(poses), 8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2)
     rest = np.diff(spin, axis=0) - flight.torque
     # Where on its way the projection lifts a body is not recorded.
-    left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within + rounded)
+    left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown + rounded)
     left = np.maximum(left, 0.0)
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:])
 
 
 def plain(poses: Poses) -> Iterator[Found]:
-    """Whether times are those of the steps, quaternions of norm 1, and frames of free bodies where these are."""
+    """Whether times are those of the steps, quaternions of norm 1, and frames of free bodies where these are.
+
+    And whether rows are numbers: what a recording of an older format lacks is none in its first rows, or in all.
+    """
     t, frames = poses.trajectory, poses.scene["frames"]
+    odd = {name: float(_ends(x)) for name, x in t.columns.items() if x.dtype.kind == "f"}
+    figure = np.array(list(odd.values()))
+    yield worst_of("numbers", figure, figure, np.zeros(len(odd), np.int64), lambda k: [list(odd)[k]])
     h = t.dt * t.every
     # Times are rounded where they are large.
     late = np.maximum(np.abs(np.diff(t.t) - h) - 4.0 * np.finfo(float).eps * np.abs(t.t[1:]), 0.0)
-    late = np.maximum(late, _alone(t))
+    late = np.maximum(late, _outside(poses))
     yield worst_of("times", late / h, late, np.arange(1, t.steps + 1), lambda _: ())
     off = np.abs(np.linalg.norm(poses.quaternion, axis=2) - 1.0)
     state, which = np.indices(off.shape)
@@ -78,25 +83,27 @@ def plain(poses: Poses) -> Iterator[Found]:
         yield worst_of("frames", apart.ravel(), apart.ravel(), state.ravel(), lambda k: [frames[which.ravel()[k]]])
 
 
-def _alone(t: Trajectory) -> Array:
-    """How far from 1 - θ of a step its impulses act where they have one instant, which others have too, (n,), s.
+def _ends(column: Array) -> bool:
+    """Whether a row that is no number follows on one that is."""
+    none = np.isnan(column).any(axis=tuple(range(1, column.ndim)))
+    return bool(none.any()) and not none.all() and bool(none[none.argmin() :].any())
 
-    Impacts have instants of their own, which may be the beginnings of their steps, and steps that are cut for many have
-    several.
-    """
-    out, when = np.zeros(t.steps), t.columns["contacts/time"]
-    if left_out(t) or np.isnan(when).any():
+
+def _outside(poses: Poses) -> Array:
+    """How far moves that contacts act in are outside of their step, or in each other on a free body, (n,), s."""
+    t, out = poses.trajectory, np.zeros(poses.trajectory.steps)
+    if left_out(t) or not (times := Times.of(poses)).known:
         return out
-    first, last = t.columns["contacts/offset"][:-1], t.columns["contacts/offset"][1:]
-    some = np.flatnonzero(last > first)
-    low, high = (f.reduceat(when, first[some]) if some.size else when[:0] for f in (np.minimum, np.maximum))
-    strikes = np.maximum.reduceat(t.columns["contacts/restitution"], first[some]) > 0.0 if some.size else low > 0.0
-    one = (low == high) & ~(strikes & (low == 0.0))
-    some, low = some[one], low[one]
-    _, which, count = np.unique(low, return_inverse=True, return_counts=True)
-    often = count[which] > 0.5 * some.size
-    late = np.abs(low - (1.0 - float(t.meta["theta"])) * t.dt)
-    out[some] = np.where(often & (some.size > 3), np.maximum(late - 1e-9 * t.dt, 0.0), 0.0)
+    begin = times.time - (1.0 - float(t.meta["theta"])) * times.length
+    end = begin + times.length
+    np.maximum.at(out, poses.step, np.max([-begin, end - t.dt, begin - end], axis=0))
+    side, row = np.nonzero((poses.frame[poses.pair] >= 0) & (poses.frame[poses.pair] < poses.free))
+    body = poses.frame[poses.pair][side, row]
+    row = row[order := np.lexsort(((begin + end)[row], body, poses.step[row]))]
+    one, other = row[:-1], row[1:]
+    next_ = (body[order][:-1] == body[order][1:]) & (poses.step[one] == poses.step[other])
+    same = (begin[one] == begin[other]) & (end[one] == end[other])
+    np.maximum.at(out, poses.step[other], np.where(next_ & ~same, end[one] - begin[other], 0.0))
     return out
 
 
@@ -108,7 +115,7 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
         left, turn = np.linalg.norm(flight.lift, axis=2) - flight.unknown, flight.turn
         # How far bodies were lifted in a step in pieces is not recorded.
         rest = np.linalg.norm(np.diff(spins(poses), axis=0) - flight.torque, axis=2)
-        rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within)
+        rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
         least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
         later = np.where(flight.cut, t.dt * rest / least, 0.0)
     else:

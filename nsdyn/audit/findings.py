@@ -38,6 +38,7 @@ TOLERANCES = {
     "spin": 1e-9,
     "energy": 1e-9,
     "balance": 1e-9,
+    "numbers": 0.0,
     "times": 1e-9,
     "turns": 1e-12,  # some hundred roundings
     "frames": 0.0,  # which are copies
@@ -90,7 +91,8 @@ MEANING = {
     "momentum": "m Δv - Σ r - h m g of a free body / momenta and impulses of which this is the sum",
     "spin": "ΔL - Σ (p - x) × r - couples of a free body, x then / angular momenta and impulses times their levers",
     "energy": "energy as recorded - energy of q and v / energy at play",
-    "times": "time of a step - dt / dt",
+    "numbers": "1 for a column with rows that are no numbers after one that is",
+    "times": "time of a step - dt, or moves of contacts outside of it, or in each other / dt",
     "turns": "norm of a quaternion - 1",
     "frames": "frame of a free body as recorded - that of q, and whether others are numbers",
     "links": "frame of a link as recorded - that of q / its place and size",
@@ -122,7 +124,7 @@ MEANING = {
 UNITS = {
     name: unit
     for unit, names in {
-        "-": "scene pairs materials axes states turns pieces prescribed certificates provenance",
+        "-": "scene numbers pairs materials axes states turns pieces prescribed certificates provenance",
         "m": "overlap distance normal points gaps motion sideways lifts frames links loops",
         "s": "times",
         "m/s": "velocities partings",

@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.pushes import Pieces, Pushes, times, together, velocities
+from nsdyn.audit.pushes import Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -29,8 +29,9 @@ class Flight:
 
         x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + what w moves,
 
-    which at the end is θ h w, and h w / 2 where the step was cut. All arrays are of shape (n, free, ...) but those of
-    contacts, (contacts, ...).
+    which at the end is θ h w, and h w / 2 where the step was cut: forces act with the impulses of each of its moves,
+    and have brought the body to where a constant one would at the ends of these. All arrays are of shape (n, free, ...)
+    but those of contacts, (contacts, ...).
 
     Attributes
     ----------
@@ -40,9 +41,9 @@ class Flight:
         Σ ‖r‖, and Σ ‖p - x‖ ‖r‖.
     lift : ndarray, shape (n, free, 3)
         Where bodies end - where this brings them, m: what the projection has lifted them.
-    unknown, within : ndarray, shape (n, free)
-        How far w may have moved them otherwise at the end, and before, where a step was cut at times that no impulse
-        tells, m; with θ = ½ what falls is at the ends of all pieces where it would be in one.
+    unknown : ndarray, shape (n, free)
+        How far w may have moved them otherwise where a step was cut at times that no impulse tells, m; with θ = ½ what
+        falls is at the ends of all moves where it would be in one.
     quaternion : ndarray, shape (n, free, 4)
         How bodies are turned at the end: by their angular momenta, which the impulses change at their times.
     turn : ndarray, shape (n, free)
@@ -50,18 +51,13 @@ class Flight:
     met : Meetings
         Of all contacts; of bodies that move as prescribed nothing is known.
     unsure : ndarray, shape (contacts,)
-        How far velocities there may be off in steps that were cut, m/s: free bodies do not tell how long pieces are.
+        How far velocities there may be off in steps that were cut, m/s.
     cut : ndarray of bool, shape (n, free)
-        Whether impulses act at several times, or not where those of a step in one piece would.
-    coming : ndarray, shape (contacts, 3)
-        How relative velocities there may yet change until the end of a piece of which the length is not recorded, in
-        the frame of the contact, m/s: by all of it, if no other piece follows, or by a part.
-    strikes : ndarray of bool, shape (contacts,)
-        Whether free bodies surely strike there, in no time: first in their step, which is cut for no more.
+        Whether the step was, for that body.
     instant : ndarray of bool, shape (contacts,)
-        Whether an impulse surely acts in no time, be it on links.
+        Whether an impulse acts in no time.
     timed : bool
-        Whether times are recorded; without, all impulses of a step are taken to act where those of one piece would.
+        Whether it is recorded what impulses act in; without, they are taken to act in steps of one piece.
     """
 
     impulse: Array
@@ -70,14 +66,11 @@ class Flight:
     levers: Array
     lift: Array
     unknown: Array
-    within: Array
     quaternion: Array
     turn: Array
     met: Meetings
     unsure: Array
-    coming: Array
     cut: Bools
-    strikes: Bools
     instant: Bools
     timed: bool
 
@@ -88,39 +81,34 @@ class Flight:
         c, h, shape = t.columns, t.dt, (t.steps, free)
         axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
         geoms, steps = poses.pair.T, poses.step
-        when, timed, cut = times(poses, steps, poses.frame[geoms])
-        pieces, r = Pieces.of(poses, steps), np.einsum("ci,cij->cj", c["contacts/impulse"], axes)
-        pushes = Pushes.of(poses.frame[geoms], free, steps, when, pieces, r)
-        row, side, step, body, time, _, push = pushes
+        times, r = Times.of(poses), np.einsum("ci,cij->cj", c["contacts/impulse"], axes)
+        pushes, cut = Pushes.of(poses.frame[geoms], free, steps, times, r), times.cut(poses)
+        row, side, step, body, time, length, push = pushes
         mass, impulse = np.array(poses.scene["masses"]), pushes.summed(shape, push)
-        moments, before, parted = pushes.summed(shape, time[:, None] * push), velocities(poses)[:-1], cut[step, body]
+        moments, before = pushes.summed(shape, time[:, None] * push), velocities(poses)[:-1]
         forced = np.diff(velocities(poses), axis=0) - impulse / mass[:, None]
         share = np.where(cut, 0.5, theta)[:, :, None]
         path = h * before + (h * impulse - moments) / mass[:, None] + share * h * forced
         # How far impulses before and forces have brought the body until each.
+        begun = time - (1.0 - theta) * length
         way = time[:, None] * pushes.earlier(push) - pushes.earlier(time[:, None] * push)
-        fall = np.where(parted, 0.5 * time**2 / h, 0.0)[:, None] * forced[step, body]
+        fall = (begun * (time - 0.5 * begun) / h)[:, None] * forced[step, body]
         at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
         arm, size = c["contacts/point"][row] - at, np.linalg.norm(push, axis=1)
         # Of older recordings, which have none of it, the angular momentum is not audited.
         moment = np.cross(arm, push) + np.where(side, 1.0, -1.0)[:, None] * np.nan_to_num(c["contacts/couple"][row])
         turned, then, turning = _turned(poses, step * free + body, time, moment)
         sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
-        own = _sides(poses, pushes, (before, forced), (at, arm, then, turning), parted)
+        own = _sides(poses, pushes, (before, forced, begun / h), (at, arm, then, turning))
         _put(poses, sides, geoms, pushes, own)
         lift, lifted = np.diff(poses.x[:, :free], axis=0) - path, angles(turned, poses.quaternion[1:, :free])
         fell = h * np.linalg.norm(forced, axis=2)
         unknown = np.where(cut, (theta - 0.5) * fell, 0.0)
-        within = unknown + np.where(cut, 0.5 * (1.0 - theta) ** 2 * fell, 0.0)
-        # What strikes first does so in no time, and the body has fallen as in one piece until then.
-        alone = (c["contacts/restitution"][row] > 0.0) & parted & pushes.alone(shape)
-        strikes = np.bincount(row, ~alone, len(n)) == 0
-        # Where on its way the projection, and pieces of unknown length, have brought the body.
-        off = np.where(alone, unknown[step, body], within[step, body]) + np.linalg.norm(lift, axis=2)[step, body]
+        # Where on its way the projection, and flights of unknown length, have brought the body.
+        off = (unknown + np.linalg.norm(lift, axis=2))[step, body]
         off += 2.0 * np.linalg.norm(arm, axis=1) * lifted[step, body]
         levers = pushes.summed(shape, size * np.linalg.norm(arm, axis=1))
-        doubt = _fastest(poses, levers)[step, body] * off
-        doubt += np.where(pushes.pieces.known, 0.0, (theta - 0.5) / h * fell[step, body])
+        doubt = np.where(cut[step, body], _fastest(poses, levers)[step, body] * off, 0.0)
         return cls(
             impulse,
             pushes.summed(shape, moment),
@@ -128,44 +116,33 @@ class Flight:
             levers,
             lift,
             unknown,
-            within,
             turned,
             lifted,
             Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),
-            np.bincount(row, np.where(parted, doubt, 0.0), len(n)).astype(float),
-            np.einsum("cij,cj->ci", axes, _coming(poses, pushes, forced, parted, len(n))),
+            np.bincount(row, doubt, len(n)).astype(float),
             cut,
-            strikes,
-            np.where(pieces.known, pieces.length == 0.0, strikes & np.isin(np.arange(len(n)), row)),
-            timed,
+            times.length == 0.0,
+            times.known,
         )
 
 
 def _sides(
-    poses: Poses, pushes: Pushes, moved: tuple[Array, Array], met: tuple[Array, Array, Array, Array], parted: Bools
+    poses: Poses, pushes: Pushes, moved: tuple[Array, Array, Array], met: tuple[Array, Array, Array, Array]
 ) -> Side:
-    """Free bodies at their contacts, that begin at v, which forces change by w, and are at x, (p - x), q, (ω⁻, ω⁺)."""
-    (before, forced), (at, arm, then, turning), h = moved, met, poses.trajectory.dt
-    step, body, theta = pushes.step, pushes.body, float(poses.trajectory.meta["theta"])
-    # Forces act together with the impulses of a step in one piece, else all the time.
-    parts = (theta - 1.0, 0.0), (theta, 1.0)
-    time, length = pushes.time, pushes.pieces.length
-    gone = [np.where(parted, (time + part * length) / h, alone)[:, None] for part, alone in parts]
+    """Free bodies at their contacts, that begin at v, which forces change by w, and are at x, (p - x), q, (ω⁻, ω⁺).
+
+    Of w what acts before the moves of the contacts is a share.
+    """
+    (before, forced, share), (at, arm, then, turning) = moved, met
+    step, body = pushes.step, pushes.body
+    # Forces act together with the impulses of a move.
+    gone = [part[:, None] for part in (share, share + pushes.length / poses.trajectory.dt)]
     mass = np.array(poses.scene["masses"])[body, None]
     linear = before[step, body] + np.stack(gone) * forced[step, body] + pushes.around(pushes.push) / mass
     back = product(poses.quaternion[step, body], then * CONJUGATE)
     spin = rotate(poses.quaternion[step, body], poses.v[step, body, 3:])
     begin = before[step, body] + np.cross(spin, rotate(back, arm))
     return Side(at, then, np.stack([begin, *(linear + np.cross(turning, arm))]), turning, back)
-
-
-def _coming(poses: Poses, pushes: Pushes, forced: Array, parted: Bools, contacts: int) -> Array:
-    """`Flight.coming` in world axes: an impulse acts 1 - θ of its piece after that begins, with its step or later."""
-    theta, h, out = float(poses.trajectory.meta["theta"]), poses.trajectory.dt, np.zeros((contacts, 3))
-    ahead = np.minimum(h - pushes.time, theta * pushes.time / max(1.0 - theta, 1e-300))
-    share = np.where(parted & ~pushes.pieces.known, np.where(pushes.side, ahead, -ahead), 0.0) / h
-    np.add.at(out, pushes.row, share[:, None] * forced[pushes.step, pushes.body])
-    return out
 
 
 def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, own: Side) -> None:

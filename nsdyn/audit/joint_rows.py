@@ -223,7 +223,7 @@ def _strength(found: Retraced) -> Found:
     """Impulses of actuators, of which none is above its limit times the time in which they act."""
     (given, step), (most, _) = _acted(found, "actuation"), _acted(found, "strength")
     labels = [label for m in found.trees.mechanisms for label in _labels(m)]
-    k, j = np.nonzero(np.isfinite(most))
+    k, j = np.nonzero(~np.isinf(most))
     over = np.abs(given[k, j]) - most[k, j]
     figure = over / np.maximum(most[k, j], 1e-300)
     return worst_of("strength", figure, over, step[k], partial(_named, labels, j))

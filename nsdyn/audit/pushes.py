@@ -1,4 +1,4 @@
-"""Impulses on free bodies, one by one: when they act in their step, and in which piece of it."""
+"""Impulses on free bodies, one by one: when they act in their step, and how long the move takes that they act in."""
 
 from __future__ import annotations
 
@@ -11,37 +11,7 @@ from nsdyn.audit.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Pieces", "Pushes", "times", "together", "velocities"]
-
-
-class Pieces(NamedTuple):
-    """What each contact acts in of steps that are cut.
-
-    Attributes
-    ----------
-    number : ndarray of int
-        0 where that is not known.
-    length : ndarray
-        s; 0 of an impact in no time, and where it is not known.
-    known : ndarray of bool
-        Whether they are recorded.
-    """
-
-    number: Index
-    length: Array
-    known: Bools
-
-    @classmethod
-    def of(cls, poses: Poses, step: Index) -> Pieces:
-        """Of contacts, by the steps that they are in."""
-        c, piece, length = poses.trajectory.columns, np.zeros(step.size, np.int64), np.zeros(step.size)
-        known = np.zeros(step.size, np.bool_)
-        if {f"pieces/{name}" for name in ("offset", "contacts", "duration")} <= c.keys():
-            own = np.flatnonzero((np.diff(c["pieces/offset"]) > 0)[step])
-            each = np.repeat(np.arange(len(c["pieces/contacts"])), np.maximum(c["pieces/contacts"], 0))
-            if each.size == own.size:
-                piece[own], length[own], known[own] = each, c["pieces/duration"][each], True
-        return cls(piece, length, known)
+__all__ = ["Pushes", "Times", "together", "velocities"]
 
 
 class Pushes(NamedTuple):
@@ -52,10 +22,8 @@ class Pushes(NamedTuple):
     row, side : ndarray of int, shape (m,)
         Of the contact, and 0 or 1 for its first or second body.
     step, body : ndarray of int, shape (m,)
-    time : ndarray, shape (m,)
-        Within the step, s.
-    pieces : Pieces
-        What the step was cut into.
+    time, length : ndarray, shape (m,)
+        Within the step, s, and of the move that it acts in, 0 of an impact in no time.
     push : ndarray, shape (m, 3)
         World axes, N·s.
     """
@@ -65,18 +33,17 @@ class Pushes(NamedTuple):
     step: Index
     body: Index
     time: Array
-    pieces: Pieces
+    length: Array
     push: Array
 
     @classmethod
-    def of(cls, frames: Index, free: int, step: Index, time: Array, pieces: Pieces, impulse: Array) -> Pushes:
+    def of(cls, frames: Index, free: int, step: Index, times: Times, impulse: Array) -> Pushes:
         """From the frames (contacts, 2) and the impulses (contacts, 3) on the second ones."""
         row, side = np.nonzero((frames >= 0) & (frames < free))
         body, push = frames[row, side], np.where(side, 1.0, -1.0)[:, None] * impulse[row]
-        order = np.lexsort((time[row], body, step[row]))
+        order = np.lexsort((times.length[row], times.time[row], body, step[row]))
         row, side = row[order], side[order]
-        own = Pieces(pieces.number[row], pieces.length[row], pieces.known[row])
-        return cls(row, side, step[row], body[order], time[row], own, push[order])
+        return cls(row, side, step[row], body[order], times.time[row], times.length[row], push[order])
 
     def summed(self, shape: tuple[int, int], values: Array) -> Array:
         """Sums of values of each impulse by steps and bodies."""
@@ -92,37 +59,47 @@ class Pushes(NamedTuple):
 
     def around(self, values: Array) -> Array:
         """Of each impulse the sums before and after all that act on its body at its time, (2, m, ...)."""
-        begin, group = together(self.step, self.body, self.time, self.pieces.number)
+        begin, group = together(self.step, self.body, self.time, self.length)
         if not begin.size:
             return np.stack([values, values])
         so_far, sums = self.earlier(values), np.add.reduceat(values, begin)
         return np.stack([so_far[begin][group], so_far[begin][group] + sums[group]])
 
-    def alone(self, shape: tuple[int, int]) -> Bools:
-        """Which are of the first of at most two instants of their body in its step."""
-        (first, group), one, instants = (
-            together(self.step, self.body, self.time),
-            np.zeros(self.row.size),
-            np.zeros(shape),
-        )
-        one[first] = 1.0
-        np.add.at(instants, (self.step[first], self.body[first]), 1)
-        out: Bools = (instants[self.step, self.body] <= 2) & (self.earlier(one)[first][group] == 0.0)
-        return out
 
+class Times(NamedTuple):
+    """When each contact acts.
 
-def times(poses: Poses, steps: Index, frames: Index) -> tuple[Array, bool, Bools]:
-    """When each contact acts in its step, s; whether that is recorded; and `Flight.cut`."""
-    t, free, late = poses.trajectory, poses.free, (1.0 - float(poses.trajectory.meta["theta"])) * poses.trajectory.dt
-    when: Array = t.columns["contacts/time"]
-    timed = not np.isnan(when).any()
-    when = when if timed else np.full(len(when), late)
-    cut, met = _fell_in_pieces(poses), np.zeros((2, t.steps, free), np.bool_)
-    for side in frames.T:
-        own = (side >= 0) & (side < free)
-        np.logical_or.at(met[0], (steps[own], side[own]), True)
-        np.logical_or.at(met[1], (steps[own], side[own]), np.abs(when[own] - late) > 1e-9 * t.dt)
-    return when, timed, np.where(met[0], met[1], cut)
+    Attributes
+    ----------
+    time, length : ndarray, shape (contacts,)
+        Within its step, s, and of the move that it acts in, 0 of an impact in no time.
+    known : bool
+        Whether both are recorded; without, all are taken to act in steps of one piece.
+    """
+
+    time: Array
+    length: Array
+    known: bool
+
+    @classmethod
+    def of(cls, poses: Poses) -> Times:
+        """Of all contacts of a recording."""
+        c, h, late = poses.contacts, poses.trajectory.dt, 1.0 - float(poses.trajectory.meta["theta"])
+        known = not (np.isnan(c["time"]).any() or np.isnan(c["duration"]).any())
+        if known:
+            return cls(c["time"], c["duration"], True)
+        return cls(np.full(poses.step.size, late * h), np.full(poses.step.size, h), False)
+
+    def cut(self, poses: Poses) -> Bools:
+        """`Flight.cut`: whether any contact of a body acts in less than the step, or it fell in pieces."""
+        out, whole = _fell_in_pieces(poses), np.ones((poses.trajectory.steps, poses.free), np.bool_)
+        met = ~whole
+        for side in poses.frame[poses.pair]:
+            own = (side >= 0) & (side < poses.free)
+            met[poses.step[own], side[own]] = True
+            short = own & (self.length < poses.trajectory.dt)
+            whole[poses.step[short], side[short]] = False
+        return np.where(met, ~whole, out)
 
 
 def _fell_in_pieces(poses: Poses) -> Bools:

@@ -100,8 +100,8 @@ def _travel(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index
 def _velocities(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Found:
     """Velocities of what pushes are those after the impulse; in a piece that moves, as they are foreseen for its end.
 
-    Foreseen is as much change once more as there was until the impulse, up to as much as what turns can make, and what
-    forces do until then. What does not push may have a gap, at whose two ends bodies move otherwise than where its
+    Foreseen is as much change once more as there was until the impulse, up to as much as what turns can make. What does
+    not push may have a gap, at whose two ends bodies move otherwise than where its
     point is.
     """
     t, met, u = poses.trajectory, flight.met, c["u"]
@@ -110,10 +110,8 @@ def _velocities(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index)
     if step.size and not moves.any():
         return not_audited("velocities", "how what touches moves is not recorded")
     off = np.linalg.norm(u - met.after, axis=1)
-    for v in (met.after, *(met.after + met.before - begin for begin in met.begin)):
-        coming = flight.coming
-        part = np.clip(((u - v) * coming).sum(axis=1) / np.maximum((coming * coming).sum(axis=1), 1e-300), 0.0, 1.0)
-        left = np.linalg.norm(u - v - part[:, None] * coming, axis=1)
+    for begin in met.begin:
+        left = np.linalg.norm(u - (met.after + met.before - begin), axis=1)
         off = np.where(flight.instant, off, np.minimum(off, left))
     theta = float(t.meta["theta"])
     bent = max(theta, 1.0 - theta) * t.dt * met.bent

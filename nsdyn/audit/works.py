@@ -37,7 +37,7 @@ def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> 
     """Findings of works; of scenes without articulations nothing was retraced, and of others why it was not."""
     t = poses.trajectory
     yield from _dissipation(poses)
-    reason = left_out(t) if flight is None else "" if flight.timed else "when impulses acted is not recorded"
+    reason = left_out(t) if flight is None else "" if flight.timed else "in what moves impulses acted is not recorded"
     if isinstance(found, str):
         reason = reason or found
     if reason or flight is None:
@@ -111,7 +111,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     blind = np.bincount(of, hidden | (frames >= poses.free).any(axis=0), begin.size)[of] > 0.0
     single, joint = ~several & ~hidden, several & ~blind
     # Forces that act with them work along one of the parts.
-    fell = t.dt * float(np.linalg.norm(t.scene["gravity"])) * size * (bounces & ~flight.strikes)
+    fell = t.dt * float(np.linalg.norm(t.scene["gravity"])) * size * (bounces & ~flight.instant)
     speed = np.linalg.norm([flight.met.before, flight.met.after], axis=2).max(axis=0)
     scale = np.maximum(size * np.maximum(speed, CREEP), ROUND_OFF * at_play(poses))
     whole = [np.bincount(of[joint], x[joint], begin.size) for x in (normal + friction, doubt + fell, scale)]
@@ -169,7 +169,7 @@ def _twice(poses: Poses, flight: Flight) -> Array:
     """Most that impulses of rebounds may have done in a move besides its impacts, which is booked as numerics, J."""
     c, met = poses.trajectory.columns, flight.met
     r, speed = c["contacts/impulse"], np.abs([met.before, met.after]).max(axis=0)
-    some = ~flight.strikes & (c["contacts/restitution"] > 0.0)
+    some = ~flight.instant & (c["contacts/restitution"] > 0.0)
     out: Array = np.where(some, np.nan_to_num(np.abs(r) * speed).sum(axis=1), 0.0)
     return out
 

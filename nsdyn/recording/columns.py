@@ -62,7 +62,8 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    work; since version 8
     /contacts/status                               0 open, 1 stick, 2 slip, 3 jam
     /contacts/work_normal, work_friction           J
-    /contacts/time                                 s after the beginning of the step; since version 6
+    /contacts/time, duration                       s after the beginning of the step, since version 6; s, of the move
+                                                   that it acted in, 0 of impacts in no time, since version 10
     /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`; since version 5
 
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
@@ -109,7 +110,7 @@ __all__ = [
 
 Columns = dict[str, NDArray[Any]]
 
-FORMAT_VERSION = 9
+FORMAT_VERSION = 10
 CONTACT_STATES = "open", "stick", "slip", "jam"
 """Words for `contacts/status`."""
 
@@ -180,6 +181,7 @@ CONTACT = {
     "status": ContactColumn("contact_status", "i1", 1, "1"),
     "couple": ContactColumn("couple", "f8", 3, "N m s"),
     "time": ContactColumn("contact_time", "f8", 1, "s"),
+    "duration": ContactColumn("contact_duration", "f8", 1, "s"),
     "tangent": ContactColumn("tangent", "f8", 3, "1"),
     "work_normal": ContactColumn("work_normal", "f8", 1, "J"),
     "work_friction": ContactColumn("work_friction", "f8", 1, "J"),
@@ -207,6 +209,7 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (6, "contacts/time", (), math.nan),
     (8, "contacts/couple", (), math.nan),
     (9, "gauss/coulomb", (), math.nan),
+    (10, "contacts/duration", (), math.nan),
 ]
 # Attributes of /meta that older files lack.
 ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": "", "polish": False}

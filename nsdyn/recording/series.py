@@ -210,8 +210,9 @@ class ContactTable:
         The same for the same features of the same pair of shapes in the next step.
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip, faster than the solver's tolerance, 3 jam (`nsdyn.Step.contact_status`).
-    time : ndarray, shape (nc,)
-        When the impulse acted, s after the beginning of the step; NaN in recordings before format 6.
+    time, duration : ndarray, shape (nc,)
+        When the impulse acted, s after the beginning of the step, NaN in recordings before format 6; and how long the
+        move was that it acted in, s, 0 of an impact in no time, NaN before format 10.
     work_normal, work_friction : ndarray, shape (nc,)
         Of the solver's impulses, J; their sum over two bodies is that of any impulses with the same force and torque.
     """
@@ -232,6 +233,7 @@ class ContactTable:
     key: NDArray[np.int64]
     status: NDArray[np.int8]
     time: Array
+    duration: Array
     work_normal: Array
     work_friction: Array
     _unique: Callable[[], NDArray[np.bool_]]

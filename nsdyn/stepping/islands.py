@@ -262,9 +262,8 @@ class Islands:
         nc, island, count = a.status.size, label[s.nodes(a.contacts)], opened.size
         nothing = np.where(met.stays[:nc], a.normal, 0.0) + np.where(met.sticks & (a.status == 1), a.friction, 0.0)
         gained, more = (np.bincount(island, w, count) for w in (nothing, a.normal + a.friction - nothing))
-        if not s.elastic:
-            more[island[d.surfaces.carry(a.contacts)]] = 0.0
-            gained += np.maximum(more, 0.0)
+        more[island[d.surfaces.carry(a.contacts) | (a.contacts.restitution > 0.0)]] = 0.0
+        gained += np.maximum(more, 0.0)
         gained[label[d.free :]] = 0.0  # trees, as of `passage`
         if (gained > 0.0).any():
             energies = []

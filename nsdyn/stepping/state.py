@@ -154,8 +154,9 @@ class Step:
     contact_status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip, faster than the solver's tolerance; 3 jam, stopped by an impulse that does not fall
         with dt though nothing collides, whose work is that of an impact, normal.
-    contact_time : ndarray, shape (nc,)
-        When the impulse acted, s after the beginning of the step.
+    contact_time, contact_duration : ndarray, shape (nc,)
+        When the impulse acted, s after the beginning of the step, and how long the move was that it acted in, s: the
+        step, a piece of one that was cut, or 0 of an impact in no time.
     work_normal, work_friction : ndarray, shape (nc,)
         J; that of the couple with the normal one.
     joints : ndarray, shape (7, nv), or None
@@ -204,6 +205,7 @@ class Step:
     couple: Array
     contact_status: NDArray[np.int8]
     contact_time: Array
+    contact_duration: Array
     work_normal: Array
     work_friction: Array
     joints: Array | None

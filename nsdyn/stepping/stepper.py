@@ -401,6 +401,7 @@ class Stepper:
             couple=acted.couple,
             contact_status=acted.status,
             contact_time=acted.time,
+            contact_duration=acted.lasted,
             work_normal=acted.normal,
             work_friction=acted.friction,
             joints=joints,

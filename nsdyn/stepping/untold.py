@@ -65,8 +65,8 @@ class Untold(NamedTuple):
         flat = self.flat
         if name in COLUMNS:
             return {name: _column(flat.contact(0, _col.CONTACT), self.nc, *COLUMNS[name])}
-        if name in ("contacts", "frame", "contact_status", "contact_time"):
-            return _contacts(flat.met.names, flat.met.floats, flat.status, self._time(self.nc))
+        if name in ("contacts", "frame", "contact_status", "contact_time", "contact_duration"):
+            return _contacts(flat.met.names, flat.met.floats, flat.status, self._times(self.nc))
         if name in ("problem", "solution"):
             return {"problem": flat.problem(self.dynamics), "solution": flat.solution(self.scheme[1])}
         if name in ("ledger", "joints", "links"):
@@ -102,11 +102,10 @@ class Untold(NamedTuple):
         out[_col.KINETIC], out[_col.POTENTIAL] = flat.energies
         return out, joints[:, 6 * d.free :], links
 
-    def _time(self, *shape: int) -> Array:
-        """When the impulses of as many contacts acted, s after the beginning of the step."""
-        out = np.empty(shape)
-        out.fill((1.0 - self.scheme[0]) * self.flat.dt)
-        return out
+    def _times(self, *shape: int) -> tuple[Array, Array]:
+        """When the impulses of as many contacts acted, s after the beginning of the step, and how long it lasts."""
+        dt = self.flat.dt
+        return np.full(shape, (1.0 - self.scheme[0]) * dt), np.full(shape, dt)
 
     @staticmethod
     def steps(some: Sequence[Untold]) -> Step:
@@ -158,7 +157,7 @@ class Untold(NamedTuple):
         acted = np.concatenate([one.flat.contact(0, _col.CONTACT) for one in some]).reshape(m, -1)
         status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
         columns = {name: _column(acted, nc, *of) for name, of in COLUMNS.items()}
-        return Step(**_contacts(names, found, status, some[0]._time(1, nc)), **columns)
+        return Step(**_contacts(names, found, status, some[0]._times(1, nc)), **columns)
 
 
 def _ledger(before: Any, results: Any, nothing: Any) -> Ledger:
@@ -172,7 +171,7 @@ def _column(source: Array, nc: int, column: int, *shape: int) -> Array:
     return source[..., column * nc : (column + math.prod(shape)) * nc].reshape(*source.shape[:-1], nc, *shape)
 
 
-def _contacts(names: Index, found: Array, status: Any, time: Array) -> dict[str, Any]:
+def _contacts(names: Index, found: Array, status: Any, times: tuple[Array, Array]) -> dict[str, Any]:
     """What was met in a step, or in many with a leading axis, by the names of `Step`; names of shape (5, ..., nc)."""
     nc = status.shape[-1]
     geom1, geom2, frame1, frame2, key = names
@@ -182,5 +181,6 @@ def _contacts(names: Index, found: Array, status: Any, time: Array) -> dict[str,
         "contacts": ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key),
         "frame": _column(found, nc, _col.FRAMES, 3, 3),
         "contact_status": status,
-        "contact_time": time,
+        "contact_time": times[0],
+        "contact_duration": times[1],
     }

@@ -348,11 +348,10 @@ def test_impulses_are_audited_where_the_body_is_when_they_act():
     failed(trajectory, "spin", step, "ball")
     trajectory.columns["contacts/point"][row, 0] -= 1e-3
     time[row] += 2e-3
-    # But for the g h²/8 by which gravity may have moved it otherwise.
     assert nd.check(trajectory)["motion"].amount == pytest.approx(2e-3 * np.linalg.norm(impulse[row]), rel=0.02)
     trajectory.columns["contacts/time"][:] = np.nan  # as in older recordings
     audit = nd.check(trajectory)
-    assert audit.passed and audit["spin"].reason == "when impulses acted is not recorded"
+    assert audit.passed and audit["spin"].reason == "in what moves impulses acted is not recorded"
 
 
 def test_works_of_contacts_follow_from_the_momenta():

@@ -102,6 +102,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
             couple=rng.normal(size=(nc, 3)),
             contact_status=rng.integers(0, 3, nc).astype(np.int8),
             contact_time=rng.uniform(0.0, DT, nc),
+            contact_duration=rng.uniform(0.0, DT, nc),
             work_normal=rng.normal(size=nc),
             work_friction=rng.normal(size=nc),
             pieces=SimpleNamespace(
@@ -220,7 +221,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 9 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 10 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -253,6 +254,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
             "status",
             "tangent",
             "time",
+            "duration",
             "work_normal",
             "work_friction",
         }
@@ -413,7 +415,7 @@ def to_version_2(file):
     """Three terms in place of `integration`, 1, 2 and 3 J a step, and no `created`."""
     n = len(file["energy/integration"])
     del file["energy/integration"], file["energy/created"], file["solver/error"], file["wall_time"]
-    del file["contacts/time"]
+    del file["contacts/time"], file["contacts/duration"]
     for work, name in enumerate(("gyroscopic", "theta", "mass"), start=1):
         file[f"energy/{name}"] = np.full(n, float(work))
 

@@ -273,7 +273,7 @@ def told(s, rows, contacts, begun, flags, status, head, room):
     for i in range(fallen.size):
         fallen[i] = num[col.STEP] * rate[i]
     velocities = col.velocity(b_old, col.V, size), fallen
-    if may_gain(inertia[0], works, fallen) and gains(num, inertia, rows[0], met, flags, status, works, velocities):
+    if may_gain(inertia[0], works, fallen) and gains(inertia, rows[0], met, flags, status, works, velocities):
         return OTHERWISE
     return DONE
 

@@ -125,14 +125,14 @@ def may_gain(mass, works, fallen):
 
 
 @kernel
-def gains(num, bodies, blocks, met, flags, status, works, velocities):
+def gains(bodies, blocks, met, flags, status, works, velocities):
     """Whether contacts that persist, and those that could only take energy, add too much to that of any island.
 
     Trees keep their own errors small: their islands are passed over. works = (normal, friction), velocities: those that
     the step begins with, and that gravity gives in it.
     """
     (mass, J), nc, (normal, friction) = bodies, status.size, works
-    added, label = np.zeros((2, nc)), np.empty(nc, np.int64)
+    added, label, elastic = np.zeros((2, nc)), np.empty(nc, np.int64), np.zeros(nc, np.bool_)
     found = _blocks.islands(blocks[1], blocks[0].size - 1, label)
     for c in range(nc):
         nothing = normal[c] if flags[col.STAYS, c] else 0.0
@@ -140,8 +140,9 @@ def gains(num, bodies, blocks, met, flags, status, works, velocities):
             nothing += friction[c]
         added[0, label[c]] += nothing
         added[1, label[c]] += normal[c] + friction[c] - nothing
-    if num[col.ELASTIC] == 0.0:
-        for k in range(found):
+        elastic[label[c]] |= met[2][2, c] > 0.0
+    for k in range(found):
+        if not elastic[k]:
             added[0, k] += max(0.0, added[1, k])
     energies, counted = np.zeros((2, found)), np.zeros(mass.size, np.bool_)
     for c in range(nc):
