@@ -13,7 +13,7 @@ from nsdyn.audit.pushes import Times, velocities
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["energies", "momenta", "plain"]
 
@@ -85,7 +85,7 @@ def plain(poses: Poses) -> Iterator[Found]:
 
 def _ends(column: Array) -> bool:
     """Whether a row that is no number follows on one that is."""
-    none = np.isnan(column).any(axis=tuple(range(1, column.ndim)))
+    none: Bools = np.isnan(column).any(axis=tuple(range(1, column.ndim)))  # type: ignore[assignment]
     return bool(none.any()) and not none.all() and bool(none[none.argmin() :].any())
 
 

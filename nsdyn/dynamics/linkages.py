@@ -43,6 +43,8 @@ class Linkage:
     held : ndarray of bool, shape (nv,)
         Coordinates that nothing but prescribed motion moves: driven ones, and those that loops and gears then leave no
         freedom.
+    driven_at : ndarray of int
+        The driven coordinates.
     bodies : dict of str to int
         Frames of the model's moving bodies and joints, by name.
     planes, balls : frozenset of int
@@ -75,8 +77,8 @@ class Linkage:
         self.scalar = self._round.copy()
         self.scalar[self._linear] = True
         self.driven = tuple(driven.values())
-        self._driven_at = np.array(list(driven), dtype=np.int64)
-        self._driven_rows = np.eye(nv)[self._driven_at]
+        self.driven_at = np.array(list(driven), dtype=np.int64)
+        self._driven_rows = np.eye(nv)[self.driven_at]
         looped = a.loops or a.gears
         self.closures = Closures(self.model, a.loops, a.gears, self._driven_rows) if looped else None
         self.constrained = bool(driven) or self.closures is not None
@@ -149,7 +151,7 @@ class Linkage:
         Of a tree with loops or gears the velocity is the closest that they admit, in the kinetic metric.
         """
         v, q = v.copy(), self.close(q)
-        v[self._driven_at] = rates = [motion.rate(0.0) for motion in self.driven]
+        v[self.driven_at] = rates = [motion.rate(0.0) for motion in self.driven]
         if self.closures is not None:
             M, F, _ = factored(self.model, self.data, q)
             B, P, Z = self._restrict(q, F)
@@ -159,7 +161,7 @@ class Linkage:
     def speeding(self, v: Array, rates: Array) -> Array:
         """Changes of v that bring the driven joints to their rates, shape (nv,), rad/s or m/s; 0 of others."""
         out = np.zeros(v.size)
-        out[self._driven_at] = rates - v[self._driven_at]
+        out[self.driven_at] = rates - v[self.driven_at]
         return out
 
     def links(self, q: Array) -> Links:

@@ -14,13 +14,19 @@ from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.tree_values import Flow, FreeMotion, Halfway, TreeEnd, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.prescribed import Motion
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["Tree"]
 
 
 class Tree(Linkage):
-    """Motion of one articulated tree under its loads; parameters are those of `Linkage`."""
+    """Motion of one articulated tree under its loads; parameters are those of `Linkage`.
+
+    Attributes
+    ----------
+    turns : ndarray of bool, shape (nv,)
+        Coordinates about which links turn; the others shift them.
+    """
 
     def __init__(
         self, articulation: Articulation, gravity: Array, joints: list[int], driven: dict[int, Motion]
@@ -40,7 +46,7 @@ class Tree(Linkage):
         self._steady = np.zeros(len(driven))
         self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
-        self._turns = self._J[3:].any(axis=0)
+        self.turns: Bools = (self._J[3:] != 0.0).any(axis=0)
 
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
@@ -48,7 +54,7 @@ class Tree(Linkage):
         Of a tree without loops by `move`, to fourth order; with loops to second order, by `slide`. What turns by less
         than `TOLERANCE` goes straight on.
         """
-        speed, turn = _trees.fastest(v, self._turns)
+        speed, turn = _trees.fastest(v, self.turns)
         if h * turn <= TOLERANCE:
             return Flow(q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v)), v, v, 0.0)
         if not speed < np.inf:
@@ -170,8 +176,8 @@ class Tree(Linkage):
         """
         h, theta, loads, begin_v = halfway.h, halfway.theta, free.loads, halfway.begin_v
         if not (pushed or loads.implicit or self.closures is not None):
-            begin_speed, begin_turn = _trees.fastest(begin_v, self._turns)
-            speed, turn = _trees.fastest(v, self._turns)
+            begin_speed, begin_turn = _trees.fastest(begin_v, self.turns)
+            speed, turn = _trees.fastest(v, self.turns)
             if h * max(speed, begin_speed) > TOLERANCE:
                 tau = loads.laws[1, 4] + loads.push
                 driven = self._driven_rows @ (v - begin_v) / h if self.driven else self._steady

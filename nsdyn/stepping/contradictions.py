@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -10,8 +11,9 @@ import pinocchio as pin
 from nsdyn.collision.contacts import ContactMemory
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.values import Placement
-from nsdyn.scene import pairs
+from nsdyn.dynamics.trees import Tree
+from nsdyn.dynamics.values import Placement, Position
+from nsdyn.scene import checks, pairs
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.instant import JOINT
 from nsdyn.tools.arrays import Array
@@ -20,6 +22,12 @@ __all__ = ["Prescribed"]
 
 MOST = 1e4
 """Parts of a step, which a body of a millimetre passes in on five metres."""
+
+
+Way = tuple[float, Callable[[float, Array, Array], None]]
+"""A length, m, and what puts the frames that are moved where they are after a part of it into x and R."""
+
+STAYS: Way = 0.0, lambda part, x, R: None
 
 
 class Prescribed:
@@ -50,36 +58,81 @@ class Prescribed:
         self._detector = Detector(self._geoms, pairs.pair_material(scene, self._geoms), apart)
         self._radius = np.array([g.shape.inscribed_radius if g.frame >= 0 else math.inf for g in self._geoms])
         self._frames = np.unique([g.frame for g in self._geoms if g.frame >= 0]).astype(np.int64)
-        self._arm, self._still = arm[self._frames], np.zeros(dynamics.frames)
+        self._arm, self._still = arm, np.zeros(dynamics.frames)
         self._dynamics, self._overlap = dynamics, overlap
-        start = dynamics.place(dynamics.start()[0])
-        self.check(start, start, 0.0)
+        self._span = [_span(tree, arm[tree.frames]) for tree in dynamics.trees]
+        start = dynamics.start()[0]
+        self.check(start, start, dynamics.place(start), (0.0, 0.0))
 
-    def check(self, begin: Placement, end: Placement, t: float) -> float:
+    def check(self, begin: Position, end: Position, there: Placement, times: tuple[float, float]) -> float:
         """Deepest overlap that prescribed motions leave at the end of a step, m, 0 if none.
 
-        The way there is followed in so many parts, each frame on a screw, that none passes through another unseen.
+        The way there is followed in so many parts that nothing passes through anything unseen.
+
+        Parameters
+        ----------
+        begin, end : Position
+        there : Placement
+            At the end.
+        times : (float, float)
+            Of both, s.
 
         Raises
         ------
         ValueError
-            Where it is deeper than what is taken, at the end or on the way: naming both, the depth and the time t.
+            Where it is deeper than what is taken, at the end or on the way: naming both, the depth and the time.
         """
-        self._check_limits(end, t)
+        self._check_limits(there, times[1])
         if not self._frames.size:
             return 0.0
-        old, new = ([pin.SE3(at.R[f], at.x[f]) for f in self._frames] for at in (begin, end))
-        ways = [pin.log6(a.actInv(b)) for a, b in zip(old, new, strict=True)]
-        moved = np.array([(np.linalg.norm(way.linear), np.linalg.norm(way.angular)) for way in ways])
+        ways = [self._of_tree(k, begin.trees[k], end.trees[k], times) for k in range(len(begin.trees))]
+        ways.append(self._of_bodies(begin, end, times))
         # Two may meet halfway.
-        farthest = 2.0 * float((moved[:, 0] + self._arm * moved[:, 1]).max())
-        x, R, parts = end.x.copy(), end.R.copy(), math.ceil(min(farthest / self._radius.min(), MOST))
+        farthest = 2.0 * max(length for length, _ in ways)
+        x, R, parts = there.x.copy(), there.R.copy(), math.ceil(min(farthest / self._radius.min(), MOST))
         for part in range(1, parts):
-            for f, a, way in zip(self._frames, old, ways, strict=True):
-                there = a * pin.exp6(part / parts * way)
-                x[f], R[f] = there.translation, there.rotation
-            self._deepest(x, R, t)
-        return self._deepest(end.x, end.R, t)
+            for _, place in ways:
+                place(part / parts, x, R)
+            self._deepest(x, R, times[1])
+        return self._deepest(there.x, there.R, times[1])
+
+    def _of_tree(self, k: int, begin: Array, end: Array, times: tuple[float, float]) -> Way:
+        """How far links of a tree that are held move from one configuration to another, and where they are on the way.
+
+        Joints turn and shift at constant rates, driven ones by whole turns more where they are so fast.
+        """
+        tree, h = self._dynamics.trees[k], times[1] - times[0]
+        if not tree.held_links.any():
+            return STAYS
+        step = pin.difference(tree.model, begin, end)
+        rates = np.array([0.5 * (motion.rate(times[0]) + motion.rate(times[1])) for motion in tree.driven])
+        whole = np.round((h * rates - step[tree.driven_at]) / (2.0 * math.pi))
+        step[tree.driven_at] += np.where(tree.turns[tree.driven_at], 2.0 * math.pi * whole, 0.0)
+        shifts, moved = ~tree.turns, np.where(tree.held, np.abs(step), 0.0)
+        reach = max(np.abs(tree.angle(q)[shifts]).sum() for q in (begin, end)) + self._span[k]
+
+        def place(part: float, x: Array, R: Array) -> None:
+            links = tree.links(tree.close(pin.integrate(tree.model, begin, part * step)))
+            x[tree.frames], R[tree.frames] = links.x, links.R
+
+        return float(reach * moved[tree.turns].sum() + moved[shifts].sum()), place
+
+    def _of_bodies(self, begin: Position, end: Position, times: tuple[float, float]) -> Way:
+        """The same of bodies, which move straight and turn about one axis."""
+        surfaces, count = self._dynamics.surfaces, len(begin.driven_x)
+        if not count:
+            return STAYS
+        own, h = slice(-count, None), times[1] - times[0]
+        twist = surfaces.mean(surfaces.twists(times[0]), surfaces.twists(times[1]), 0.5)[:count]
+        way, turn = end.driven_x - begin.driven_x, h * twist[:, 1]
+        R0 = [checks.rotation(q) for q in begin.driven_quaternion]
+
+        def place(part: float, x: Array, R: Array) -> None:
+            x[own] = begin.driven_x + part * way
+            R[own] = [pin.exp3(part * angle) @ R_body for angle, R_body in zip(turn, R0, strict=True)]
+
+        length = np.linalg.norm(way, axis=1) + self._arm[own] * np.linalg.norm(turn, axis=1)
+        return float(length.max()), place
 
     def _check_limits(self, there: Placement, t: float) -> None:
         for tree, links in zip(self._dynamics.trees, there.links, strict=True):
@@ -105,3 +158,12 @@ class Prescribed:
                 f"prescribed motions contradict: {a!r} and {b!r} overlap by {depth:.3g} m at t = {t:.6g} s"
             )
         return max(depth, 0.0)
+
+
+def _span(tree: Tree, arm: Array) -> float:
+    """The farthest that shapes of links that are held may be from a joint before them, m, but for what joints shift."""
+    placements, out = tree.model.jointPlacements, 0.0
+    for joint, far in zip(np.array(tree.joints)[tree.held_links].tolist(), arm[tree.held_links], strict=True):
+        between = list(tree.model.supports[joint])[2:]  # the world, and the first joint
+        out = max(out, far + sum(float(np.linalg.norm(placements[j].translation)) for j in between))
+    return out

@@ -58,8 +58,8 @@ class Stepper:
     All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
     impacts with restitution, which act in no time, until they are too many to tell apart, and where slip turns round.
-    Each island of what may touch is cut by itself: what it does depends on nothing else, to the last bit. No shapes
-    overlap at the end: what a step leaves is removed by a projection of the positions. Contacts of free bodies that
+    Each island of what may touch is cut by itself: what it does depends on nothing else, to the last bit, but on the
+    size of the scene's smallest moving body, of which a fraction counts as closed. No shapes overlap at the end: what a step leaves is removed by a projection of the positions. Contacts of free bodies that
     stay closed, and stick, do no work: a couple per pair sees to that, which keeps every momentum. What numerics do
     besides is in the ledger.
 
@@ -311,7 +311,7 @@ class Stepper:
             s, lambda t: self.functions.at(t, self.dynamics, s.last), begun
         )
         if self._prescribed is not None:
-            depth = self._prescribed.check(s.instant.placement, now.placement, s.t + s.dt)
+            depth = self._prescribed.check(s.instant.position, now.position, now.placement, (s.t, s.t + s.dt))
             clear = clear and depth <= self.closed
         k = worst(solved)
         if not solved[k][1].accepted:
@@ -351,7 +351,8 @@ class Stepper:
             return None
         before, after = found
         if self._prescribed is not None:
-            depth = self._prescribed.check(before.like.placement, after.like.placement, after.t)
+            begin, end, times = before.like.position, after.like, (before.t, after.t)
+            depth = self._prescribed.check(begin, end.position, end.placement, times)
             if depth > self.closed:
                 return None
         untold = Untold(after, before, (self.theta, self.system.solver.tol), self.dynamics)

@@ -354,6 +354,37 @@ def test_impulses_are_audited_where_the_body_is_when_they_act():
     assert audit.passed and audit["spin"].reason == "in what moves impulses acted is not recorded"
 
 
+SETTLING = {
+    "box": lambda s, **how: s.add_box("body", (0.2, 0.2, 0.2), 1.0, **how),
+    "plate": lambda s, **how: s.add_box("body", (0.3, 0.2, 0.04), 1.0, **how),
+    "capsule": lambda s, **how: s.add_capsule("body", 0.08, 0.2, 1.0, **how),
+    "cylinder": lambda s, **how: s.add_cylinder("body", 0.1, 0.12, 1.0, **how),
+    "ellipsoid": lambda s, **how: s.add_ellipsoid("body", (0.1, 0.08, 0.06), 1.0, **how),
+}
+
+
+@pytest.mark.parametrize(("theta", "e"), [(0.5, 0.2), (0.5, 0.7), (0.7, 0.4)])
+@pytest.mark.parametrize("kind", SETTLING)
+def test_what_bounces_rolls_and_settles_passes(kind, theta, e):
+    """Steps are cut at bounces and where slip ends: what acts in pieces of them is told from impacts."""
+    scene, material = nd.Scene(), nd.Material(mu=0.5, restitution=e)
+    scene.add_halfspace("ground", material=material)
+    how = {"linear_velocity": (0.5, 0.2, 0), "angular_velocity": (1, -2, 3), "quaternion": (0.5, 0.1, 0.7, 0.5)}
+    SETTLING[kind](scene, position=(0, 0, 0.3), material=material, **how)
+    run = nd.simulate(scene, 0.8, 5e-3, theta=theta)
+    assert (run.columns["contacts/duration"] == 0.0).any()
+    assert nd.check(run).passed, nd.check(run)
+
+
+def test_a_body_that_slides_and_spins_to_rest_passes_with_restitution():
+    scene, material = nd.Scene(), nd.Material(mu=0.5, restitution=0.3)
+    scene.add_halfspace("ground", material=material)
+    motion = {"linear_velocity": (1.0, 0.3, 0), "angular_velocity": (0, 0, 3.0)}
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), material=material, **motion)
+    run = nd.simulate(scene, 0.3, 1e-2)
+    assert (run.columns["contacts/duration"] < 1e-2).any() and nd.check(run).passed, nd.check(run)
+
+
 def test_works_of_contacts_follow_from_the_momenta():
     """r · ½ (u⁻ + u⁺), the velocities from the impulses alone: a box slides, balls strike within steps."""
     scene = nd.Scene(gravity=(0, 0, 0))

@@ -492,6 +492,39 @@ def test_a_driven_link_does_not_go_through_the_ground(rate, dt):
     assert run.solver.status.max() == 0 and nd.check(run).passed
 
 
+@pytest.mark.parametrize("turn", [2.0, 4.0, 6.0, 2.0 * np.pi, 40.0])
+def test_a_driven_link_does_not_pass_a_post_in_whole_turns(turn):
+    """Of two states that are a turn apart the post is in neither."""
+    scene = nd.Scene()
+    scene.add_box("post", (0.02, 1.0, 0.3), fixed=True, position=(0.2, 0, -0.5))
+    tip = {"j0": [(shapes.sphere(0.02), at((0, 0, -0.5)))]}
+    add(scene, "arm", pendulum(1), q=(1.2,), collisions=tip)
+    scene.set_motion("arm/j0", -turn / 1e-2)
+    with pytest.raises(ValueError, match=r"contradict: 'post' and 'arm/j0_0' overlap by .* m at t = 0\.01 s"):
+        nd.simulate(scene, 0.05, 1e-2)
+
+
+def test_links_of_several_driven_joints_do_not_pass_a_post():
+    """They go on no screw: of both joints together the tip is at the post where one alone would miss it."""
+    scene = nd.Scene()
+    scene.add_sphere("post", 0.02, fixed=True, position=(-np.sin(1.3), 0, -np.cos(1.3) - 1.0))
+    tip = {"j1": [(shapes.sphere(0.02), at((0, 0, -1)))]}
+    add(scene, "arm", pendulum(2), q=(1.8, -1.8), collisions=tip)
+    scene.set_motion("arm/j0", -100.0)
+    scene.set_motion("arm/j1", 100.0)
+    with pytest.raises(ValueError, match="contradict: 'post' and 'arm/j1_0' overlap"):
+        nd.simulate(scene, 0.05, 1e-2)
+
+
+def test_a_driven_body_turns_by_whole_turns():
+    scene = nd.Scene()
+    scene.add_box("post", (0.02, 0.02, 0.2), fixed=True, position=(0, 0.4, 0))
+    scene.add_box("bar", (1.0, 0.02, 0.02), fixed=True, position=(0, 0, 0))
+    scene.set_motion("bar", ((0, 0, 0), (0, 0, 2.0 * np.pi / 1e-2)))
+    with pytest.raises(ValueError, match="contradict: 'post' and 'bar' overlap"):
+        nd.simulate(scene, 0.05, 1e-2)
+
+
 def test_a_driven_link_that_touches_goes_on_and_is_audited():
     """It reaches a thousandth of its radius into the ground: no more than what a scene may start with, and told."""
     run = nd.simulate(swinging(-1.0, 2e-5), 1.5, 5e-3)

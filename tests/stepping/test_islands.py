@@ -1,6 +1,7 @@
 """What an island does depends on nothing that it does not touch: the same bits alone and beside anything else."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import nsdyn as nd
@@ -114,6 +115,50 @@ def test_a_robot_walks_as_it_does_alone(controlled):
         options["controller"] = lambda t, q, v: {name: np.r_[np.zeros(6), -0.5 * v[-start:][6:]]}
     runs = [states(scene, 60, 4e-3, robot=0, **options) for scene in (alone, beside)]
     assert runs[0] == runs[1]
+
+
+def belt(scene):
+    """A conveyor that stands still, of which the watch over gained energy once took the works for its own."""
+    scene.add_box("belt", (1, 1, 0.1), fixed=True, position=(FAR, 0, 0.5))
+    scene.set_motion("belt", surface_velocity=(0, 0, 0))
+
+
+def elastic(scene):
+    scene.add_sphere("elastic", 0.1, 1.0, position=(FAR, 0, 0.15), material=nd.Material(restitution=0.5))
+    scene.add_box("floor", (1, 1, 0.1), fixed=True, position=(FAR, 0, 0), material=nd.Material(restitution=0.5))
+
+
+def pendulum(scene):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([FAR, 0, 5.0])), "pivot")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0, 0, -0.2]), np.eye(3) / 50), pin.SE3.Identity())
+    scene.add_model("pendulum", model, q=[1.0])
+
+
+@pytest.mark.parametrize("far", [belt, elastic, pendulum, robot])
+@pytest.mark.parametrize("dt", [1e-2, 4e-3])
+def test_a_stack_that_leans_does_so_beside_anything(far, dt):
+    """Its contacts add energy in whole steps, so that it takes them in pieces; whether they do is asked of it alone.
+
+    What counts as closed is a length of the scene, by its smallest body, which is one of the robot's feet.
+    """
+    alone, beside = world(), world()
+    for scene in (alone, beside):
+        scene.add_sphere("grain", 0.02, 1.0, position=(-FAR, 0, 0.02))
+        for k in range(4):
+            push = (float(k == 1), 0, 0)
+            scene.add_box(f"{k}", (0.2, 0.2, 0.2), 1.0, position=(9 + 0.02 * k, 0, 0.1 + 0.2 * k), linear_velocity=push)
+    far(beside)
+    own = [f"{k}" for k in range(4)]
+    assert states(alone, 40, dt, own) == states(beside, 40, dt, own)
+
+
+@pytest.mark.parametrize("far", [belt, elastic, pendulum])
+def test_a_disk_keeps_its_energy_beside_anything(far):
+    alone, beside = nd.scenes.load("euler_disk")(), nd.scenes.load("euler_disk")()
+    far(beside)
+    name = alone.free_bodies[0].name
+    assert states(alone, 20, 1e-2, [name]) == states(beside, 20, 1e-2, [name])
 
 
 def test_a_plate_that_shakes_couples_nothing():
