@@ -133,7 +133,6 @@ def parser() -> _Parser:
             name,
             help=f"{summary}\n  {EXAMPLES[name]}",
             description=f"{summary} For example: {EXAMPLES[name]}",
-            epilog=None if run in (list_scenes, diagnose) else OUTPUTS,
         )
         out.set_defaults(run=run)
         return out
@@ -141,6 +140,9 @@ def parser() -> _Parser:
     _add_simulations(command)
     _add_problems(command)
     _add_results(command)
+    for p in commands.choices.values():
+        if p.get_default("outputs"):
+            p.epilog = OUTPUTS
     return top
 
 
