@@ -263,13 +263,13 @@ def test_study_finds_the_order(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--dt", "1e-2"], "dts must be at least two different positive numbers"),
+        (["--dt", "1e-2"], "error: --dt must be at least two different positive numbers"),
         (
             ["--dt", "1e-2,7e-3", "--time", "0.1"],
             "must be a whole number of every dt, got 0.1 s and dt = 0.007",
         ),
         (["--dt", "1e-2,fine"], "--dt must be a number, got 'fine'"),
-        (["--dt", "1e-2,0"], "dts must be at least two different positive numbers"),
+        (["--dt", "1e-2,0"], "error: --dt must be at least two different positive numbers"),
     ],
 )
 def test_bad_studies(run, arguments, words):
