@@ -252,9 +252,10 @@ def test_study_finds_the_order(run, tmp_path):
     code, out, _ = run("study", "four_bar", "--dt", "8e-3,4e-3,2e-3", "--time", "0.2", "--csv", "s.csv")
     assert code == 0 and out.splitlines()[-1] == "four_bar: largest differences from the run at dt = 0.002 s"
     coarse = next(csv.DictReader((tmp_path / "s.csv").read_text().splitlines()))
+    assert float(coarse["dt [s]"]) == 8e-3 and float(coarse["time [s]"]) > 0.0
     assert float(coarse["order_position"]) == pytest.approx(2.0, abs=0.1)
     text = out.splitlines()[1].split()
-    assert float(text[2]) == pytest.approx(float(coarse["position"]), rel=1e-2)
+    assert float(text[2]) == pytest.approx(float(coarse["position [m]"]), rel=1e-2)
     found = json.loads(run("study", "slide", "--dt", "1e-2,5e-3,1e-3", "--time", "0.1", "--json")[1])
     coarse = found["runs"][0]  # exact at any step: round-off has no order
     assert 0.0 < coarse["velocity"] < 1e-11 and set(coarse["orders"].values()) == {None}
