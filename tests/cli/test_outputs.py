@@ -115,6 +115,16 @@ def test_a_scene_of_ones_own(run, tmp_path):
     assert found[0].failure == ""
 
 
+def test_scenes_without_a_name_are_called_after_their_files(run, tmp_path):
+    """Their pages and figures can be told apart."""
+    text = "import nsdyn\ndef scene():\n    a = nsdyn.Scene(NAME)\n    a.add_sphere('ball', 0.1, 1.0)\n    return a\n"
+    for file, name, called in (("coin", "", "coin"), ("disk", "name='euler'", "euler")):
+        (tmp_path / f"{file}.py").write_text(text.replace("NAME", name))
+        assert run("run", f"{file}.py", "--time", "0.1", "--dt", "0.1", "-o", f"{file}.h5")[0] == 0
+        assert nd.Trajectory.load(f"{file}.h5").meta["scene_name"] == called
+    assert nd.scenes.load("coin.py")().name == "coin"
+
+
 def test_the_template_runs_with_its_lines_uncommented(run, tmp_path):
     """Both functions: the crate is pushed, and what drives robots finds none."""
     run("new", "my.py")
