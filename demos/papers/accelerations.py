@@ -91,6 +91,8 @@ def report(pictures: Path) -> str:
         lines.append(f"| {name} | {size:.3g} | {apart:.0e} | {errors[0]:.1e} | {errors[-1]:.1e} | {order} |")
         ax.loglog(STEPS, np.maximum(errors, 1e-10), "o-", label=name)
     ax.set(xlabel="dt [s]", ylabel="|Δv/dt - a|  [rad/s² or m/s²]")
+    ax.set_xticks([], minor=True)
+    ax.set_xticks(STEPS, [f"{dt:g}" for dt in STEPS])
     ax.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     figure.savefig(pictures / "accelerations.png", dpi=80)
     lines += [

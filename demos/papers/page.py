@@ -42,7 +42,12 @@ def main() -> None:
     for name in arguments.sections or SECTIONS:
         module = importlib.import_module(name)  # beside this script
         options = {"folders": arguments.problems, "limit": arguments.limit, "progress": True}
-        new[name] = module.report(pictures=HERE, **options) if name == "coulomb" else module.report(HERE)
+        try:
+            new[name] = module.report(pictures=HERE, **options) if name == "coulomb" else module.report(HERE)
+        except ModuleNotFoundError as missing:
+            if missing.name != "skfem":
+                raise
+            parser.exit(2, f"{name} needs scikit-fem: pip install 'nsdyn[fem]'\n")
     old, parts = path.read_text() if path.exists() else "", [HEAD]
     for name in SECTIONS:
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"

@@ -66,6 +66,9 @@ TABLES = {
     "contacts": "Print or export contact points: gap, velocity, impulse, state.",
 }
 
+OPTIONS = {"duration": "--time", "dts": "--dt", "package_dirs": "--package-dir"}
+"""Arguments in Python that errors begin with, and the options that they have come from."""
+
 SCENE = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn new' begins"
 
 
@@ -87,7 +90,8 @@ def main(argv: list[str] | None = None) -> int:
                 raise
             # Of ours, which name the file in their words, the words alone.
             ours = isinstance(error, OSError) and error.filename is None and error.strerror
-            print(f"nsdyn: error: {one_line(callbacks.text(error) if theirs else ours or error)}", file=sys.stderr)
+            word, space, rest = one_line(callbacks.text(error) if theirs else ours or error).partition(" ")
+            print(f"nsdyn: error: {word if theirs else OPTIONS.get(word, word)}{space}{rest}", file=sys.stderr)
             return 2
         except KeyboardInterrupt as stop:
             print("nsdyn: interrupted" + (f": {stop}" if stop.args else ""), file=sys.stderr)
@@ -133,7 +137,6 @@ def parser() -> _Parser:
             name,
             help=f"{summary}\n  {EXAMPLES[name]}",
             description=f"{summary} For example: {EXAMPLES[name]}",
-            epilog=None if run in (list_scenes, diagnose) else OUTPUTS,
         )
         out.set_defaults(run=run)
         return out
@@ -141,6 +144,9 @@ def parser() -> _Parser:
     _add_simulations(command)
     _add_problems(command)
     _add_results(command)
+    for p in commands.choices.values():
+        if p.get_default("outputs"):
+            p.epilog = OUTPUTS
     return top
 
 

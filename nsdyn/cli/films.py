@@ -28,8 +28,14 @@ def add_film(parser: argparse.ArgumentParser) -> None:
         help="the film (default: named after the recording, in this folder)",
     )
     parser.add_argument("--size", default="1280x720", metavar="WxH", help="in pixels (default: %(default)s)")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="S", help="simulated seconds in one of the film")
-    parser.add_argument("--fps", type=float, default=30.0, metavar="N", help="pictures a second (default: %(default)s)")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="simulated seconds in one of the film (default: %(default)g)",
+    )
+    parser.add_argument("--fps", type=float, default=30.0, metavar="N", help="pictures a second (default: %(default)g)")
     parser.add_argument(
         "--curves", choices=CURVES, default="energy", help="drawn below the bodies (default: %(default)s)"
     )

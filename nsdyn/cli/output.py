@@ -24,6 +24,7 @@ __all__ = [
     "add_json",
     "add_output",
     "check_files",
+    "header",
     "ledger",
     "one_line",
     "picture",
@@ -182,6 +183,11 @@ def ledger(trajectory: Trajectory) -> dict[str, Any]:
         "shares": shares,
         "worst": trajectory.worst(),
     }
+
+
+def header(name: str, units: Mapping[str, str]) -> str:
+    """Head of a column, with its unit if it has one."""
+    return f"{name} [{units[name]}]" if name in units else name
 
 
 def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: Path) -> None:

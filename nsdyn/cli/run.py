@@ -33,6 +33,7 @@ def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
 
 def add_solver(parser: argparse.ArgumentParser, *on_fail: str) -> None:
     """Options of the scheme and of the solver of a simulation, and what else than warn it may do `on_fail`."""
+    written = ", write its problem" if "dump" in on_fail else ""
     parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
     parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
     parser.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
@@ -46,8 +47,8 @@ def add_solver(parser: argparse.ArgumentParser, *on_fail: str) -> None:
         "--on-fail",
         choices=("warn", *on_fail),
         default="warn",
-        help="what to do where a step misses its tolerance: go on with the best answer, and say so, write its problem "
-        "or be silent, or stop (default: %(default)s)",
+        help=f"what to do where a step misses its tolerance: go on with the best answer, and say so{written} or be "
+        "silent, or stop (default: %(default)s)",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from nsdyn.cli.output import (
     add_json,
     add_output,
     check_files,
+    header,
     one_line,
     picture,
     say_found,
@@ -63,10 +65,12 @@ def study_steps(arguments: argparse.Namespace) -> int:
         print(f"nsdyn: not converged: {one_line(failure)}", file=sys.stderr)
         return 1
     if arguments.csv:
+        table = found.as_dict()
+        units = {"dt": "s", "time": "s"} | table["units"]
         rows: list[dict[str, Any]] = [
-            {name: value for name, value in run.items() if name != "orders"}
-            | {f"order_{name}": p for name, p in run["orders"].items()}
-            for run in found.as_dict()["runs"]
+            {header(name, units): value for name, value in run.items() if name != "orders"}
+            | {f"order_{name}": None if math.isnan(p) else p for name, p in run["orders"].items()}
+            for run in table["runs"]
         ]
         write_rows(rows, list(dict.fromkeys(column for row in rows for column in row)), arguments.csv)
     if arguments.plot:

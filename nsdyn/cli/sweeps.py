@@ -15,6 +15,7 @@ from nsdyn.cli.output import (
     add_json,
     add_output,
     check_files,
+    header,
     one_line,
     picture,
     say,
@@ -90,7 +91,7 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
         )
     rows = [{**m.parameters, "failure": m.failure, **(m.result or {})} for m in members]
     # A failed run has no figures.
-    columns = {name: _header(name, ensemble.UNITS) for name in dict.fromkeys(name for row in rows for name in row)}
+    columns = {name: header(name, ensemble.UNITS) for name in dict.fromkeys(name for row in rows for name in row)}
     if arguments.csv:
         titled = [{columns[name]: value for name, value in row.items()} for row in rows]
         write_rows(titled, list(columns.values()), arguments.csv)
@@ -107,10 +108,6 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
             which = f"{m.parameters}: " if m.parameters else ""
             print(f"nsdyn: failed: {which}{one_line(m.failure)}", file=sys.stderr)
     return 1 if any(m.failure for m in members) else 0
-
-
-def _header(name: str, units: Mapping[str, str]) -> str:
-    return f"{name} [{units[name]}]" if name in units else name
 
 
 def _quiet(row: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:

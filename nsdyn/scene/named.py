@@ -113,11 +113,17 @@ def _knowing(source: ModuleType) -> ModuleType:
 
 
 def made(function: Callable[..., Scene], *arguments: Any, **parameters: Any) -> Scene:
-    """The scene that a function makes, with its parameters, those that were left at their defaults too."""
-    if getattr(function, "__module__", "").startswith(_PREFIX):
+    """The scene that a function makes, with its parameters, those that were left at their defaults too.
+
+    One of a file that gives it no name of its own is called after the file.
+    """
+    source = getattr(function, "__module__", "")
+    if source.startswith(_PREFIX):
         out = function(*arguments, **parameters)  # what the parameters of ours cause is told as it is
     else:
         out = called(function, "scene", _scene, *arguments, **parameters)
+    if source.startswith(_OWN) and out.name == Scene.name:
+        out.name = Path(source).stem
     known = inspect.signature(function)
     defaults = {p.name: p.default for p in known.parameters.values() if p.default is not p.empty}
     out.parameters = defaults | known.bind_partial(*arguments).arguments | parameters | out.parameters

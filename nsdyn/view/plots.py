@@ -340,9 +340,12 @@ def _penetration(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _dots(trajectory: Trajectory, label: str, values: Array, colour: str) -> Curve:
-    """What each step has of its own, which may be nothing in the next: dots, for lines between them would be a comb."""
+    """What each step has of its own, which may be nothing in the next: dots, for lines between them would be a comb.
+
+    What is below the axis does not stretch it.
+    """
     look = {"color": LEDGER[colour], "ls": "", "marker": ".", "ms": 3}
-    return Curve(label, trajectory.t_steps, np.where(values > 0.0, values, np.nan), look)
+    return Curve(label, trajectory.t_steps, np.where(values > panels.FLOOR, values, np.nan), look)
 
 
 KINDS: dict[str, Callable[[Trajectory, str], list[Panel]]] = {

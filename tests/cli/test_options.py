@@ -88,6 +88,14 @@ def test_no_option_is_left_out():
         assert not left, f"nsdyn {name}: {left}"
 
 
+def test_help_tells_of_files_where_some_are_written_and_of_problems_where_they_are_dumped():
+    for name, parser in parsers().items():
+        told = " ".join(parser.format_help().split())
+        writes = any(kind in told for kind in ("--output", "--csv", "--html", "--plot"))
+        assert ("Output files that exist are overwritten" in told) == writes, name
+        assert ("write its problem" in told) == ("dump" in told), name
+
+
 @pytest.mark.parametrize(
     "call",
     [

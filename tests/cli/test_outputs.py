@@ -115,6 +115,16 @@ def test_a_scene_of_ones_own(run, tmp_path):
     assert found[0].failure == ""
 
 
+def test_scenes_without_a_name_are_called_after_their_files(run, tmp_path):
+    """Their pages and figures can be told apart."""
+    text = "import nsdyn\ndef scene():\n    a = nsdyn.Scene(NAME)\n    a.add_sphere('ball', 0.1, 1.0)\n    return a\n"
+    for file, name, called in (("coin", "", "coin"), ("disk", "name='euler'", "euler")):
+        (tmp_path / f"{file}.py").write_text(text.replace("NAME", name))
+        assert run("run", f"{file}.py", "--time", "0.1", "--dt", "0.1", "-o", f"{file}.h5")[0] == 0
+        assert nd.Trajectory.load(f"{file}.h5").meta["scene_name"] == called
+    assert nd.scenes.load("coin.py")().name == "coin"
+
+
 def test_the_template_runs_with_its_lines_uncommented(run, tmp_path):
     """Both functions: the crate is pushed, and what drives robots finds none."""
     run("new", "my.py")
@@ -252,9 +262,10 @@ def test_study_finds_the_order(run, tmp_path):
     code, out, _ = run("study", "four_bar", "--dt", "8e-3,4e-3,2e-3", "--time", "0.2", "--csv", "s.csv")
     assert code == 0 and out.splitlines()[-1] == "four_bar: largest differences from the run at dt = 0.002 s"
     coarse = next(csv.DictReader((tmp_path / "s.csv").read_text().splitlines()))
+    assert float(coarse["dt [s]"]) == 8e-3 and float(coarse["time [s]"]) > 0.0
     assert float(coarse["order_position"]) == pytest.approx(2.0, abs=0.1)
     text = out.splitlines()[1].split()
-    assert float(text[2]) == pytest.approx(float(coarse["position"]), rel=1e-2)
+    assert float(text[2]) == pytest.approx(float(coarse["position [m]"]), rel=1e-2)
     found = json.loads(run("study", "slide", "--dt", "1e-2,5e-3,1e-3", "--time", "0.1", "--json")[1])
     coarse = found["runs"][0]  # exact at any step: round-off has no order
     assert 0.0 < coarse["velocity"] < 1e-11 and set(coarse["orders"].values()) == {None}
@@ -263,13 +274,13 @@ def test_study_finds_the_order(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--dt", "1e-2"], "dts must be at least two different positive numbers"),
+        (["--dt", "1e-2"], "error: --dt must be at least two different positive numbers"),
         (
             ["--dt", "1e-2,7e-3", "--time", "0.1"],
             "must be a whole number of every dt, got 0.1 s and dt = 0.007",
         ),
         (["--dt", "1e-2,fine"], "--dt must be a number, got 'fine'"),
-        (["--dt", "1e-2,0"], "dts must be at least two different positive numbers"),
+        (["--dt", "1e-2,0"], "error: --dt must be at least two different positive numbers"),
     ],
 )
 def test_bad_studies(run, arguments, words):

@@ -141,6 +141,14 @@ def test_errors_of_steps_are_dots(arm):
         assert {(line.get_linestyle(), line.get_marker()) for line in figure.axes[0].lines} == {("None", ".")}
 
 
+def test_an_axis_of_errors_begins_where_they_do(arm):
+    """Steps of free motion have bounds of 1e-16 √J and less, which are not drawn: no empty decades for them."""
+    (ax,) = drawn(lambda figure: plots.draw(arm, "certificate", figure=figure)).axes
+    shown = np.concatenate([line.get_ydata() for line in ax.lines])
+    low, _ = ax.get_ylim()
+    assert (arm.gauss.bound < 1e-12).any() and 0.1 * np.nanmin(shown) <= low <= np.nanmin(shown)
+
+
 def test_what_lasts_one_step_is_seen():
     run = nd.simulate(nd.scenes.load("bounce")(), 0.6, dt=1e-3)
     (line,) = drawn(lambda figure: plots.draw(run, "gap", figure=figure)).axes[0].lines
