@@ -59,9 +59,9 @@ class Stepper:
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
     impacts with restitution, which act in no time, until they are too many to tell apart, and where slip turns round.
     Each island of what may touch is cut by itself: what it does depends on nothing else, to the last bit, but on the
-    size of the scene's smallest moving body, of which a fraction counts as closed. No shapes overlap at the end: what a step leaves is removed by a projection of the positions. Contacts of free bodies that
-    stay closed, and stick, do no work: a couple per pair sees to that, which keeps every momentum. What numerics do
-    besides is in the ledger.
+    size of the scene's smallest moving body, of which a fraction counts as closed. No shapes overlap at the end: what a
+    step leaves is removed by a projection of the positions. Contacts of free bodies that stay closed, and stick, do no
+    work: a couple per pair sees to that, which keeps every momentum. What numerics do besides is in the ledger.
 
     Parameters
     ----------

@@ -97,6 +97,14 @@ def test_ranges_are_kept(leg):
         leg('<position name="p" joint="roll" inheritrange="x"/>')
 
 
+def test_a_range_that_is_not_symmetric_keeps_its_larger_bound(leg):
+    """No limit at all would be worse: 1e4 N m here."""
+    with pytest.warns(UserWarning, match="'p': forcerange of a servo, but for ±3"):
+        scene = leg('<position name="p" joint="toe" kp="1e4" forcerange="-3 1"/>')
+    moved = run(scene, nd.Actuation({"p": 1.0}), time=0.01)
+    assert np.abs(moved.joint("leg/toe").torque - 6.0).max() <= 1e-9
+
+
 def test_what_is_not_named_is_off_and_told(leg):
     scene = leg(DRIVES)
     with pytest.warns(
@@ -178,10 +186,7 @@ def test_wrong_controls_are_refused(leg, control, words):
         ('<general joint="hip" dyntype="integrator"/>', "<actuator> 'hip': dyntype='integrator'"),
         ('<general joint="hip" biastype="affine" biasprm="0 1 0"/>', "<actuator> 'hip': biasprm that drives it away"),
         ('<motor joint="hip" cranklength="1"/>', "actuator 'hip': cranklength"),
-        (
-            '<position joint="hip" forcerange="-1 2"/>',
-            "actuator 'hip': forcerange of a servo that is not ± the same, or has others beside it",
-        ),
+        ('<position joint="hip" forcerange="-1 2"/>', "actuator 'hip': forcerange of a servo, but for ±2"),
     ],
 )
 def test_what_is_not_used_is_told(leg, drive, note):

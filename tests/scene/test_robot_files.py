@@ -279,7 +279,7 @@ def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
         "body 'body0': springdamper of <joint>",
         "body 'body0': margin of <joint>",
         "body 'body0': solref of <geom>",
-        "joint None: actuatorfrcrange that is not ± the same, or of a ball joint",
+        "joint None: actuatorfrcrange, but for ±2",
         "option: timestep",
     )
 

@@ -76,9 +76,13 @@ def actuators_of(
     count = Counter(a.coordinate for a in out.values())
     for label, a in out.items():
         low, high = a.force_range
-        if a.servo and (low, high) != NONE and (low != -high or count[a.coordinate] > 1):
-            dropped.append(f"actuator {label!r}: forcerange of a servo that is not ± the same, or has others beside it")
+        if a.servo and (low, high) != NONE and count[a.coordinate] > 1:
+            dropped.append(f"actuator {label!r}: forcerange of a servo that has others beside it")
             out[label] = a._replace(force_range=NONE)
+        elif a.servo and low != -high:
+            most = max(-low, high)
+            dropped.append(f"actuator {label!r}: forcerange of a servo, but for ±{most:g}")
+            out[label] = a._replace(force_range=(-most, most))
     return tuple(out.values())
 
 

@@ -61,10 +61,12 @@ def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]
             )
         if element.get("actuatorfrcrange") and element.get("actuatorfrclimited", "auto") != "false":
             low, high = numbers(element.get("actuatorfrcrange"), 2, None, f"actuatorfrcrange of {label}")
-            effort[rows] = high
-            if kind == "ball" or low != -high:
-                report.dropped.append(f"{label}: actuatorfrcrange that is not ± the same, or of a ball joint")
+            effort[rows] = most = max(-low, high)
+            if kind == "ball":
+                report.dropped.append(f"{label}: actuatorfrcrange of a ball joint")
                 effort[rows] = np.inf
+            elif low != -high:
+                report.dropped.append(f"{label}: actuatorfrcrange, but for ±{most:g}")
         if kind in ("hinge", "slide"):
             stiffness[rows], rest[rows] = value("stiffness"), factor * value("springref")
             if limited == "true":
