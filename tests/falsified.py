@@ -959,7 +959,7 @@ TOUCHING = ("boxes", "bounces", "pushes", "quadruped", "snake")
 ANYWHERE = {
     "moves of contacts that last a hundredth longer": ((*FREE, "quadruped"), _times("contacts/duration", 1.01)),
     "impacts that last": (("bounces",), _strong("duration", lambda x: x + 1e-4)),
-    "a move that is an impact": (("boxes", "quadruped"), _strong("duration", lambda x: 0.0 * x)),
+    "moves that are impacts": ((*FREE, "quadruped"), _times("contacts/duration", 0.0)),
     "a couple that is no number": (("boxes", "theta"), _strong("couple", lambda x: np.nan * x)),
     "a time that is no number": (FREE, _strong("time", lambda x: np.nan * x)),
     "gaps a thousandth larger": (("bounces",), _times("contacts/gap", 1.001)),

@@ -166,7 +166,7 @@ def test_the_same_check_in_python(run, tmp_path, robot):
         (["slide", "--base", "free"], "base is for robot files, which slide is not"),
         (["r.xml", "--set", "mu=1"], "--set is for scenes, which r.xml is not"),
         (["r.xml", "--base", "free"], "base is for .urdf files, which r.xml is not"),
-        (["r.xml", "--package-dir", "."], "package_dirs is for .urdf and .sdf files, which r.xml is not"),
+        (["r.xml", "--package-dir", "."], "--package-dir is for .urdf and .sdf files, which r.xml is not"),
         (["r.xml", "--keyframe", "sit"], "keyframe must be one of none; got 'sit'"),
         (["r.xml", "-q", "1,2"], r"q of 'robot' must be 7 numbers, got shape \(2,\)"),
         (["r.xml", "-q", "1,x"], "-q must be a number, got 'x'"),
