@@ -54,7 +54,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     spin, rounded = spins(poses), 8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2)
     rest = np.diff(spin, axis=0) - flight.torque
     # Where on its way the projection lifts a body is not recorded.
-    left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown + rounded)
+    left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within + rounded)
     left = np.maximum(left, 0.0)
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:])
@@ -115,7 +115,7 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
         left, turn = np.linalg.norm(flight.lift, axis=2) - flight.unknown, flight.turn
         # How far bodies were lifted in a step in pieces is not recorded.
         rest = np.linalg.norm(np.diff(spins(poses), axis=0) - flight.torque, axis=2)
-        rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.unknown)
+        rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within)
         least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
         later = np.where(flight.cut, t.dt * rest / least, 0.0)
     else:
@@ -128,7 +128,7 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
     radius, own = np.zeros(free), np.flatnonzero((poses.frame >= 0) & (poses.frame < free))
     np.maximum.at(radius, poses.frame[own], poses.bounding_radius[own])
     amount = np.maximum(left, (turn - later) * radius)
-    return of_bodies(poses, "motion", amount, np.broadcast_to(_extents(poses), amount.shape))
+    return of_bodies(poses, "motion", amount, np.broadcast_to(poses.smallest, amount.shape))
 
 
 def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
@@ -153,14 +153,7 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
     beside = flight.unknown + 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
     yield of_bodies(poses, "sideways", across - along - beside, moved)
     off = np.where(met, 0.0, np.linalg.norm(flight.lift, axis=2) - beside)
-    yield of_bodies(poses, "lifts", off, np.broadcast_to(_extents(poses), off.shape))
-
-
-def _extents(poses: Poses) -> Array:
-    """Smallest extents of free bodies, (free,), m."""
-    own, out = np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free)), np.full(poses.free, np.inf)
-    np.minimum.at(out, poses.frame[own], poses.extent[own])
-    return out
+    yield of_bodies(poses, "lifts", off, np.broadcast_to(poses.smallest, off.shape))
 
 
 def energies(poses: Poses) -> Iterator[Found]:

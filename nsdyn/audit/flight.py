@@ -17,6 +17,9 @@ __all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled"]
 LEAP = 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
 
+SUNK = 1e-5
+"""Of the smallest extent of a body, how far projections in a cut step may move it to and fro."""
+
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 """Makes a quaternion xyzw that of the turn back."""
 
@@ -41,9 +44,10 @@ class Flight:
         Σ ‖r‖, and Σ ‖p - x‖ ‖r‖.
     lift : ndarray, shape (n, free, 3)
         Where bodies end - where this brings them, m: what the projection has lifted them.
-    unknown : ndarray, shape (n, free)
+    unknown, within : ndarray, shape (n, free)
         How far w may have moved them otherwise where a step was cut at times that no impulse tells, m; with θ = ½ what
-        falls is at the ends of all moves where it would be in one.
+        falls is at the ends of all moves where it would be in one. And how far the projection may have done so besides
+        on their way.
     quaternion : ndarray, shape (n, free, 4)
         How bodies are turned at the end: by their angular momenta, which the impulses change at their times.
     turn : ndarray, shape (n, free)
@@ -66,6 +70,7 @@ class Flight:
     levers: Array
     lift: Array
     unknown: Array
+    within: Array
     quaternion: Array
     turn: Array
     met: Meetings
@@ -104,8 +109,9 @@ class Flight:
         lift, lifted = np.diff(poses.x[:, :free], axis=0) - path, angles(turned, poses.quaternion[1:, :free])
         fell = h * np.linalg.norm(forced, axis=2)
         unknown = np.where(cut, (theta - 0.5) * fell, 0.0)
+        within = unknown + np.where(cut, SUNK * poses.smallest, 0.0)
         # Where on its way the projection, and flights of unknown length, have brought the body.
-        off = (unknown + np.linalg.norm(lift, axis=2))[step, body]
+        off = (within + np.linalg.norm(lift, axis=2))[step, body]
         off += 2.0 * np.linalg.norm(arm, axis=1) * lifted[step, body]
         levers = pushes.summed(shape, size * np.linalg.norm(arm, axis=1))
         doubt = np.where(cut[step, body], _fastest(poses, levers)[step, body] * off, 0.0)
@@ -116,6 +122,7 @@ class Flight:
             levers,
             lift,
             unknown,
+            within,
             turned,
             lifted,
             Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),

@@ -79,6 +79,13 @@ class Poses:
         return np.stack([self.contacts[f"geom{k}"] for k in "12"]).astype(np.int64)
 
     @cached_property
+    def smallest(self) -> Array:
+        """Smallest extents of free bodies, (free,), m."""
+        own, out = np.flatnonzero((self.frame >= 0) & (self.frame < self.free)), np.full(self.free, np.inf)
+        np.minimum.at(out, self.frame[own], self.extent[own])
+        return out
+
+    @cached_property
     def middle(self) -> tuple[Array, Array]:
         """Positions (n, frames, 3) and quaternions of frames in the middle of every step.
 

@@ -275,7 +275,7 @@ def _off_surfaces(
     and turns bodies is not recorded.
     """
     off, gone, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
-    lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.unknown, flight.turn), np.zeros(len(point))
+    lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.within, flight.turn), np.zeros(len(point))
     for side, geom in enumerate(push[:2]):
         (R, x), frame = moments[1][side], poses.frame[geom]
         own = np.einsum("mji,mj->mi", R, point - x)

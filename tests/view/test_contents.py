@@ -319,6 +319,7 @@ def test_large_pages_stay_small(rng):
         "work_normal": -rng.uniform(size=m),
         "work_friction": -rng.uniform(size=m),
         "time": np.full(m, 0.5 / 30),
+        "duration": np.full(m, 1 / 30),
     }
     trajectory = recording(scene, q.reshape(n, -1), dt=1 / 30, contacts=contacts, v=rng.normal(size=(n, 600)))
     page = viewer.html(trajectory)
