@@ -18,7 +18,7 @@ LEAP = 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
 
 SUNK = 1e-5
-"""Of the smallest extent of a body, how far projections in a cut step may move it to and fro."""
+"""Of the smallest extent of a body, how far projections within a step of several moves may move it to and fro."""
 
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 """Makes a quaternion xyzw that of the turn back."""
@@ -109,9 +109,10 @@ class Flight:
         lift, lifted = np.diff(poses.x[:, :free], axis=0) - path, angles(turned, poses.quaternion[1:, :free])
         fell = h * np.linalg.norm(forced, axis=2)
         unknown = np.where(cut, (theta - 0.5) * fell, 0.0)
-        within = unknown + np.where(cut, SUNK * poses.smallest, 0.0)
-        # Where on its way the projection, and flights of unknown length, have brought the body.
-        off = (within + np.linalg.norm(lift, axis=2))[step, body]
+        # Where on its way the projection, after moves before, and flights of unknown length have brought the body.
+        sunk, within = np.where(pushes.around(length)[0] > 0.0, SUNK * poses.smallest[body], 0.0), unknown.copy()
+        np.maximum.at(within, (step, body), unknown[step, body] + sunk)
+        off = (unknown + np.linalg.norm(lift, axis=2))[step, body] + sunk
         off += 2.0 * np.linalg.norm(arm, axis=1) * lifted[step, body]
         levers = pushes.summed(shape, size * np.linalg.norm(arm, axis=1))
         doubt = np.where(cut[step, body], _fastest(poses, levers)[step, body] * off, 0.0)
