@@ -85,7 +85,7 @@ def plain(poses: Poses) -> Iterator[Found]:
 
 def _ends(column: Array) -> bool:
     """Whether a row that is no number follows on one that is."""
-    none: Bools = np.isnan(column).any(axis=tuple(range(1, column.ndim)))  # type: ignore[assignment]
+    none: Bools = np.asarray(np.isnan(column).any(axis=tuple(range(1, column.ndim))))
     return bool(none.any()) and not none.all() and bool(none[none.argmin() :].any())
 
 
