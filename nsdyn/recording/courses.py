@@ -17,8 +17,9 @@ TURN, PARTS = 0.1, 64
 """Most that a part of a motion turns, rad, and most parts that it is begun with."""
 
 FINE, DOUBLINGS, HALVINGS = 1e-11, 7, 12
-"""Error by step doubling, as a fraction of the velocity, at which a motion is fine enough; most doublings to get there;
-and how often a motion that needs more of them is halved, as light links are fast for a short time."""
+"""Error by step doubling at which a motion is fine enough, as a fraction of the velocity, or of what joint forces by
+themselves make of it, for where they carry a weight the velocity is round-off; most doublings to get there; and how
+often a motion that needs more of them is halved, as light links are fast for a short time."""
 
 CONSTANTS = 10.0
 """How many times more a rule may err than another of its order."""
@@ -76,6 +77,7 @@ def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, d
 def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: Array | float, halvings: int) -> Course:
     """Without loops: in parts that are doubled, in halves where that many would not do."""
     parts = min(PARTS, 1 + int(h * float(np.max(np.abs(v) * (m.turns > 0.0))) / TURN))
+    speed = np.abs([v, v if tau is None else h * np.linalg.solve(m.mass(q), tau)]).max()
     coarse = _in_parts(m, q, v, h, tau, drive, parts)
     doubted = _doubt(coarse[4], float(np.abs(v).max()), parts)
     for k in reversed(range(DOUBLINGS)):
@@ -85,9 +87,10 @@ def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: A
         if k == DOUBLINGS - 1:
             doubted = np.maximum(doubted, CONSTANTS * change)
         coarse = fine
-        if change[1].max() <= FINE * np.abs(fine[1]).max():
+        enough = FINE * max(speed, np.abs(fine[1]).max())
+        if change[1].max() <= enough:
             break
-        if halvings and np.isfinite(v).all() and not change[1].max() <= 16.0**k * FINE * np.abs(fine[1]).max():
+        if halvings and np.isfinite(v).all() and not change[1].max() <= 16.0**k * enough:
             one = _fly(m, q, v, 0.5 * h, tau, drive, halvings - 1)
             two = _fly(m, one.q, one.v, 0.5 * h, tau, drive, halvings - 1)
             mean, doubted = 0.5 * (one.mean + two.mean), one.doubted + two.doubted

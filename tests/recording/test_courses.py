@@ -1,0 +1,39 @@
+"""Motion of a tree by an audit's own rule: to the tolerance, and no finer than numbers can tell."""
+
+import numpy as np
+import pytest
+from mechanisms import pendulum
+
+import nsdyn as nd
+from nsdyn.recording import courses, retrace
+
+
+@pytest.fixture
+def mechanism():
+    scene = nd.Scene()
+    scene.add_model("a", pendulum(2), limits=False)
+    return retrace.trees(nd.simulate(scene, 0.01, 5e-3)).mechanisms[0]
+
+
+@pytest.mark.parametrize("v", [0.0, 1e-17, 1e-9])
+def test_what_joint_forces_carry_at_rest_is_found_at_once(mechanism, monkeypatch, v):
+    """Of a velocity that is round-off nothing could be found to eleven digits."""
+    count, made = [], courses._in_parts
+    monkeypatch.setattr(courses, "_in_parts", lambda *given: count.append(1) or made(*given))
+    q = np.array([0.5, -0.3])
+    course = courses.move(mechanism, q, np.array([v, -v]), 5e-3, mechanism.weight(q))
+    assert len(count) <= 3
+    np.testing.assert_allclose(course.q, q, rtol=0, atol=1e-10)  # 2 v h, and round-off
+    assert np.abs(course.v).max() <= 2 * v + 1e-14
+
+
+def test_a_fall_is_followed_to_its_tolerance(mechanism):
+    """As of eight times as many moves: the energy says so too."""
+    q, v, weightless = np.array([1.5, -0.8]), np.array([2.0, -30.0]), mechanism.zero
+    whole = courses.move(mechanism, q, v, 0.08, weightless)
+    there, speed = q, v
+    for _ in range(8):
+        part = courses.move(mechanism, there, speed, 0.01, weightless)
+        there, speed = part.q, part.v
+    np.testing.assert_allclose(whole.q, there, rtol=0, atol=1e-9)
+    assert sum(mechanism.energies(whole.q, whole.v)) == pytest.approx(sum(mechanism.energies(q, v)), rel=1e-10)
