@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -87,6 +87,11 @@ class Store:
     def point(self, parameters: Mapping[str, Any]) -> dict[str, Any] | None:
         """What is stored of a point: parameters, result, failure."""
         return self._points.get(_key(parameters))
+
+    def count(self, points: Iterable[Mapping[str, Any]]) -> int:
+        """How many of some points, by their parameters, the file holds now."""
+        found, _ = self._found()
+        return sum(_key(parameters) in found for parameters in points)
 
     def add(self, point: Mapping[str, Any]) -> dict[str, Any]:
         """Write a point, at once, and return it as it will be read; ValueError for what JSON cannot hold."""

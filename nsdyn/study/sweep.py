@@ -157,7 +157,9 @@ def _gathered(
                 members[k] = Member(chosen, result, failure)
                 bar.update()
         except KeyboardInterrupt:
-            done = f"{len(members) - refused} of {len(tasks)} done"
+            # What is in the file counts: a point may have been written in the moment of the interrupt.
+            count = kept.count(task[1] for task in tasks) if kept else len(members) - refused
+            done = f"{count} of {len(tasks)} done"
             goes = "the same command goes on" if kept else "without a store they are lost"
             raise KeyboardInterrupt(f"{done}; {goes}") from None
     return [members[k] for k in range(len(tasks))], refused
