@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn.audit.findings import Found, at_play, not_audited, of_bodies, worst_of
 from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
-from nsdyn.audit.pushes import Times, velocities
+from nsdyn.audit.pushes import UNTIMED, Times, velocities
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out
@@ -28,7 +28,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     missing = not_audited("motion", f"of every {t.every} steps one is recorded")
     yield _motion(poses, flight) if t.every == 1 else missing
     if flight is None or not flight.timed:
-        why = reason or "in what moves impulses acted is not recorded"
+        why = reason or UNTIMED
         yield from (not_audited(name, why) for name in ("sideways", "lifts"))
     else:
         yield from _lifts(poses, flight)
@@ -46,7 +46,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     scale = flight.size + mass * (speed[:-1] + speed[1:] + np.linalg.norm(weight))
     yield of_bodies(poses, "momentum", np.linalg.norm(left, axis=2), scale)
     if not flight.timed:
-        yield not_audited("spin", "in what moves impulses acted is not recorded")
+        yield not_audited("spin", UNTIMED)
         return
     if np.isnan(t.columns["contacts/couple"]).any():
         yield not_audited("spin", "couples of contacts are not recorded")

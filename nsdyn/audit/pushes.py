@@ -11,7 +11,11 @@ from nsdyn.audit.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Pushes", "Times", "together", "velocities"]
+__all__ = ["UNTIMED", "Pushes", "Times", "together", "velocities"]
+
+
+UNTIMED = "in what moves impulses acted is not recorded"
+"""Why what hangs on it is not audited of older recordings."""
 
 
 class Pushes(NamedTuple):

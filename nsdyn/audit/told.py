@@ -101,8 +101,7 @@ def _velocities(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index)
     """Velocities of what pushes are those after the impulse; in a piece that moves, as they are foreseen for its end.
 
     Foreseen is as much change once more as there was until the impulse, up to as much as what turns can make. What does
-    not push may have a gap, at whose two ends bodies move otherwise than where its
-    point is.
+    not push may have a gap, at whose two ends bodies move otherwise than where its point is.
     """
     t, met, u = poses.trajectory, flight.met, c["u"]
     moves = ~np.isnan(met.after).any(axis=1)

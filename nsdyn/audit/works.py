@@ -10,7 +10,7 @@ import numpy as np
 from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
 from nsdyn.audit.flight import Flight, spins
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.pushes import together
+from nsdyn.audit.pushes import UNTIMED, together
 from nsdyn.audit.retraced import Retraced
 from nsdyn.audit.told import JAM
 from nsdyn.audit.touching import apart
@@ -37,7 +37,7 @@ def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> 
     """Findings of works; of scenes without articulations nothing was retraced, and of others why it was not."""
     t = poses.trajectory
     yield from _dissipation(poses)
-    reason = left_out(t) if flight is None else "" if flight.timed else "in what moves impulses acted is not recorded"
+    reason = left_out(t) if flight is None else "" if flight.timed else UNTIMED
     if isinstance(found, str):
         reason = reason or found
     if reason or flight is None:

@@ -45,9 +45,8 @@ class Impulses(NamedTuple):
         Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
     created : float
         Energy that impacts created, J.
-    time, lasted : ndarray, shape (nc,)
-        When it acted, s after the beginning of the move, or of the step, and how long the move lasts that it acted in,
-        s; 0 of impacts in no time.
+    time : ndarray, shape (nc,)
+        When it acted, s after the beginning of the move, or of the step.
     duration : float
         Of the move, s; 0 of impacts in no time.
     begin : float
@@ -68,7 +67,6 @@ class Impulses(NamedTuple):
     links: Array
     created: float
     time: Array
-    lasted: Array
     duration: float
     begin: float = 0.0
     moves: Bools | None = None
@@ -82,10 +80,9 @@ class Impulses(NamedTuple):
         columns = list(zip(*done, strict=True))[1:8]
         frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns)
         joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))
-        time, lasted = (np.concatenate([getattr(a, name) for a in done]) for name in ("time", "lasted"))
+        time = np.concatenate([a.time for a in done])
         created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
-        acted = frame, u, r, status, couple, normal, friction, joints, links, created, time, lasted
-        return Impulses(contacts, *acted, duration)
+        return Impulses(contacts, frame, u, r, status, couple, normal, friction, joints, links, created, time, duration)
 
 
 def account(
@@ -158,8 +155,7 @@ def account(
         slots = slots / h
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
-    time, lasted = np.full(nc, (1.0 - s.theta) * h), np.full(nc, h)
+    time = np.full(nc, (1.0 - s.theta) * h)
     links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
-    acted = met.frame, u, impulse, status, turned, normal, friction, on_joints, links, created, time, lasted
-    impulses = Impulses(c, *acted, h)
+    impulses = Impulses(c, met.frame, u, impulse, status, turned, normal, friction, on_joints, links, created, time, h)
     return impulses, works, Warm(c.key, s.detector.codes(c), world, status, slots)

@@ -133,7 +133,7 @@ def _pass(
     d, gained = s.dynamics, sum(w.integration for w in works)
     if not any(d.surfaces.carry(a.contacts).any() for a in out.done):  # of what is driven the work is its own
         gained += sum(w.projection for w in works)
-        if not any((a.contacts.restitution > 0.0).any() for a in out.done):  # else contacts only take energy
+        if not any((a.contacts.restitution > 0.0).any() for a in out.done):  # contacts then only take energy
             gained += sum(max(0.0, w.normal + w.friction) for w in works)
     if gained > 0.0 and not d.trees:  # which keep their own errors small
         # Where all is at rest, what gravity gives in a step is the scale.

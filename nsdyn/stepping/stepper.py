@@ -402,7 +402,7 @@ class Stepper:
             couple=acted.couple,
             contact_status=acted.status,
             contact_time=acted.time,
-            contact_duration=acted.lasted,
+            contact_duration=np.repeat([a.duration for a in done], [a.status.size for a in done]),
             work_normal=acted.normal,
             work_friction=acted.friction,
             joints=joints,
