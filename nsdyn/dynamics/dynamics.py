@@ -183,8 +183,8 @@ class Dynamics(Kinematics):
         H = np.zeros(size)
         if self.free:
             _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, H)
-        for t, links in zip(self.trees, place.links, strict=True):
-            _links.rows(*hang, *where, t.frames.start, t.support, links.J, start, H)
+        if self.trees:
+            _links.rows((*self.linkages, place.fields), *hang, *where, start, H)
         full = Blocks(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
         bases = NOTHING
         if self.constrained:

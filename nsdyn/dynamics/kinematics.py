@@ -120,14 +120,11 @@ class Kinematics(Layout):
 
     def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
         """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
-        if self._lone:
-            return self.trees[0].twists(place.links[0], v)
         linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
         if self.free:
             _motion.twists(place.R, v, self.free, linear, angular)
-        for t, links in zip(self.trees, place.links, strict=True):
-            own = linear[t.frames], angular[t.frames]
-            _links.twists(links.x, t.support, links.J, v[t.coordinates], *own)
+        if self.trees:
+            _links.twists((*self.linkages, place.fields), place.x, v, linear, angular)
         return linear, angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
@@ -145,9 +142,10 @@ class Kinematics(Layout):
         out = np.zeros(self.frames)
         fall = h * dt * self.weight
         if self.free:
-            _motion.reach(v, h, fall, self.radius, out)
-        for t, links in zip(self.trees, place.links, strict=True):
-            _links.reach(*t.twists(links, v[t.coordinates]), h, t.radius, fall, out[t.frames])
+            _motion.reach(v, h, fall, self.radii[: self.free], out)
+        if self.trees:
+            trees, last = (*self.linkages, place.fields), self.radii.size
+            _links.reach(trees, place.x[:last], v, h, self.radii[self.free :], fall, out[self.free : last])
         if self.surfaces.count:
             self.surfaces.reach(h * np.abs(twist), out)
         return out

@@ -9,7 +9,6 @@ from typing import Self
 import numpy as np
 import pinocchio as pin
 
-from nsdyn._kernels.dynamics import links as _links
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.loops import Closures, admissible, factored, supports
 from nsdyn.dynamics.tree_values import Constraints, Links
@@ -173,12 +172,6 @@ class Linkage:
         """Copies of what Pinocchio computed last, at q."""
         x, R = self._x.take(self._carriers, axis=0), self._R.take(self._carriers, axis=0)
         return Links(x, R, self._J.copy(order="F"), self.angle(q))
-
-    def twists(self, links: Links, v: Array) -> tuple[Array, Array]:
-        """Velocities of the links' frames at v (nv,): linear at the origin, m/s, and angular, rad/s; world axes."""
-        linear, angular = np.empty(links.x.shape), np.empty(links.x.shape)
-        _links.twists(links.x, self.support, links.J, v, linear, angular)
-        return linear, angular
 
     def close(self, q: Array) -> Array:
         """The closest configuration whose loops are closed; q itself when they are."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from nsdyn.collision.contacts import Looked
 from nsdyn.dynamics.tree_values import FreeMotion, Halfway, Links
 from nsdyn.tools.arrays import Array
@@ -63,6 +65,12 @@ class Placement(NamedTuple):
     def of(cls, links: Links) -> Placement:
         """The frames of an only tree."""
         return cls(links.x, links.R, (links,))
+
+    @property
+    def fields(self) -> Array:
+        """Velocity fields of the coordinates of all trees, one after the other, as `nsdyn._kernels.dynamics.links`."""
+        fields = [links.J.T.ravel() for links in self.links]
+        return fields[0] if len(fields) == 1 else np.concatenate(fields)
 
 
 class Middle(NamedTuple):

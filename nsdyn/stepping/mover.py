@@ -50,8 +50,6 @@ class Mover:
 
     def __init__(self, s: System) -> None:
         d, solver, closing, own = s.dynamics, s.solver, s.closing(s.dt, False), isinstance(s.solver, Auto)
-        moments, axes, inverse_mass, inverse_J, radius = d.bodies
-        radii = np.concatenate((radius, *[t.radius for t in d.trees]))
         block_of_frame, offset, m_start, m, minv = d.masses
         self.wide = 6 * int(np.diff(offset).max())
         numbers = (
@@ -78,14 +76,11 @@ class Mover:
             0.0,
         )
         full = int(np.square(np.diff(offset)).sum())
-        trees = [(t.frames.start, len(t.joints), t.coordinates.start, t.model.nv) for t in d.trees]
-        supports = [t.support.astype(np.int64).ravel() for t in d.trees]
-        floats = [moments, axes, inverse_mass, inverse_J, radii, d.mass, d.J, np.empty(full), np.empty(full)]
+        floats = [*d.bodies, d.mass, d.J, np.empty(full), np.empty(full)]
         fields = np.empty((d.n - 6 * d.free, 6))
         floats += [d.gravity, d.no_load, d.no_load, s.arm, d.nowhere, s.inscribed, fields, fields]
         floats.append(np.array(numbers, dtype=float))
-        table = np.array(trees, dtype=np.int64).ravel(), np.concatenate([NO_PAIRS, *supports])
-        *packed, views, _ = pack(floats, [block_of_frame, offset, m_start, *table])
+        *packed, views, _ = pack(floats, [block_of_frame, offset, m_start, *d.linkages])
         self._arrays, self.numbers = tuple(packed), views[-1]
         self._views = views
         for view, given in zip(views[_col.M : _col.MINV + 1], (m, minv), strict=True):

@@ -34,109 +34,93 @@ def quaternions(R, out):
 
 
 @in_place
-def rows(frame1, frame2, point, frame, first, support, J, start, H):
-    """Add the rows of Hᵀ on the links of one tree to H. A contact between two links adds both to side 0.
+def rows(trees, frame1, frame2, point, frame, start, H):
+    """Add the rows of Hᵀ on the links of trees to H. A contact between two links of one tree adds both to side 0.
 
     Parameters
     ----------
+    trees : tuple
+        (table, support, J): of each tree its first frame, how many, its first coordinate, and how many; one tree after
+        the other, which coordinates move a link, and the velocity fields of the coordinates, (nv, 6), world axes:
+        linear at the world's origin, then angular.
     frame1, frame2 : ndarray of int, shape (nc,)
         Of each contact.
     point, frame : ndarray, shapes (nc, 3), (nc, 3, 3)
         World; rows (n, t1, t2).
-    first : int
-        The links are the frames first, first + 1, ...
-    support : ndarray of bool, shape (links, nv)
-        Which coordinates move a link.
-    J : ndarray, shape (6, nv)
-        Column j is the velocity field of coordinate j, world axes: linear at the world's origin, then angular.
     start : ndarray of int, shape (nc, 2)
         Where the rows of each contact and side begin in H.
     H : ndarray
     """
-    last, nv = first + support.shape[0], J.shape[1]
-    for c in range(frame1.size):
-        inside = first <= frame1[c] < last
-        for s in range(2):
-            f = frame1[c] if s == 0 else frame2[c]
-            if f < first or f >= last:
-                continue
-            for i in range(3):
-                d0, d1, d2 = d = times(-1.0 if s == 0 else 1.0, row(frame[c], i))
-                m0, m1, m2 = cross(row(point, c), d)
-                at = start[c, 0 if inside else s] + nv * i
-                for j in range(nv):
-                    if support[f - first, j]:
-                        H[at + j] += (
-                            d0 * J[0, j] + d1 * J[1, j] + d2 * J[2, j] + m0 * J[3, j] + m1 * J[4, j] + m2 * J[5, j]
-                        )
-
-
-@in_place
-def twists(x, support, J, v, linear, angular):
-    """Velocities of the origins x (k, 3) of some frames, and of their rotations, world axes, into (k, 3) each."""
-    for f in range(support.shape[0]):
-        linear[f], angular[f] = 0.0, 0.0
-        for j in range(v.size):
-            if support[f, j]:
-                for i in range(3):
-                    linear[f, i] += J[i, j] * v[j]
-                    angular[f, i] += J[3 + i, j] * v[j]
-        put(linear, f, along(row(linear, f), 1.0, cross(row(angular, f), row(x, f))))
-
-
-@in_place
-def rows_of_all(trees, frame1, frame2, point, frame, start, H):
-    """`rows` of all trees of a scene.
-
-    trees = (table, support, J): of each tree its first frame, how many, its first coordinate, and how many; one tree
-    after the other, which coordinates move a link, and the velocity fields, (nv, 6).
-    """
-    table, support, J = trees
+    table, support, fields = trees
     at, field = 0, 0
     for t in range(table.size // 4):
         first, count, nv = table[4 * t], table[4 * t + 1], table[4 * t + 3]
-        moves, own = support[at : at + count * nv].reshape((count, nv)), J[field : field + 6 * nv].reshape((nv, 6)).T
-        rows(frame1, frame2, point, frame, first, moves, own, start, H)
+        moves, J = support[at : at + count * nv].reshape((count, nv)), fields[field : field + 6 * nv].reshape((nv, 6))
+        last = first + count
+        for c in range(frame1.size):
+            inside = first <= frame1[c] < last
+            for s in range(2):
+                f = frame1[c] if s == 0 else frame2[c]
+                if f < first or f >= last:
+                    continue
+                for i in range(3):
+                    d0, d1, d2 = d = times(-1.0 if s == 0 else 1.0, row(frame[c], i))
+                    m0, m1, m2 = cross(row(point, c), d)
+                    own = H[start[c, 0 if inside else s] + nv * i :]
+                    for j in range(nv):
+                        if moves[f - first, j]:
+                            own[j] += (
+                                d0 * J[j, 0] + d1 * J[j, 1] + d2 * J[j, 2] + m0 * J[j, 3] + m1 * J[j, 4] + m2 * J[j, 5]
+                            )
         at, field = at + count * nv, field + 6 * nv
 
 
 @in_place
-def twists_of_all(trees, x, v, linear, angular):
-    """`twists` of the frames of all trees of a scene, as of `rows_of_all`, where all frames are at x (n, 3)."""
-    table, support, J = trees
+def twists(trees, x, v, linear, angular):
+    """Velocities of the frames of trees, as of `rows`, at their origins x (n, 3), and of their rotations, world axes.
+
+    Into the rows (n, 3) of these frames.
+    """
+    table, support, fields = trees
     at, field = 0, 0
     for t in range(table.size // 4):
         first, count, begin, nv = table[4 * t], table[4 * t + 1], table[4 * t + 2], table[4 * t + 3]
-        moves, own = support[at : at + count * nv].reshape((count, nv)), J[field : field + 6 * nv].reshape((nv, 6)).T
-        last = first + count
-        twists(x[first:last], moves, own, v[begin : begin + nv], linear[first:last], angular[first:last])
+        moves, J = (
+            support[at : at + count * nv].reshape((count, nv)),
+            fields[field : field + 6 * nv].reshape((2 * nv, 3)),
+        )
+        own = v[begin : begin + nv]
+        for f in range(count):
+            speed, spin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+            for j in range(nv):
+                if moves[f, j]:
+                    speed, spin = along(speed, own[j], row(J, 2 * j)), along(spin, own[j], row(J, 2 * j + 1))
+            put(angular, first + f, spin)
+            put(linear, first + f, along(speed, 1.0, cross(spin, row(x, first + f))))
         at, field = at + count * nv, field + 6 * nv
 
 
-@in_place
-def reach(linear, angular, h, radius, fall, out):
-    """How far any point of each link's shapes moves in a step of h at its `twists`, and by `fall`, m, into out (k,)."""
-    for f in range(out.size):
-        speed, spin = row(linear, f), row(angular, f)
-        out[f] = h * (math.sqrt(dot(speed, speed)) + math.sqrt(dot(spin, spin)) * radius[f]) + fall
-
-
 @kernel
-def reach_of_all(trees, x, v, h, radius, fall, out):
-    """`reach` of the last frames, those of all trees of a scene, from v (n,), where they are at x (k, 3)."""
+def reach(trees, x, v, h, radius, fall, out):
+    """How far any point of each link's shapes moves in a step of h at its `twists`, and by `fall`, m, into out (k,).
+
+    The links are the last of the frames, which are at x (n, 3).
+    """
     linear, angular = np.empty(x.shape), np.empty(x.shape)
-    twists_of_all(trees, x, v, linear, angular)
+    twists(trees, x, v, linear, angular)
     first = x.shape[0] - out.size
-    reach(linear[first:], angular[first:], h, radius, fall, out)
+    for f in range(out.size):
+        speed, spin = row(linear, first + f), row(angular, first + f)
+        out[f] = h * (math.sqrt(dot(speed, speed)) + math.sqrt(dot(spin, spin)) * radius[f]) + fall
 
 
 @in_place
 def closures(tree, loops, phi, G):
     """Add to phi (rows,) how far the points of two joints each are apart, and to G (rows, nv) the rows of closed loops.
 
-    tree = (x, R, J, support): poses of all joints, velocity fields, and which coordinates move a joint, as of `rows`.
-    loops = (joints, points, rows): two joints each, a point in the frame of each, and where their rows begin: three of
-    the points, and three of the turn where there are six.
+    tree = (x, R, J, support): poses of all joints, velocity fields (6, nv), and which coordinates move a joint. loops =
+    (joints, points, rows): two joints each, a point in the frame of each, and where their rows begin: three of the
+    points, and three of the turn where there are six.
     """
     (x, R, J, support), (joints, points, rows) = tree, loops
     for k in range(joints.shape[0]):

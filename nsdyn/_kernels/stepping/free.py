@@ -44,7 +44,7 @@ def given(movers, loads, position, h, theta, looked, near, out):
         rate[i] = (v_free[i] - v[i]) / h
     ahead, fallen = theta * h, theta * h * h * fall
     motion.reach(v_free, ahead, fallen, radius[:free], reach)
-    links.reach_of_all(trees, x, v_free, ahead, radius[free:], fallen, reach[free:])
+    links.reach(trees, x, v_free, ahead, radius[free:], fallen, reach[free:])
     return most(reach), touching.unmoved(looked, (x, R, reach), *near)
 
 
@@ -55,7 +55,7 @@ def meet(masses, movers, here, begin, velocities, warm, laws, rows, out):
     Parameters
     ----------
     masses, movers : tuple
-        (block_of_frame, offset, m_start, m, minv), and (free bodies, trees as of `links.rows_of_all`).
+        (block_of_frame, offset, m_start, m, minv), and (free bodies, trees as of `links.rows`).
     here : tuple
         (key, frame1, frame2, point, normal, gap, x, R) where the impulses act.
     begin, velocities, warm, laws, out : tuple
@@ -73,7 +73,7 @@ def meet(masses, movers, here, begin, velocities, warm, laws, rows, out):
         if movers[0] < x.shape[0]:
             H[:size] = 0.0
         motion.free_rows(frame1, frame2, point, frame, x, R, movers[0], start, H)
-        links.rows_of_all(movers[1], frame1, frame2, point, frame, start, H)
+        links.rows(movers[1], frame1, frame2, point, frame, start, H)
     blocks = (offset, block, start, H[:size], m_start, m, minv)
     if not again:
         _blocks.delassus_scales(blocks, scales)
@@ -86,7 +86,7 @@ def meet(masses, movers, here, begin, velocities, warm, laws, rows, out):
 def moving(movers, x, R, v, linear, angular):
     """Velocities of all frames, at x (n, 3), and angular ones, world axes, into (n, 3) each; movers as of `meet`."""
     motion.twists(R, v, movers[0], linear, angular)
-    links.twists_of_all(movers[1], x, v, linear, angular)
+    links.twists(movers[1], x, v, linear, angular)
 
 
 @in_place
