@@ -112,18 +112,12 @@ def linear_laws(M, springs, control, angle, turning, h, theta, laws):
             laws[1, 4, j] = min(max(constant[j], -limit[j]), limit[j])
     if not gains:
         return
-    A, F = np.empty((n, n)), np.empty((n, n))
-    for i in range(n):  # from the tips, so that the zeros of branches stay
-        for j in range(i, n):
-            A[i, j] = M[n - 1 - i, n - 1 - j]
-    if not inverse_factor(A, F):
+    F, mobility = np.empty((n, n)), np.empty((n, n))
+    if not factor(M, F, mobility):
         return
     for j in range(n):
-        mobility = 0.0
-        for i in range(n - 1 - j, n):
-            mobility += square(F[i, n - 1 - j])
-        damps = h * kd[j] * mobility
-        swings = h * h * kp[j] * mobility / (1.0 + 0.5 * damps)
+        damps = h * kd[j] * mobility[j, j]
+        swings = h * h * kp[j] * mobility[j, j] / (1.0 + 0.5 * damps)
         if swings * (1.0 - theta) > OVERSHOOT:
             laws[1, 2, j] = 1.0 - OVERSHOOT / swings
         if damps * (1.0 - theta) > OVERSHOOT:
