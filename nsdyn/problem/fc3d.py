@@ -208,13 +208,13 @@ class FC3D:
         """
         r = self.impulse(r)
         u = self.velocity(r) if u is None else u
-        return float(_cones.natural_error(u, r, self.mu)) / self.q_norm
+        return float(_cones.measures(self.scales, u, r, self.mu)[0]) / self.q_norm
 
     def residual(self, r: Any, u: Array | None = None) -> float:
         """Unit-invariant residual in m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ with ρ = 1/λ_max(W_aa)."""
         r = self.impulse(r)
         u = self.velocity(r) if u is None else u
-        return float(_cones.natural_residual(self.scales, u, r, self.mu))
+        return float(_cones.measures(self.scales, u, r, self.mu)[1])
 
     def gap(self, r: Any) -> float:
         """Duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N): see `gauss`."""

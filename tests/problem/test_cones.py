@@ -108,7 +108,7 @@ def test_one_contact_is_exact(rng):
         u = W @ r + q
         kinds.add("open" if not r.any() else "slip" if np.hypot(*r[1:]) > 0.999999 * mu * r[0] else "stick")
         scale = np.array([1.0 / np.linalg.eigvalsh(W)[-1]])
-        residual = kernels.natural_residual(1.0 / scale, u, r, np.array([mu]))
+        _, residual = kernels.measures(1.0 / scale, u, r, np.array([mu]))
         # Round-off of W r, whose terms are up to the condition number times larger than q.
         assert residual <= 1e-9 * max(1.0, np.abs(q).max())
     assert kinds == {"open", "stick", "slip"}

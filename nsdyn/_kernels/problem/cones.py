@@ -42,50 +42,35 @@ def projection_jacobian(zn, z1, z2, mu, D):
 
 
 @in_place
-def natural_residual(W_diagonal, u, r, mu):
-    """Largest |r - P_K(r - rho u_hat)| / rho over contacts, with rho = 1 / W_diagonal[c], in m/s.
+def measures(W_diagonal, u, r, mu):
+    """(error, residual) of an impulse r and its velocity u.
 
-    At least the rounding of W_cc r_c: impulses so large that q drowns in u = W r + q solve nothing.
+    |r - P_K(r - u_hat)|_2 over all contacts, the numerator of the literature's error, and the largest
+    |r - P_K(r - rho u_hat)| / rho, with rho = 1 / W_diagonal[c], in m/s: at least the rounding of W_cc r_c, since
+    impulses so large that q drowns in u = W r + q solve nothing.
     """
-    worst = 0.0
+    total, worst = 0.0, 0.0
     for c in range(mu.size):
         i, rho = 3 * c, 1.0 / W_diagonal[c]
         s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
         if r[i] == r[i + 1] == r[i + 2] == 0.0 and u[i] + s >= s:  # open; no NaN gets here
             continue
+        pn, p1, p2 = project(r[i] - u[i] - s, r[i + 1] - u[i + 1], r[i + 2] - u[i + 2], mu[c])
+        total += square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)
         pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu[c])
         e = math.sqrt(square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)) / rho
         floor = ROUNDING * math.sqrt(square(r[i]) + square(r[i + 1]) + square(r[i + 2])) / rho
         e = floor if e < floor else e
         if not e <= worst:  # a NaN is the worst
             worst = e
-    return worst
-
-
-@in_place
-def natural_error(u, r, mu):
-    """|r - P_K(r - u_hat)|_2 over all contacts (rho = 1): the numerator of the literature's error."""
-    total = 0.0
-    for c in range(mu.size):
-        i = 3 * c
-        s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-        if r[i] == r[i + 1] == r[i + 2] == 0.0 and u[i] + s >= s:  # open; no NaN gets here
-            continue
-        pn, p1, p2 = project(r[i] - u[i] - s, r[i + 1] - u[i + 1], r[i + 2] - u[i + 2], mu[c])
-        total += square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)
-    return math.sqrt(total)
-
-
-@in_place
-def measures(W_diagonal, u, r, mu):
-    """(natural_error, natural_residual) in one call."""
-    return natural_error(u, r, mu), natural_residual(W_diagonal, u, r, mu)
+    return math.sqrt(total), worst
 
 
 @in_place
 def measure_at(W_diagonal, u, r, mu, q_norm):
     """Larger of the literature's error and the residual in m/s of an impulse r and its velocity u."""
-    return max(natural_residual(W_diagonal, u, r, mu), natural_error(u, r, mu) / q_norm)
+    error, residual = measures(W_diagonal, u, r, mu)
+    return max(residual, error / q_norm)
 
 
 @in_place

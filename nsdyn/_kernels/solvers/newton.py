@@ -16,7 +16,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, velocity
-from nsdyn._kernels.problem.cones import measure_at, natural_error, natural_residual
+from nsdyn._kernels.problem.cones import measure_at, measures
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.problem.sparse import assemble, dense_pattern
 from nsdyn._kernels.reductions import copy
@@ -31,36 +31,25 @@ GOES_ON, SETTLED, FAILED = range(3)
 
 
 @in_place
-def projected(u, r, rho, mu, P):
-    """P(u) of every contact, into P (3 nc,)."""
-    for c in range(mu.size):
-        i = 3 * c
-        a = r[i] - rho[c] * u[i]
-        if a <= 0.0:
-            P[i] = P[i + 1] = P[i + 2] = 0.0
-            continue
-        z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
-        t = math.sqrt(z1 * z1 + z2 * z2)
-        s = mu[c] * a / t if t > mu[c] * a else 1.0
-        P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
-
-
-@in_place
-def stiffness(u, r, rho, mu, A):
-    """A_c = -dP_c/du_c of every contact, into A (nc, 3, 3)."""
+def law(u, r, rho, mu, P, A):
+    """P(u) of every contact, into P (3 nc,), and A_c = -dP_c/du_c, into A (nc, 3, 3)."""
     for c in range(mu.size):
         i = 3 * c
         B = A[c]
         B[:] = 0.0
         a = r[i] - rho[c] * u[i]
         if a <= 0.0:
+            P[i] = P[i + 1] = P[i + 2] = 0.0
             continue
         z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
         t = math.sqrt(z1 * z1 + z2 * z2)
         B[0, 0] = rho[c]
         if t <= mu[c] * a:
+            P[i], P[i + 1], P[i + 2] = a, z1, z2
             B[1, 1] = B[2, 2] = rho[c]
             continue
+        s = mu[c] * a / t
+        P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
         x, y, k = z1 / t, z2 / t, rho[c] * mu[c] * a / t
         B[1, 0], B[2, 0] = rho[c] * mu[c] * x, rho[c] * mu[c] * y
         B[1, 1], B[2, 2] = k * y * y, k * x * x
@@ -78,14 +67,6 @@ def defect(blocks, y, P, F, work):
 
 
 @in_place
-def measure_of(problem, r, y, u, work):
-    """Larger of the literature's error and the residual in m/s of impulse r, with its own y and u."""
-    blocks, q, mu, scales, q_norm = problem
-    velocity(blocks, q, r, y, u, work)
-    return measure_at(scales, u, r, mu, q_norm)
-
-
-@in_place
 def norms_of_islands(label, q, out):
     """The norm of q of every island, 1 where it is 0, into out (islands,)."""
     out[:] = 0.0
@@ -95,21 +76,21 @@ def norms_of_islands(label, q, out):
         out[k] = math.sqrt(out[k]) or 1.0
 
 
-@in_place
+@kernel
 def measures_of_islands(label, scales, norms, u, r, mu, out):
     """The measure of every island as a problem of its own, of that norm, for the impulse r and its u, into out."""
-    # First the errors, whose squares add up.
+    squares = np.zeros(out.size)
     out[:] = 0.0
     for c in range(mu.size):
-        part = slice(3 * c, 3 * c + 3)
-        out[label[c]] += square(natural_error(u[part], r[part], mu[c : c + 1]))
-    for k in range(out.size):
-        out[k] = math.sqrt(out[k]) / norms[k]
-    for c in range(mu.size):
         part, k = slice(3 * c, 3 * c + 3), label[c]
-        residual = natural_residual(scales[c : c + 1], u[part], r[part], mu[c : c + 1])
+        error, residual = measures(scales[c : c + 1], u[part], r[part], mu[c : c + 1])
+        squares[k] += square(error)
         if not residual <= out[k]:  # a NaN is the worst
             out[k] = residual
+    for k in range(out.size):
+        error = math.sqrt(squares[k]) / norms[k]
+        if not error <= out[k]:
+            out[k] = error
 
 
 @in_place
@@ -168,7 +149,8 @@ def dense(problem, r, tol, penalty, most):
     u, own, shown, P = np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr)
     (indptr, slot, diagonal), A, K = dense_pattern(*blocks[:2]), np.empty((mu.size, 3, 3)), np.empty((n, n))
     pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    best = measure_of(problem, r, y, u, work)
+    velocity(blocks, q, r, y, u, work)
+    best = measure_at(scales, u, r, mu, q_norm)
     estimate = r.copy()
     copy(y, kept)
     copy(u, own)
@@ -176,9 +158,8 @@ def dense(problem, r, tol, penalty, most):
     while best > tol and count < most and penalty > LEAST:
         if inner == 0:
             rho = penalty / scales
-            projected(u, estimate, rho, mu, P)
+            law(u, estimate, rho, mu, P, A)
         defect(blocks, y, P, F, work)
-        stiffness(u, estimate, rho, mu, A)
         assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
         if not factorise(K, pivot, low, end):
             return count, best
@@ -187,7 +168,7 @@ def dense(problem, r, tol, penalty, most):
         count += 1
         relative_velocity(blocks, y, u)
         u += q
-        projected(u, estimate, rho, mu, P)
+        law(u, estimate, rho, mu, P, A)
         velocity(blocks, q, P, own_y, shown, work)
         so_far = penalty, inner + 1, before, best
         verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)

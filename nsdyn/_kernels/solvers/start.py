@@ -50,9 +50,10 @@ def small(problem, r, measure, aims, limits):
         used, measure = newton.dense(problem, r, enough, penalty, 1)
         steps += used
     if measure <= enough < missed <= NEARLY * enough:
-        n = problem[0][0][-1]
+        blocks, q, mu, scales, q_norm = problem
         closer = start + (1.0 - CLOSE * enough / missed) * (r - start)
-        now = newton.measure_of(problem, closer, np.empty(n), np.empty(r.size), np.empty(n))
+        top, residual = _blocks.judged(blocks, q, mu, scales, closer, np.empty(r.size))
+        now = max(residual, top / q_norm)
         if now <= enough:
             copy(closer, r)
             measure = now
