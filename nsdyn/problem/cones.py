@@ -1,13 +1,14 @@
-"""The cone of Coulomb in NumPy: projections, dual cone, de Saxcé's shift, generalised Jacobian.
+"""The cone of Coulomb: projections, dual cone, de Saxcé's shift, generalised Jacobian.
 
 Arrays of contacts have shape (nc, 3), normal component first; K = {‖r_T‖ ≤ μ r_N} and its dual
-K* = {x_N ≥ μ ‖x_T‖}. These are the definitions; `nsdyn._kernels.problem.cones` holds their compiled twins.
+K* = {x_N ≥ μ ‖x_T‖}.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from nsdyn._kernels.problem import cones as _kernels
 from nsdyn.tools.arrays import Array
 
 __all__ = ["project", "project_dual", "projection_jacobian", "saxce"]
@@ -30,13 +31,9 @@ def project(z: Array, mu: Array) -> Array:
     ----------
     V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, appendix.
     """
-    n, t = z[:, 0], np.hypot(z[:, 1], z[:, 2])
-    inside, polar = (n >= 0.0) & (t <= mu * n), mu * t <= -n  # n ≥ 0 matters for μ = 0
-    pn = (n + mu * t) / (1.0 + mu**2)
-    scale = np.divide(mu * pn, t, out=np.zeros_like(t), where=t > 0.0)
-    boundary = np.column_stack((pn, scale[:, None] * z[:, 1:]))
-    out: Array = np.where(inside[:, None], z, np.where(polar[:, None], 0.0, boundary))
-    return out
+    out = np.empty(z.size)
+    _kernels.into_cones(np.ascontiguousarray(z, dtype=float).ravel(), mu, out)
+    return out.reshape(-1, 3)
 
 
 def project_dual(x: Array, mu: Array) -> Array:
@@ -62,14 +59,6 @@ def saxce(u: Array, mu: Array) -> Array:
 
 def projection_jacobian(z: Array, mu: Array) -> Array:
     """Element of the generalised Jacobian of P_K at z, shape (nc, 3, 3), symmetric with eigenvalues in [0, 1]."""
-    n, t = z[:, 0], np.hypot(z[:, 1], z[:, 2])
-    inside, polar = (n >= 0.0) & (t <= mu * n), mu * t <= -n
-    c = 1.0 / (1.0 + mu**2)
-    safe = np.where(t > 0.0, t, 1.0)
-    d = z[:, 1:] / safe[:, None]
-    ray = np.column_stack((np.ones_like(mu), mu[:, None] * d))
-    D = c[:, None, None] * ray[:, :, None] * ray[:, None, :]
-    D[:, 1:, 1:] += (mu * c * (n + mu * t) / safe)[:, None, None] * (np.eye(2) - d[:, :, None] * d[:, None, :])
-    D[inside] = np.eye(3)
-    D[polar & ~inside] = 0.0
+    D = np.empty((mu.size, 3, 3))
+    _kernels.jacobians(np.ascontiguousarray(z, dtype=float), mu, D)
     return D

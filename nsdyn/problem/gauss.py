@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
-from nsdyn._kernels.problem.cones import ROUNDING
+from nsdyn._kernels.problem.cones import ROUNDING, into_cones
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
@@ -144,7 +144,7 @@ def certify(
     J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
     """
     impulse, d = np.empty(problem.q.size), opening.d if opening else NOTHING
-    if _kernels.into_cones(r, problem.mu, impulse) or u is None:
+    if into_cones(r, problem.mu, impulse) or u is None:
         u = problem.velocity(impulse)
     gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
     if not math.isfinite(gap + shift):

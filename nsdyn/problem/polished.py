@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
-from nsdyn._kernels.problem.cones import ROUNDING
+from nsdyn._kernels.problem.cones import ROUNDING, into_cones
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
@@ -60,7 +60,7 @@ def certify(
     if not math.isfinite(certificate.gap + certificate.shift):
         return certificate, opening
     impulse = np.empty_like(problem.q)
-    if _kernels.into_cones(r, problem.mu, impulse) or u is None:
+    if into_cones(r, problem.mu, impulse) or u is None:
         u = problem.velocity(impulse)
     d = opening.d if opening is not None and (opening.d.size or opening.wedged) else gauss.of_all(problem)
     shift = _shift(problem, u)

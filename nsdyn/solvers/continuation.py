@@ -76,6 +76,8 @@ class Path:
         Of the problem: m/s, -, λ_max(W_cc) in kg⁻¹ and m/s.
     kappa, k : ndarray, shapes (nc,) and (3 nc,)
         κ of each contact and of each of its components, kg.
+    obeyed : ndarray of bool, shape (3 nc,)
+        Which components have an equation: not the tangents of a contact without friction.
     G0 : ndarray, shape (3 nc,)
         W r + q - u at z_0 and τ_0, m/s.
     t0 : float
@@ -88,6 +90,8 @@ class Path:
         self.problem, self.W, self.q, self.mu, self.scales, self.q_norm = p, W, p.q, p.mu, p.scales, p.q_norm
         self.kappa = STRETCH / p.scales
         self.k = np.repeat(self.kappa, 3)
+        self.obeyed = np.repeat(p.mu > 0.0, 3)
+        self.obeyed[0::3] = True
         self.G0 = np.zeros_like(p.q)
         self.t0 = float(np.log((np.abs(p.q).max() or 1.0) ** 2 / p.scales.mean()))
         begin = np.append(np.zeros_like(p.q), self.t0)
@@ -97,19 +101,18 @@ class Path:
     def at(self, x: Array) -> Point:
         """The point x = (z, t); ZeroDivisionError where floating point has none."""
         tau, part = float(np.exp(x[-1])), float(np.exp(x[-1] - self.t0))
-        r, u, defect = np.empty((3, self.q.size))
+        r, u = np.empty((2, self.q.size))
         slip = np.empty((self.mu.size, 2))
         _kernels.law(x[:-1], self.mu, self.kappa, tau, r, u, slip)
         v = self.W.product(r) + self.q
-        _kernels.velocities_differ(v, u + part * self.G0, self.mu, defect)
-        return Point(x, r, u, slip, v, defect)
+        return Point(x, r, u, slip, v, np.where(self.obeyed, v - (u + part * self.G0), 0.0))
 
     def rate(self, point: Point) -> Array:
         """∂G/∂t at a point, m/s."""
         tau, part = float(np.exp(point.x[-1])), float(np.exp(point.x[-1] - self.t0))
-        dr, out = np.empty((2, self.q.size))
+        dr = np.empty(self.q.size)
         _kernels.rate(point.r, point.u, point.slip, self.mu, self.kappa, tau, dr)
-        _kernels.velocities_differ(self.W.product(dr), dr / self.k + part * self.G0, self.mu, out)
+        out: Array = np.where(self.obeyed, self.W.product(dr) - (dr / self.k + part * self.G0), 0.0)
         return out
 
     def metric(self, t: float) -> Array:
@@ -132,14 +135,14 @@ class Linear:
     """
 
     def __init__(self, path: Path, point: Point) -> None:
-        self.A, self.kappa, self.mu = np.empty((path.mu.size, 3, 3)), path.kappa, path.mu
+        self.A, self.k, self.obeyed = np.empty((path.mu.size, 3, 3)), path.k, path.obeyed
         _kernels.stiffness(point.r, point.u, point.slip, path.mu, self.A)
         self.solve = path.W.factor(self.A)
 
     def __call__(self, g: Array) -> Array:
         """The dz of a change g of G: (A + κ) (I + W A)⁻¹ g."""
-        dz = np.empty_like(g)
-        _kernels.step(self.A, self.kappa, g, self.solve((self.A @ g.reshape(-1, 3, 1)).ravel()), self.mu, dz)
+        rest = np.where(self.obeyed, g - self.solve((self.A @ g.reshape(-1, 3, 1)).ravel()), 0.0)
+        dz: Array = (self.A @ rest.reshape(-1, 3, 1)).ravel() + self.k * rest
         return dz
 
     def tangent(self, rate: Array) -> Array:

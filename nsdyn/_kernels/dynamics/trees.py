@@ -14,50 +14,38 @@ with 4 as much as with 3, and rings longer."""
 
 
 @in_place
-def inverse_factor(A, F):
-    """F = L⁻¹ for the Cholesky factor L of A (n, n), whose upper half is overwritten: A⁻¹ = Fᵀ F.
-
-    False where A is not positive definite.
-    """
-    n = A.shape[0]
-    # All loops end along rows, which the compiler makes vectors of. Here A becomes Lᵀ, in its upper half.
-    for k in range(n):
-        if not A[k, k] > 0.0:
-            return False
-        A[k, k] = math.sqrt(A[k, k])
-        for j in range(k + 1, n):
-            A[k, j] /= A[k, k]
-        for i in range(k + 1, n):
-            x = A[k, i]
-            if x != 0.0:
-                for j in range(i, n):
-                    A[i, j] -= x * A[k, j]
-    F[:] = 0.0
-    for i in range(n):
-        for k in range(i):
-            x = A[k, i]
-            if x != 0.0:
-                for j in range(k + 1):
-                    F[i, j] -= x * F[k, j]
-        for j in range(i):
-            F[i, j] /= A[i, i]
-        F[i, i] = 1.0 / A[i, i]
-    return True
-
-
-@in_place
 def factor(m, F, minv):
     """F and minv = m⁻¹ = Fᵀ F, all (n, n); False if m is not positive definite.
 
-    The rows of F are L⁻¹ of the Cholesky factor of m from its last coordinate to its first: from the tips of a tree, so
-    that the zeros of its branches stay.
+    The rows of F are L⁻¹ of the Cholesky factor L of m from its last coordinate to its first: from the tips of a tree,
+    so that the zeros of its branches stay.
     """
     n = m.shape[0]
     for i in range(n):
         for j in range(i, n):
             minv[i, j] = m[n - 1 - i, n - 1 - j]
-    if not inverse_factor(minv, F):
-        return False
+    # All loops end along rows, which the compiler makes vectors of. Here minv becomes Lᵀ, in its upper half.
+    for k in range(n):
+        if not minv[k, k] > 0.0:
+            return False
+        minv[k, k] = math.sqrt(minv[k, k])
+        for j in range(k + 1, n):
+            minv[k, j] /= minv[k, k]
+        for i in range(k + 1, n):
+            x = minv[k, i]
+            if x != 0.0:
+                for j in range(i, n):
+                    minv[i, j] -= x * minv[k, j]
+    F[:] = 0.0
+    for i in range(n):
+        for k in range(i):
+            x = minv[k, i]
+            if x != 0.0:
+                for j in range(k + 1):
+                    F[i, j] -= x * F[k, j]
+        for j in range(i):
+            F[i, j] /= minv[i, i]
+        F[i, i] = 1.0 / minv[i, i]
     minv[:] = 0.0
     for k in range(n):
         for j in range(n // 2):

@@ -42,6 +42,26 @@ def projection_jacobian(zn, z1, z2, mu, D):
 
 
 @in_place
+def into_cones(r, mu, out):
+    """P_K(r), into out (3 nc,); returns whether that is more than round-off away from r."""
+    moved = False
+    for c in range(mu.size):
+        i = 3 * c
+        a, b, d = project(r[i], r[i + 1], r[i + 2], mu[c])
+        change = max(abs(a - r[i]), abs(b - r[i + 1]), abs(d - r[i + 2]))
+        moved = moved or not change <= 4.0 * ROUNDING * max(abs(r[i]), abs(r[i + 1]), abs(r[i + 2]))
+        out[i], out[i + 1], out[i + 2] = a, b, d
+    return moved
+
+
+@in_place
+def jacobians(z, mu, D):
+    """`projection_jacobian` at z (nc, 3) of every contact, into D (nc, 3, 3)."""
+    for c in range(mu.size):
+        projection_jacobian(z[c, 0], z[c, 1], z[c, 2], mu[c], D[c])
+
+
+@in_place
 def measures(W_diagonal, u, r, mu):
     """(error, residual) of an impulse r and its velocity u.
 

@@ -6,25 +6,12 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity, relative_velocity_of, weighted_rows
-from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, project, projection_jacobian
+from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, into_cones, project, projection_jacobian
 from nsdyn._kernels.reductions import largest
 from nsdyn._kernels.vectors import square, three
 
 UNITS = 4.0
 """Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
-
-
-@in_place
-def into_cones(r, mu, out):
-    """P_K(r), into out (3 nc,); returns whether that is more than round-off away from r."""
-    moved = False
-    for c in range(mu.size):
-        i = 3 * c
-        a, b, d = project(r[i], r[i + 1], r[i + 2], mu[c])
-        change = max(abs(a - r[i]), abs(b - r[i + 1]), abs(d - r[i + 2]))
-        moved = moved or not change <= 4.0 * ROUNDING * max(abs(r[i]), abs(r[i + 1]), abs(r[i + 2]))
-        out[i], out[i + 1], out[i + 2] = a, b, d
-    return moved
 
 
 @in_place(inline="always")

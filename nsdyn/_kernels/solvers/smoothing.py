@@ -93,26 +93,3 @@ def rate(r, u, slip, mu, kappa, tau, out):
             g = k * l * (2.0 * mu[c] * mu[c] * r[i] * out[i] / d - 1.0)
             g /= 1.0 + k * l + 2.0 * k * l / d * (x * x + y * y)
             out[i + 1], out[i + 2] = g * x, g * y
-
-
-@in_place
-def velocities_differ(v, u, mu, out):
-    """v - u, into out (3 nc,): the tangents of a contact without friction have no equation."""
-    for c in range(mu.size):
-        for i in range(3 * c, 3 * c + 3):
-            out[i] = v[i] - u[i] if i == 3 * c or mu[c] > 0.0 else 0.0
-
-
-@in_place
-def step(A, kappa, g, Wx, mu, out):
-    """dz = (A + κ) (g - W x), into out (3 nc,)."""
-    for c in range(mu.size):
-        i = 3 * c
-        b0, b1, b2 = g[i] - Wx[i], g[i + 1] - Wx[i + 1], g[i + 2] - Wx[i + 2]
-        if mu[c] == 0.0:
-            b1 = b2 = 0.0
-        for j in range(3):
-            out[i + j] = A[c, j, 0] * b0 + A[c, j, 1] * b1 + A[c, j, 2] * b2
-        out[i] += kappa[c] * b0
-        out[i + 1] += kappa[c] * b1
-        out[i + 2] += kappa[c] * b2
