@@ -2,32 +2,167 @@
 
 A (nc, 3, 3) is block-diagonal; RuntimeError where I + A W is singular. The velocity change y = M⁻¹ H r of an impulse
 has its own coordinates; those of a W given alone are relative velocities, with H = I.
+
+By the factors the matrix is that of the bodies, K = M + Σ H_c A_c H_cᵀ, as large as the coordinates and sparse as the
+graph of contacts, which outlives many solves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from threading import get_ident
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import qdldl
 import scipy.sparse as sp
+from scipy.sparse.linalg import splu
 
 from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.problem import sparse as _matrix
 from nsdyn.problem.blocks import Blocks
-from nsdyn.problem.linear import Ordered, contact_graph, elimination_order
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
     from nsdyn.problem.fc3d import FC3D
 
-__all__ = ["Local", "Operator", "Velocity", "operator"]
+__all__ = ["Factor", "Local", "Operator", "Ordered", "Velocity", "elimination_order", "forget", "operator", "pattern"]
+
+
+def elimination_order(count: int, rows: Index, columns: Index) -> Index:
+    """Order of minimum degree for a symmetric pattern: the blocks as they are eliminated, shape (count,).
+
+    Blocks take a fraction of the time of their coordinates, and a pattern is ordered once for many matrices.
+
+    Parameters
+    ----------
+    count : int
+        Blocks.
+    rows, columns : ndarray of int, shape (k,)
+        Blocks that are coupled, in one triangle or both.
+
+    References
+    ----------
+    J. W. H. Liu, Modification of the minimum-degree algorithm by multiple elimination, ACM Trans. Math. Softw. 11,
+    1985.
+    """
+    diagonal = np.arange(count)
+    i, j = np.concatenate((diagonal, rows)), np.concatenate((diagonal, columns))
+    values = np.where(np.arange(i.size) < count, 1.0 + rows.size, -1.0)
+    lu = _splu(sp.csc_matrix((values, (i, j)), shape=(count, count)), "MMD_AT_PLUS_A")
+    return np.argsort(lu.perm_c)
+
+
+class Ordered:
+    """LU factorisations of matrices K whose rows and columns are in the order of their elimination, pivots in place.
+
+    Parameters
+    ----------
+    indptr, indices : ndarray, shapes (n + 1,), (entries,)
+        Pattern of K by columns.
+    to : ndarray, shape (n,)
+        Where coordinates stand in K.
+    """
+
+    def __init__(self, indptr: Index, indices: Index, to: Index) -> None:
+        self.K = sp.csc_matrix((np.empty(indices.size), indices, indptr), shape=(to.size, to.size))
+        self._to = to
+
+    def factor(self) -> Callable[[Array], Array]:
+        """Function b ↦ K⁻¹ b for the entries that K has now; RuntimeError when K is singular."""
+        return self.solving(_splu(self.K, "NATURAL").solve)
+
+    def solving(self, inverse: Callable[[Array], Array]) -> Callable[[Array], Array]:
+        """Function b ↦ K⁻¹ b from the inverse in that order."""
+
+        def solve(b: Array) -> Array:
+            y = np.empty(b.size)
+            y[self._to] = b
+            return inverse(y)[self._to]
+
+        return solve
+
+
+def _splu(K: Any, order: str) -> Any:
+    return splu(K, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+
+class Factor:
+    """Factorisations of K on one contact graph: LDLᵀ, which keeps its symbolic part, where K is symmetric, else LU."""
+
+    def __init__(self, offset: Index, block: Index) -> None:
+        sizes = np.diff(offset)
+        order = elimination_order(sizes.size, *block[(block >= 0).all(axis=1)].T)
+        place = np.argsort(order)
+        ordered = np.concatenate(([0], np.cumsum(sizes[order])))
+        indptr, indices, self._slot, diagonal = pattern(ordered, np.where(block < 0, -1, place[block]))
+        self._begin, self._diagonal = ordered[place], diagonal[place]
+        self._ordered = Ordered(indptr, indices, np.repeat(self._begin - offset[:-1], sizes) + np.arange(offset[-1]))
+        column = np.repeat(np.arange(offset[-1]), np.diff(indptr))
+        self._upper = np.flatnonzero(indices <= column)
+        end = np.searchsorted(self._upper, indptr)
+        self._U = sp.csc_matrix((np.empty(self._upper.size), indices[self._upper], end), shape=self._ordered.K.shape)
+        self._ldl: Any = None
+
+    def factor(self, blocks: Blocks, A: Array) -> Callable[[Array], Array]:
+        """Function b ↦ K⁻¹ b, until the next on this graph, for K = M + Σ H_c A_c H_cᵀ; RuntimeError when singular."""
+        K = self._ordered.K
+        turned = np.ascontiguousarray(A.transpose(0, 2, 1))  # the rows of Kᵀ are the columns of K
+        _matrix.assemble(blocks.arrays, turned, K.indptr, self._begin, self._slot, self._diagonal, K.data)
+        if not np.array_equal(A, turned):
+            return self._ordered.factor()
+        # QDLDL wants the upper triangle; to have it cut out by SciPy costs as much as the factorisation.
+        np.take(K.data, self._upper, out=self._U.data)
+        if self._ldl is None:
+            self._ldl = qdldl.Solver(self._U, upper=True)
+        else:
+            self._ldl.update(self._U, upper=True)
+        return self._ordered.solving(self._ldl.solve)
+
+
+def pattern(offset: Index, block: Index) -> tuple[Index, Index, Index, Index]:
+    """Sparsity of K, compressed rows: (indptr, indices, slot, diagonal).
+
+    Entry (i, j) of the coupling of block[c, s] (rows) with block[c, t] (columns) is stored at
+    indptr[offset[block[c, s]] + i] + slot[c, t, s] + j; of a diagonal block k at indptr[offset[k] + i] +
+    diagonal[k] + j.
+    """
+    sizes, count = np.diff(offset), offset.size - 1
+    first, second = block[(block >= 0).all(axis=1)].T
+    own = np.arange(count) * (count + 1)
+    codes = np.unique(np.concatenate((own, first * count + second, second * count + first)))
+    row, column = np.divmod(codes, count)  # of blocks
+    width = sizes[column]
+    before = np.cumsum(width) - width
+    begin = before[np.searchsorted(row, np.arange(count))]
+    place, height = before - begin[row], np.bincount(row, width, count).astype(np.int64)
+    of_coordinates = np.repeat(height, sizes)
+    indptr = np.concatenate(([0], np.cumsum(of_coordinates)))
+    columns = np.repeat(offset[column] - before, width) + np.arange(width.sum())  # of the first row of each block
+    indices = columns[np.repeat(np.repeat(begin, sizes) - indptr[:-1], of_coordinates) + np.arange(indptr[-1])]
+    both = (block[:, :, None] >= 0) & (block[:, None, :] >= 0)
+    slot = np.full(both.shape, -1, np.int64)
+    slot[both] = place[np.searchsorted(codes, (block[:, None, :] * count + block[:, :, None])[both])]
+    return indptr.astype(np.int32), indices.astype(np.int32), slot, place[np.searchsorted(codes, own)]
+
+
+@lru_cache(maxsize=16)
+def _factor(thread: int, offset: bytes, block: bytes) -> Factor:
+    """One `Factor` per contact graph, so that the symbolic part lives as long as the graph, for each thread its own."""
+    return Factor(np.frombuffer(offset, np.int64), np.frombuffer(block, np.int64).reshape(-1, 2))
+
+
+def forget() -> None:
+    """Forget all contact graphs: what is timed next finds nothing prepared."""
+    _factor.cache_clear()
 
 
 class Velocity:
     """W by its factors: W (I + A W)⁻¹ = Hᵀ (M + Σ H_c A_c H_cᵀ)⁻¹ H."""
 
     def __init__(self, blocks: Blocks) -> None:
-        self.blocks, self.graph = blocks, contact_graph(blocks)
+        self.blocks, self.graph = blocks, _factor(get_ident(), blocks.offset.tobytes(), blocks.block.tobytes())
         self.change, self.relative = blocks.velocity_change, blocks.relative_velocity  # y = M⁻¹ H r, and Hᵀ y
 
     def product(self, r: Array) -> Array:

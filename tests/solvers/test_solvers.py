@@ -10,7 +10,7 @@ import nsdyn as nd
 from nsdyn._kernels.problem import sparse as matrix
 from nsdyn.literature._kernels import anderson
 from nsdyn.literature._kernels import pgs as sweeps
-from nsdyn.problem import linear, operators
+from nsdyn.problem import operators
 
 FILES = Path(__file__).resolve().parents[3] / "shared" / "fc3d"
 
@@ -130,7 +130,7 @@ def test_newton_matrix_dense_and_sparse(rng):
     K = np.empty((blocks.n, blocks.n))
     matrix.assemble(blocks.arrays, A, indptr, blocks.offset, slot, diagonal, K.ravel())
     np.testing.assert_allclose(K, expected, rtol=0, atol=1e-12)
-    indptr, indices, slot, diagonal = linear.pattern(blocks.offset, blocks.block)
+    indptr, indices, slot, diagonal = operators.pattern(blocks.offset, blocks.block)
     data = np.empty(indices.size)
     matrix.assemble(blocks.arrays, A, indptr, blocks.offset[:-1], slot, diagonal, data)
     import scipy.sparse as sp
@@ -149,7 +149,7 @@ def test_factorisations_by_blocks_and_by_w(rng):
     for c in range(blocks.nc):
         wide[3 * c : 3 * c + 3, 3 * c : 3 * c + 3] = A[c]
     b, g = rng.normal(size=blocks.n), rng.normal(size=W.shape[0])
-    graph = linear.Factor(blocks.offset, blocks.block)
+    graph = operators.Factor(blocks.offset, blocks.block)
     x = graph.factor(blocks, A)(b)
     np.testing.assert_allclose(x, np.linalg.solve(M + H @ wide @ H.T, b), rtol=1e-9, atol=1e-10)
     even = A + A.transpose(0, 2, 1)

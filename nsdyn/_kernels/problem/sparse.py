@@ -7,7 +7,7 @@ from nsdyn._kernels.compiled import in_place, kernel
 
 @kernel
 def dense_pattern(offset, block):
-    """Where entries of a dense K are, as `nsdyn.problem.linear` says of a sparse one: (indptr, slot, diagonal)."""
+    """Where entries of a dense K are, as `nsdyn.problem.operators` says of a sparse one: (indptr, slot, diagonal)."""
     n, nc = offset[-1], block.shape[0]
     slot = np.full((nc, 2, 2), -1, np.int64)
     for c in range(nc):

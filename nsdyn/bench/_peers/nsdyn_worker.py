@@ -8,7 +8,7 @@ from typing import Any
 
 from serve import serve
 
-from nsdyn.problem import linear
+from nsdyn.problem import operators
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.recording import fclib
 from nsdyn.solvers import by_name
@@ -21,7 +21,7 @@ def prepare(path: str, name: str, tol: float) -> Callable[[], Callable[[], tuple
     given, solver = read(path), by_name(name, tol)
 
     def fresh() -> Callable[[], tuple[Any, int]]:
-        linear.forget()
+        operators.forget()
         if given.blocks is None:
             problem = FC3D(given.W, given.q, given.mu)
         else:
