@@ -170,7 +170,7 @@ class Dynamics(Kinematics):
 
     def limits(self, place: Placement) -> Array:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
-        return self.joints.limit_gaps(self.angles(place)) if self.joints.limits.size else NONE
+        return self.joints.gaps(self.joints.limits, self.angles(place)) if self.joints.limits.size else NONE
 
     def rows(
         self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None

@@ -121,7 +121,6 @@ class JointLaws:
         self.size = len(table)
         self.limits, self.no_impulses = np.flatnonzero(self.sign), np.zeros((self.size, 3))
         self._table = self.coordinate, self.sign, self.bound, self.near
-        self._limits = self.coordinate[self.limits], self.sign[self.limits], self.bound[self.limits]
 
     def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
         """Rows of a step: all friction, and the limits the joints may reach; None when there are none.
@@ -160,12 +159,6 @@ class JointLaws:
         return (
             own if rows is None else JointRows(*(np.concatenate(two, axis=-1) for two in zip(rows, own, strict=True)))
         )
-
-    def limit_gaps(self, angle: Array) -> Array:
-        """Distances to all limits at the joint coordinates, in the order of `limits`, rad or m."""
-        coordinate, sign, bound = self._limits
-        out: Array = sign * (angle.take(coordinate) - bound)
-        return out
 
     def gaps(self, slot: Index | slice, angle: Array) -> Array:
         """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""

@@ -10,7 +10,7 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn.dynamics.layout import Layout
-from nsdyn.dynamics.tree_values import Links, TreeEnd
+from nsdyn.dynamics.tree_values import Flow, Links
 from nsdyn.dynamics.values import Forces, Middle, Placement, Position
 from nsdyn.tools.arrays import Array
 
@@ -50,7 +50,7 @@ class Kinematics(Layout):
 
     def end(
         self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, twist: Array
-    ) -> tuple[Position, Array, Placement, tuple[TreeEnd, ...]]:
+    ) -> tuple[Position, Array, Placement, tuple[Flow, ...]]:
         """(position, velocity, frames, trees) after a step's second part, without forces.
 
         Parameters

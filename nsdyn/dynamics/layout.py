@@ -8,7 +8,7 @@ prescribed have a frame, but no block.
 from __future__ import annotations
 
 from copy import copy
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -68,6 +68,7 @@ class Layout:
         minv[:, :3, :3], minv[:, 3:, 3:] = eye / of_mass, 0.5 * (inverse + inverse.swapaxes(1, 2))
         self._compose((mass, J, radius, *principal(J), m, minv), trees)
         self._bodies = {f"{t.name}/{body}": k for k, t in enumerate(self.trees) for body in t.bodies}
+        moves = [(b.linear_velocity, rotation(b.quaternion).T @ b.angular_velocity) for b in bodies]
         starts = [t.start(t.articulation.q, t.articulation.v) for t in self.trees]
         self._start = (
             Position(
@@ -77,7 +78,7 @@ class Layout:
                 np.array([b.position for b in driven]).reshape(-1, 3),
                 np.array([b.quaternion for b in driven]).reshape(-1, 4),
             ),
-            np.concatenate([self._velocity(b) for b in bodies] + [v for _, v in starts] + [np.empty(0)]),
+            np.concatenate([np.ravel(moves), *(v for _, v in starts)]),
         )
 
     def _planted(self, scene: Scene) -> list[Tree]:
@@ -161,10 +162,6 @@ class Layout:
             [np.zeros(self.free, np.bool_), *(t.held_links for t in self.trees), np.ones(self._driven, np.bool_)]
         )
         self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
-
-    @staticmethod
-    def _velocity(body: Any) -> Array:
-        return np.concatenate((body.linear_velocity, rotation(body.quaternion).T @ body.angular_velocity))
 
     def start(self) -> tuple[Position, Array]:
         """Initial position and velocity of the scene."""

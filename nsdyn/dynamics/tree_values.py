@@ -1,4 +1,4 @@
-"""What a tree's motion is made of, as values: links, flows, loads, the free motion, the end of a step and its works."""
+"""What a tree's motion is made of, as values: links, flows, loads, the free motion and the works of a step."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "TreeEnd", "TreeLoads", "TreeWorks"]
+__all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "TreeLoads", "TreeWorks"]
 
 
 class Links(NamedTuple):
@@ -32,22 +32,25 @@ class Links(NamedTuple):
 
 
 class Flow(NamedTuple):
-    """A motion of a tree between contacts.
+    """A motion of a tree between contacts, or the end of its step.
 
     Attributes
     ----------
     q, v : ndarray, shapes (nq,), (nv,)
         Configuration and velocity at its end.
     mean : ndarray, shape (nv,)
-        Mean velocity.
+        Mean velocity; of a step that on which its forces worked.
     work : float
-        Of driven joints, J.
+        Of driven joints, J; but for their reactions in the forces of a step that is not whole.
+    whole : bool
+        Whether it is one motion from the beginning of the step under all forces.
     """
 
     q: Array
     v: Array
     mean: Array
     work: float
+    whole: bool = False
 
 
 class Halfway(NamedTuple):
@@ -152,27 +155,6 @@ class FreeMotion(NamedTuple):
     m: Array
     minv: Array
     constraints: Constraints | None
-
-
-class TreeEnd(NamedTuple):
-    """Where a step ends.
-
-    Attributes
-    ----------
-    q, v : ndarray, shapes (nq,), (nv,)
-    mean : ndarray, shape (nv,)
-        Velocity on which the forces of the step worked.
-    work : float
-        Of driven joints, J; but for their reactions in the forces of the step where it is not whole.
-    whole : bool
-        Whether it is one motion from the beginning under all forces.
-    """
-
-    q: Array
-    v: Array
-    mean: Array
-    work: float
-    whole: bool
 
 
 class TreeWorks(NamedTuple):

@@ -11,7 +11,7 @@ from nsdyn.dynamics.linkages import Linkage
 from nsdyn.dynamics.loops import factored, indefinite
 from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
-from nsdyn.dynamics.tree_values import Flow, FreeMotion, Halfway, TreeEnd, TreeLoads, TreeWorks
+from nsdyn.dynamics.tree_values import Flow, FreeMotion, Halfway, TreeLoads, TreeWorks
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools
@@ -77,7 +77,7 @@ class Tree(Linkage):
 
     def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
         """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
-        middle, v0, _, work = self.flow(q, v, (1.0 - theta) * h)
+        middle, v0, _, work, _ = self.flow(q, v, (1.0 - theta) * h)
         M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD), ndmin=2)
         return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
@@ -167,7 +167,7 @@ class Tree(Linkage):
         loads = TreeLoads(np.zeros((2, 5, v.size)), zero, None, zero, rates, None, None, zero, False)
         return FreeMotion(v, v, loads, M, minv, constraints)
 
-    def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> TreeEnd:
+    def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> Flow:
         """Where a step ends whose forces leave the velocity v.
 
         It goes on without forces for θ h. But a tree without constraints that nothing has `pushed`, no contact and
@@ -182,9 +182,10 @@ class Tree(Linkage):
                 tau = loads.laws[1, 4] + loads.push
                 driven = self._driven_rows @ (v - begin_v) / h if self.driven else self._steady
                 rate = self._rate(self.model, tau, driven)
-                return TreeEnd(*move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn)), True)
-        q, v1, _, work = self.flow(halfway.q, v, theta * h)
-        return TreeEnd(q, v1, 0.5 * (halfway.v + v), halfway.work + work, False)
+                whole = move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn))
+                return whole._replace(whole=True)
+        q, v1, _, work, _ = self.flow(halfway.q, v, theta * h)
+        return Flow(q, v1, 0.5 * (halfway.v + v), halfway.work + work)
 
     def forces(self, halfway: Halfway, free: FreeMotion, v: Array) -> Array:
         """Actuation, damping and springs of a step whose forces leave the velocity v, shape (3, nv), N m or N."""
@@ -197,7 +198,7 @@ class Tree(Linkage):
         halfway: Halfway,
         free: FreeMotion,
         v: Array,
-        end: TreeEnd,
+        end: Flow,
         lifted: Array,
         impulse: Array,
         before: tuple[float, float],
@@ -211,7 +212,7 @@ class Tree(Linkage):
         free : FreeMotion
         v : ndarray, shape (nv,)
             Velocity that the forces leave.
-        end : TreeEnd
+        end : Flow
         lifted : ndarray, shape (nq,)
             Configuration after the position projection, end.q itself without.
         impulse : ndarray, shape (nv,)

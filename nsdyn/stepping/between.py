@@ -9,7 +9,7 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn.collision.contacts import Looked
-from nsdyn.dynamics.tree_values import TreeEnd
+from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.stepping.booking import tree_works
 from nsdyn.stepping.energy import Works
@@ -37,7 +37,7 @@ class Motion:
     position : Position
     placement : Placement
     impulse : ndarray, shape (n,)
-    ends : tuple of TreeEnd
+    ends : tuple of Flow
         Where the last `end` was, and what led there.
     """
 
@@ -45,7 +45,7 @@ class Motion:
         self._s, self._begin, self.half = half.s, begin, half
         self.begun = begin.placement.links
         self._v = self.impulse = np.empty(0)
-        self.ends: tuple[TreeEnd, ...] = ()
+        self.ends: tuple[Flow, ...] = ()
         self.position, self.placement = begin.position, begin.placement
 
     def meets_nothing(self) -> bool:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn.dynamics.tree_values import TreeEnd
+from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -102,7 +102,7 @@ def tree_works(
     before: Energies,
     half: Half,
     v: Array,
-    ends: tuple[TreeEnd, ...],
+    ends: tuple[Flow, ...],
     impulse: Array,
     lifted: Position,
     acted: tuple[Array, Array],
@@ -119,7 +119,7 @@ def tree_works(
     half : Half
     v : ndarray, shape (n,)
         What the forces leave, with the impulses.
-    ends : tuple of TreeEnd
+    ends : tuple of Flow
     impulse : ndarray, shape (n,)
         H r of contacts and joint rows.
     lifted : Position

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.dynamics.tree_values import TreeEnd
+from nsdyn.dynamics.tree_values import Flow
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
@@ -70,7 +70,7 @@ class Response:
     impulse : ndarray, shape (n,)
         H r of all.
     v_end : ndarray, shape (n,)
-    trees : tuple of TreeEnd
+    trees : tuple of Flow
     twists : two ndarrays of shape (frames, 3)
         Of the frames, where the motion ends.
     moved : Placed
@@ -90,7 +90,7 @@ class Response:
     v: Array
     impulse: Array
     v_end: Array
-    trees: tuple[TreeEnd, ...]
+    trees: tuple[Flow, ...]
     twists: tuple[Array, Array]
     moved: Placed
 
