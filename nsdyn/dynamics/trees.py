@@ -38,7 +38,6 @@ class Tree(Linkage):
         # Pinocchio's kinetic energy leaves out the armature of joints about axes that are none of the coordinates'.
         self._bare, self._armature = self.model.copy(), a.armature
         self._bare.armature = np.zeros(nv)
-        self.stiffness, self.rest = a.stiffness, a.rest
         self._laws = np.array((a.stiffness, a.damping, a.rest))
         self._springs = bool(a.stiffness.any())
         self._implicit = self._springs or bool(a.damping.any())
