@@ -142,7 +142,7 @@ class Linear:
     def __call__(self, g: Array) -> Array:
         """The dz of a change g of G: (A + κ) (I + W A)⁻¹ g."""
         rest = np.where(self.obeyed, g - self.solve((self.A @ g.reshape(-1, 3, 1)).ravel()), 0.0)
-        dz: Array = (self.A @ rest.reshape(-1, 3, 1)).ravel() + self.k * rest
+        dz: Array = (self.A * rest.reshape(-1, 1, 3)).sum(axis=2).ravel() + self.k * rest
         return dz
 
     def tangent(self, rate: Array) -> Array:
