@@ -181,8 +181,8 @@ class Tree(Linkage):
                 tau = loads.laws[1, 4] + loads.push
                 driven = self._driven_rows @ (v - begin_v) / h if self.driven else self._steady
                 rate = self._rate(self.model, tau, driven)
-                whole = move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn))
-                return whole._replace(whole=True)
+                q, v1, mean, work, _ = move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn))
+                return Flow(q, v1, mean, work, True)
         q, v1, _, work, _ = self.flow(halfway.q, v, theta * h)
         return Flow(q, v1, 0.5 * (halfway.v + v), halfway.work + work)
 
