@@ -629,6 +629,26 @@ def test_interruption(run, monkeypatch):
     assert run("run", "slide") == (130, "", "nsdyn: interrupted\n")
 
 
+def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
+    real, count = nd.Stepper.step, [0]
+
+    def step(stepper):
+        count[0] += 1
+        if count[0] > 4:
+            raise KeyboardInterrupt
+        return real(stepper)
+
+    asked = "run", "slide", "--time", "0.1", "--dt", "0.01"
+    with monkeypatch.context() as patch:
+        patch.setattr(nd.Stepper, "step", step)
+        code, out, err = run(*asked, "-o", "run.h5")
+    assert (code, out) == (130, "")
+    assert err == "nsdyn: interrupted: the steps before it are in run.h5; --resume run.h5 goes on\n"
+    assert nd.Trajectory.load("run.h5").steps == 4
+    assert run(*asked, "--resume", "run.h5")[0] == 0
+    assert nd.Trajectory.load("run.h5").steps == 10
+
+
 def test_reader_that_goes_away():
     root = str(Path(nd.__file__).parents[1])
     command = [sys.executable, "-u", "-m", "nsdyn", "scenes"]
