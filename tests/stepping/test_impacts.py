@@ -347,6 +347,21 @@ def test_what_no_longer_rebounds_comes_to_rest_at_once():
     assert np.abs(step.v).max() < 1e-8
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_round_off_of_parted_balls_is_no_failure(law):
+    """Two balls strike three that touch. What parts leaves velocities of round-off, beside which old impulses counted."""
+    scene, material = nd.Scene(gravity=(0, 0, 0)), nd.Material(0.0, 1.0)
+    for k in range(5):
+        struck = k > 1
+        place, speed = 0.2 * k - 0.05 * (not struck), float(not struck)
+        scene.add_sphere(f"b{k}", 0.1, 1.0, position=(place, 0, 0), linear_velocity=(speed, 0, 0), material=material)
+    stepper = nd.Stepper(scene, dt=7e-3, impact=law, on_fail="raise")
+    for _ in range(30):
+        step = stepper.step()
+        assert step.solution.status is nd.Status.CONVERGED
+    assert step.v[0::6].sum() == pytest.approx(2.0, abs=1e-12)
+
+
 @pytest.mark.parametrize("given", ["hooke", nd.impacts.Newton, None, nd.solvers.Auto()])
 def test_what_is_no_law_is_refused(given):
     with pytest.raises(ValueError, match="impact must be one of dissipative, newton, poisson, fremond"):

@@ -86,11 +86,14 @@ def measure_of(problem, r, y, u, work):
 
 
 @in_place
-def norms_of_islands(label, q, out):
-    """The norm of q of every island, 1 where it is 0, into out (islands,)."""
+def norms_of_islands(label, q, r, out):
+    """The norm of q of every island into out (islands,); 1 where q is 0, and r is made 0 as well, its solution."""
     out[:] = 0.0
     for i in range(q.size):
         out[label[i // 3]] += q[i] * q[i]
+    for i in range(q.size):
+        if out[label[i // 3]] == 0.0:
+            r[i] = 0.0
     for k in range(out.size):
         out[k] = math.sqrt(out[k]) or 1.0
 
