@@ -349,7 +349,7 @@ def test_what_no_longer_rebounds_comes_to_rest_at_once():
 
 @pytest.mark.parametrize("law", LAWS)
 def test_round_off_of_parted_balls_is_no_failure(law):
-    """Two balls strike three that touch. What parts leaves velocities of round-off, beside which old impulses counted."""
+    """Two balls strike three that touch. What parts leaves velocities of round-off, beside which old impulses count."""
     scene, material = nd.Scene(gravity=(0, 0, 0)), nd.Material(0.0, 1.0)
     for k in range(5):
         struck = k > 1
