@@ -119,6 +119,7 @@ def top(steps, duration=0.2):
     return nd.simulate(scene, duration, dt=duration / steps, external_force=weight)
 
 
+@pytest.mark.slow
 def test_heavy_top_is_second_order():
     def rate(t, y):
         R, w = Rotation.from_quat(y[:4]), y[4:]

@@ -402,6 +402,7 @@ def test_solve_without_a_slater_point(run, tmp_path):
     assert code == 1 and "no velocity opens every contact" in out and out.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default:step")
 def test_failing_run_dumps_a_problem_that_solve_reads(run):
     code, _, err = run("run", "slide", *SHORT, "--solver", "pgs", "--tol", "1e-300", "--dump-on-fail", "dumps")

@@ -167,9 +167,8 @@ def test_a_limited_servo_follows_its_clipped_law(kp, kd):
     np.testing.assert_allclose(trajectory.energy.external, h * mean * forces, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("kp", "kd"), [(1e4, 0.0), *(pytest.param(*gains, marks=pytest.mark.slow) for gains in ((0.0, 50.0), (1e6, 1e6)))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("kp", "kd"), [(1e4, 0.0), (0.0, 50.0), (1e6, 1e6)])
 def test_limit_friction_and_actuator_in_one_joint(kp, kd):
     """8 N against 3 N of friction up to a stop: (8 - 3)/2 m/s², and works that add up to nothing."""
     scene = nd.Scene(gravity=(0, 0, 0))

@@ -115,8 +115,9 @@ def test_iterations_hardly_depend_on_the_mass_ratio(form):
     assert max(counts) <= 4 * min(counts), counts
 
 
+@pytest.mark.slow
 @FORMS
-@pytest.mark.parametrize("kick", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kick", [0.0, 0.3])
 def test_stack_of_a_hundred_boxes(form, kick):
     solution = nd.solve(form(stack(100, kick)))
     assert solution.converged, (solution.error, solution.residual)

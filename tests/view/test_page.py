@@ -520,6 +520,7 @@ def test_the_address_points_at_the_time_shown(opened, sliding, window):
     assert now(page) == 0.125
 
 
+@pytest.mark.slow
 def test_picture_has_a_clock_and_no_controls(sliding, opened):
     page = opened(sliding, at="#picture")
     hidden = page.run(
