@@ -206,6 +206,7 @@ def oscillation(dt, x0=0.35, mu=0.3, stiffness=100.0):
     return x, exact, x[turns]
 
 
+@pytest.mark.slow
 @pytest.mark.case(21)
 def test_coulomb_oscillator():
     """Case 21: the amplitude falls by 4 mu m g/k per cycle, and the block stays where |x| <= mu m g/k.
@@ -234,8 +235,9 @@ def test_coulomb_oscillator_all_the_way(h, bar):
     assert np.abs(x - exact).max() <= bar
 
 
+@pytest.mark.slow
 @pytest.mark.case(22)
-@pytest.mark.parametrize("duration", [2.4, pytest.param(7.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("duration", [2.4, 7.5])
 def test_stick_and_slip_on_a_belt(duration):
     """Case 22: carried to x = mu m g/k, then round it with amplitude v_b/omega, grazing the belt's speed, undamped."""
     mu, stiffness, belt = 0.3, 100.0, 0.5
@@ -294,7 +296,7 @@ def test_spinning_disk_has_its_fixed_point():
 
 
 @pytest.mark.case(23)
-@pytest.mark.parametrize(("speed", "spin"), [(1.0, 5.0), (0.4, 10.0)])
+@pytest.mark.parametrize(("speed", "spin"), [pytest.param(1.0, 5.0, marks=pytest.mark.slow), (0.4, 10.0)])
 def test_spinning_disk_and_ring_tend_to_their_ratios(speed, spin):
     """Case 23: from afar, v/(R w) comes closer all the time to 0.653 for a solid disk and to 1 for a ring."""
     target = fixed_point()

@@ -229,6 +229,7 @@ def test_light_balls_between_heavy_ones_strike_more_often_than_there_are_rounds(
     np.testing.assert_allclose(v[[0, 3]], (0, 1), rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_poisson_in_a_crowd():
     """Boxes and balls thrown together, one restitution for all, many contacts at once."""
     rng = np.random.default_rng(5)
