@@ -99,10 +99,10 @@ def add_couple(f, sign, couple, R, inverse_J, dv):
 def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     """Couples that make contacts of free bodies that persist do no work, and the change of v by them.
 
-    With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, relative to surfaces
-    that move, whose own work is none of theirs, and ω̄ how body 2 turns on body 1, the pair turns by -w ω̄/‖ω̄‖² and back: as if its forces pressed a little elsewhere, at most by
+    With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, and ω̄ how body 2
+    turns on body 1, the pair turns by -w ω̄/‖ω̄‖² and back: as if its forces pressed a little elsewhere, at most by
     `ARM` h ‖ω̄‖ R. Where nothing sticks only across the normal, about which a normal force has no moment. Contacts carry
-    it in the ratio of their pressures.
+    it in the ratio of their pressures. Velocities are relative to surfaces that move: the work of these is their own.
 
     Parameters
     ----------

@@ -65,8 +65,8 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
     velocities : (v⁻, v_f)
         Shape (n,) each, m/s and rad/s: before the forces of the move, and after them but for its impulses.
     given : tuple
-        mu and scales, shape (rows,), - and kg⁻¹; what moving surfaces add to u, as of `persistence.couples`; local, shape (5, 3 rows), without couples; r and u of the last solve,
-        if any, shape (3 rows,), N·s and m/s.
+        mu and scales, shape (rows,), - and kg⁻¹; what moving surfaces add to u, as of `persistence.couples`; local,
+        shape (5, 3 rows), without couples; r and u of the last solve, if any, shape (3 rows,), N·s and m/s.
     off : ndarray of bool, shape (rows,)
         Rows of whose islands the first solution changes that of the last solve; empty where it changes all.
     solver : tuple
