@@ -168,6 +168,10 @@ def run_scene(arguments: argparse.Namespace) -> int:
         kept = f"; the steps before it are in {recording}" if recording else ""
         print(f"nsdyn: not converged: {one_line(failure)}{kept}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        if recording is None:
+            raise
+        raise KeyboardInterrupt(f"the steps before it are in {recording}; --resume {recording} goes on") from None
     took = _times(trajectory, time.perf_counter() - start, bool(arguments.resume))
     if arguments.html:
         trajectory.to_html(arguments.html)

@@ -49,7 +49,7 @@ class Kinematics(Layout):
         return Middle(there, after, self._with_others(there, X, R, [half.links for half in halves]), halves)
 
     def end(
-        self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, twist: Array
+        self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, driven: tuple[Array, Array]
     ) -> tuple[Position, Array, Placement, tuple[Flow, ...]]:
         """(position, velocity, frames, trees) after a step's second part, without forces.
 
@@ -63,8 +63,8 @@ class Kinematics(Layout):
             H r of contacts and joint rows, which tells which trees are pushed.
         h : float
             Length of that part, s.
-        twist : ndarray, shape (surfaces, 2, 3)
-            Linear and angular velocities of driven bodies, world axes.
+        driven : two ndarrays of shapes (nd, 3) and (nd, 4)
+            Poses of driven bodies there.
         """
         position = middle.position
         if self._lone:
@@ -79,7 +79,6 @@ class Kinematics(Layout):
             pushed = free.loads.implicit or _few.largest(impulse[t.coordinates]) > 0.0
             ends.append(t.end(half, free, v[t.coordinates], pushed))
             after[t.coordinates] = ends[-1].v
-        driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, h * twist)
         there = Position(x, quaternion, tuple([e.q for e in ends]), *driven)
         links = [t.links(q) for t, q in zip(self.trees, there.trees, strict=True)]
         return there, after, self._with_others(there, X, R, links), tuple(ends)

@@ -113,12 +113,12 @@ class Layout:
         out._compose(tuple([a[bodies] for a in self._own]), [self.trees[k] for k in trees.tolist()])
         return out
 
-    def during(self, t: float, h: float) -> Self:
-        """The same with surfaces whose velocities change linearly in the h s from t on."""
+    def during(self, t: float, h: float, begin: Position) -> Self:
+        """The same in a step of h s from t on that begins at a position: `Surfaces.during`."""
         if not self.surfaces.count:
             return self
         out = copy(self)
-        out.surfaces = self.surfaces.during(t, h)
+        out.surfaces = self.surfaces.during(t, h, begin.driven_x, begin.driven_quaternion)
         return out
 
     def _compose(self, own: tuple[Array, ...], trees: list[Tree]) -> None:

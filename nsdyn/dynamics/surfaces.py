@@ -24,6 +24,7 @@ class Surfaces:
         names += [name for name, m in scene.motions.items() if m.kind == "surface"]
         self.count = len(names)
         self._step: tuple[float, float, Array, Array] | None = None
+        self._begun = np.empty((0, 3)), np.empty((0, 4))
         self._motions = [scene.motions[name] for name in names]
         self._driven = len(scene.driven_bodies)
         self._slides = np.array([m.kind == "surface" for m in self._motions], dtype=bool)
@@ -38,13 +39,13 @@ class Surfaces:
         out._motion_of_geom = self._motion_of_geom[geoms]
         return out
 
-    def during(self, t: float, h: float) -> Surfaces:
-        """The same with velocities that change linearly in the h s from t on.
+    def during(self, t: float, h: float, x: Array, quaternion: Array) -> Surfaces:
+        """The same in a step of h s from t on, which begins with such poses of the driven bodies, (nd, 3), (nd, 4).
 
-        A step made in pieces so brings the bodies where one in one piece does, but for round-off where θ = ½.
+        Velocities change linearly in it.
         """
         out = copy(self)
-        out._step = t, h, self.twists(t), self.twists(t + h)
+        out._step, out._begun = (t, h, self.twists(t), self.twists(t + h)), (x, quaternion)
         return out
 
     def twists(self, t: float) -> Array:
@@ -73,11 +74,16 @@ class Surfaces:
         _motion.integrate(x, quaternion, local.ravel(), 1.0, x_out, quaternion_out)
         return x_out, quaternion_out
 
-    def ahead(self, x: Array, quaternion: Array, theta: float) -> tuple[Array, Array]:
-        """Poses of the driven bodies at the end of the step that `during` tells, from those at its beginning."""
-        assert self._step is not None
-        _, h, begun, ended = self._step
-        return self.advance(*self.advance(x, quaternion, (1.0 - theta) * h * begun), theta * h * ended)
+    def poses(self, t: float, theta: float) -> tuple[Array, Array]:
+        """Poses of the driven bodies at a time in the step that `during` tells: where one move from its beginning ends.
+
+        So they are functions of the time alone, and a step made in pieces meets the bodies where one in one piece does.
+        """
+        if not self._driven or self._step is None:
+            return self._begun
+        begin, _, begun, _ = self._step
+        h = t - begin
+        return self.advance(*self.advance(*self._begun, (1.0 - theta) * h * begun), theta * h * self.twists(t))
 
     def reach(self, step: Array, out: Array) -> None:
         """How far any point of the driven bodies moves, into the last entries of `out`, m."""

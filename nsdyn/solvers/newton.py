@@ -79,14 +79,15 @@ class Multipliers:
         while penalty > _kernels.LEAST:
             if inner == 0:
                 rho = penalty / scales
-                _kernels.law(u, estimate, rho, mu, P, A)
+                _kernels.projected(u, estimate, rho, mu, P)
+            _kernels.stiffness(u, estimate, rho, mu, A)
             try:
                 y = y + W.towards(A, P, y)
             except RuntimeError:
                 break
             self.count += 1
             u = W.relative(y) + q
-            _kernels.law(u, estimate, rho, mu, P, A)
+            _kernels.projected(u, estimate, rho, mu, P)
             vectors = u, W.product(P) + q, own, P, estimate, self.r
             verdict, so_far = _kernels.judge(given, vectors, (penalty, inner + 1, before, self.best))
             penalty, inner, before, self.best = so_far

@@ -13,7 +13,7 @@ from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.stepping.booking import tree_works
 from nsdyn.stepping.energy import Works
-from nsdyn.stepping.half import STILL_SURFACES, Callbacks, Half, corrected
+from nsdyn.stepping.half import Callbacks, Half, corrected
 from nsdyn.stepping.instant import Instant
 from nsdyn.tools.arrays import Array
 
@@ -67,7 +67,7 @@ class Motion:
         if d.within_limits(half.middle, half.forces, v) is not half.forces:
             return None
         self._v, self.impulse = v, impulse
-        position, v_end, place, self.ends = d.end(half.middle, half.forces, v, impulse, half.ahead, STILL_SURFACES[2])
+        position, v_end, place, self.ends = d.end(half.middle, half.forces, v, impulse, half.ahead, half.driven)
         speed = _few.largest(v_end)
         if not speed * speed < math.inf:
             return None

@@ -98,6 +98,11 @@ class Half(_Half):
         """Whether the contacts found where the move begins are those of there."""
         return self.s.unmoved(self.looked, self.middle.placement, self.reach)
 
+    @property
+    def driven(self) -> tuple[Array, Array]:
+        """Poses of driven bodies at the end, shapes (nd, 3) and (nd, 4)."""
+        return self.s.dynamics.surfaces.poses(self.end, self.s.theta)
+
     def known(self, rate: Array, reach: Array, fast: bool, same: bool) -> Half:
         """The same with what has been found."""
         self.__dict__.update(rate=rate, reach=reach, fast=fast, same=same)

@@ -96,9 +96,9 @@ class System(NamedTuple):
         """The least of what is `deep`."""
         return self.depth * self.smallest
 
-    def during(self, t: float, h: float) -> System:
-        """The same in a step of h s from t on."""
-        return self._replace(dynamics=self.dynamics.during(t, h)) if self.dynamics.surfaces.count else self
+    def during(self, t: float, h: float, begin: Position) -> System:
+        """The same in a step of h s from t on that begins at a position."""
+        return self._replace(dynamics=self.dynamics.during(t, h, begin)) if self.dynamics.surfaces.count else self
 
     def closing(self, h: float, caught: bool) -> Closing:
         """How gaps close in a move of h s that catches all impacts or locates them: then it ends where bodies touch.

@@ -68,19 +68,16 @@ class Islands:
             itself asks in each of its moves; all others are then where the step begins.
         begun : Begun
         """
-        out, begin = self._step(state, loads, begun), state.instant.position
-        if not begin.driven_x.size:
+        s = self.whole.during(state.next_t - state.dt, state.dt, state.instant.position)
+        out = self._step(s, state, loads, begun)
+        if not out.end.position.driven_x.size:
             return out
-        d = self.whole.dynamics.during(state.next_t - state.dt, state.dt)
-        # Islands may come to them in pieces: what is prescribed is a function of the time alone.
-        x, quaternion = d.surfaces.ahead(begin.driven_x, begin.driven_quaternion, self.whole.theta)
-        return out._replace(end=driven(out.end, x, quaternion))
+        return out._replace(end=driven(out.end, *s.dynamics.surfaces.poses(state.next_t, s.theta)))
 
-    def _step(self, state: State, loads: Loads, begun: Begun) -> Passage:
+    def _step(self, s: System, state: State, loads: Loads, begun: Begun) -> Passage:
         if self.count < 2:
             return through(self.whole, state, loads, begun)
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
-        s = self.whole.during(t, h)
         callbacks = loads(t + (1.0 - s.theta) * h)
         half = begun.half or first_half(s, begin, t, h, callbacks)
         label, count = self._foreseen(begin, half)

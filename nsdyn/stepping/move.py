@@ -202,7 +202,7 @@ def _respond(
             return _respond(s, begin, half._replace(forces=limited), reach, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
-        end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.surfaces[2])
+        end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.driven)
         twists, same = d.twists(there, v_end), s.unmoved(looked, there, near)
         if same:
             moved = Placed(end, there, found, d.limits(there), reach.memory, looked, True)

@@ -88,7 +88,8 @@ def through(system: System, state: State, loads: Loads, begun: Begun = NEW) -> P
     begun : Begun
         With the step in one move.
     """
-    begin, system = state.instant, system.during(state.next_t - state.dt, state.dt)
+    begin = state.instant
+    system = system.during(state.next_t - state.dt, state.dt, begin.position)
     effort = Effort()
     whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort, begun)
     return _in_pieces(system, state, loads, effort) if coarse and _contacts(begin) <= WORK else whole

@@ -92,7 +92,7 @@ def solve_workless(
                 (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
                 (half.middle.v, half.forces.v),
                 (half.middle.placement.R, d.inverse_J, s.arm, half.h),
-                (met.mu, problem.scales, alone.local, *((u, u) if last is None else (last.r, last.u))),
+                (met.mu, problem.scales, met.transport, alone.local, *((u, u) if last is None else (last.r, last.u))),
                 (met.stays, met.sticks, slides),
                 (met.end_gap, met.restitution, met.rebound, met.late, tuple(way.closing)),
                 NO_ROWS if last is None or off is None else off,

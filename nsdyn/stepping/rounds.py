@@ -70,11 +70,14 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
         struck = np.zeros(label.size + 1, np.bool_)
         struck[label[hit]] = True
         part = closed & struck[label]
+        e = np.where(hit & (u[0::3] < -resting), restitution, 0.0)
         if k < ROUNDS - 1:
-            part &= law.takes_part(hit, restitution)
+            # Where nothing rebounds all comes to rest at once: one by one contacts would set each other off for long.
+            rebounds = np.zeros(label.size + 1, np.bool_)
+            rebounds[label[e > 0.0]] = True
+            part &= law.takes_part(hit, restitution) | ~rebounds[label]
         else:
             law = Dissipative()
-        e = np.where(hit & (u[0::3] < -resting), restitution, 0.0)
         impact = at._replace(before=u, e=e, hit=hit).of(part)
         own, solved = law(impact)
         r = np.zeros_like(u)

@@ -270,6 +270,7 @@ def test_deepest():
     assert deepest(pile.describe(), q.reshape(4, -1)) == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 def test_only_neighbours_of_a_large_recording_are_compared(monkeypatch):
     """A hundred bodies that touch, of 4950 pairs: at most those that share a face, an edge or a corner."""
     compared, real = [], touching.separation
@@ -292,6 +293,7 @@ def test_only_neighbours_of_a_large_recording_are_compared(monkeypatch):
     assert 0 < sum(compared) <= 200 * 100 * (26 / 2 + 1)  # and the ground
 
 
+@pytest.mark.slow
 def test_bodies_that_the_scene_squeezes_are_not_the_motions_overlap():
     """Every step says OVERLAP; deeper than at the start, or where a step says that it is clear, it fails."""
     trajectory = nd.simulate(nd.scenes.load("peg")(), 5e-3, dt=1e-3)
@@ -306,7 +308,7 @@ def test_bodies_that_the_scene_squeezes_are_not_the_motions_overlap():
     assert not finding.passed and finding.step == 2 and finding.amount == pytest.approx(4e-8, rel=1e-6)
 
 
-@pytest.mark.parametrize("impact", ["poisson", "fremond"])
+@pytest.mark.parametrize("impact", [pytest.param("poisson", marks=pytest.mark.slow), "fremond"])
 def test_friction_of_what_rebounds_opposes_the_slip_of_each_impact(impact):
     """Not that of the end: a ball on another one, both with spin, fall on a plane that is rough."""
     scene, material = nd.Scene(), nd.Material(mu=0.4, restitution=0.5)
@@ -363,7 +365,7 @@ SETTLING = {
 }
 
 
-@pytest.mark.parametrize(("theta", "e"), [(0.5, 0.2), (0.5, 0.7), (0.7, 0.4)])
+@pytest.mark.parametrize(("theta", "e"), [(0.5, 0.2), (0.5, 0.7), pytest.param(0.7, 0.4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", SETTLING)
 def test_what_bounces_rolls_and_settles_passes(kind, theta, e):
     """Steps are cut at bounces and where slip ends: what acts in pieces of them is told from impacts."""
@@ -461,7 +463,7 @@ def test_motion_of_a_needle():
     assert nd.check(nd.simulate(scene, 0.02, dt=1e-3))["motion"].amount < 1e-8
 
 
-@pytest.mark.parametrize("bounces", [False, True])
+@pytest.mark.parametrize("bounces", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_motion_of_what_turns_round_in_a_step(bounces):
     """A box that turns by 5 rad a step, in flight and where it strikes; a turn of 0.2 rad more is found."""
     scene = nd.Scene(gravity=(0, 0, 0))

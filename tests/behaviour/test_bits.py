@@ -12,12 +12,11 @@ import pytest
 import nsdyn as nd
 
 SCENES = {"pile": {"boxes": 3, "spheres": 3}, "quadruped": {}, "arm_pushes_box": {}, "rolling": {"balls": 2}}
-STEPS = 50
 
 
-def run(name, record=None):
+def run(name, record=None, steps=50):
     setup = nd.scenes.setup(name, **SCENES[name])
-    return nd.simulate(setup.scene, STEPS * setup.dt, **setup.options(), on_fail="ignore", record=record)
+    return nd.simulate(setup.scene, steps * setup.dt, **setup.options(), on_fail="ignore", record=record)
 
 
 def assert_same(one, other):
@@ -25,13 +24,14 @@ def assert_same(one, other):
         assert one.columns[name].tobytes() == other.columns[name].tobytes(), name
 
 
-def test_threads_give_the_bits_of_one(tmp_path):
+@pytest.mark.parametrize("steps", [15, pytest.param(50, marks=pytest.mark.slow)])
+def test_threads_give_the_bits_of_one(steps, tmp_path):
     """Steppers of several scenes at once, two of the same, all recording."""
     names = [*SCENES, "pile"]
-    alone, found = {name: run(name) for name in SCENES}, {}
+    alone, found = {name: run(name, steps=steps) for name in SCENES}, {}
 
     def work(k):
-        found[k] = run(names[k], tmp_path / f"{k}.h5")
+        found[k] = run(names[k], tmp_path / f"{k}.h5", steps)
 
     threads = [threading.Thread(target=work, args=(k,)) for k in range(len(names))]
     for thread in threads:
@@ -99,7 +99,7 @@ def drop(order):
     return scene
 
 
-@pytest.mark.parametrize("order", [[5, 3, 0, 4, 2, 1], [4, 5, 1, 2, 0, 3]])
+@pytest.mark.parametrize("order", [pytest.param([5, 3, 0, 4, 2, 1], marks=pytest.mark.slow), [4, 5, 1, 2, 0, 3]])
 def test_the_order_of_bodies_changes_nothing_but_round_off(order):
     """Through the first impacts, which double round-off a few times each."""
     one = nd.simulate(drop(range(6)), 0.3, dt=5e-3)

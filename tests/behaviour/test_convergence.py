@@ -48,6 +48,7 @@ INERTIA = np.array([1.0, 2.0, 3.0])
 UNSTABLE = np.array([0.01, 1.0, 0.01])
 
 
+@pytest.mark.slow
 def test_torque_free_body_keeps_energy_and_angular_momentum():
     trajectory = nd.simulate(spinning(INERTIA, UNSTABLE), 100.0, dt=1e-2)
     momentum = angular_momentum(trajectory, INERTIA)
@@ -118,6 +119,7 @@ def top(steps, duration=0.2):
     return nd.simulate(scene, duration, dt=duration / steps, external_force=weight)
 
 
+@pytest.mark.slow
 def test_heavy_top_is_second_order():
     def rate(t, y):
         R, w = Rotation.from_quat(y[:4]), y[4:]
@@ -240,10 +242,11 @@ SMOOTH = {
 }
 
 
-SIMPLER = "rolling in a plane", "sliding without friction"  # than the next of them
+# Simpler than the next of them, or longer.
+LATER = "rolling in a plane", "sliding without friction", "arm with a sliding tip", "sliding over a barrel"
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SIMPLER else []) for n in SMOOTH])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in LATER else []) for n in SMOOTH])
 def test_smooth_contact_is_second_order(name, tmp_path):
     scene, duration = SMOOTH[name]
 
@@ -278,6 +281,7 @@ def test_ball_rolling_down_a_ball():
     np.testing.assert_allclose(orders(error, (200, 400, 800)), 2.0, rtol=0, atol=0.15)
 
 
+@pytest.mark.slow
 def test_a_joint_at_rest_on_its_limit_is_second_order():
     """A double pendulum whose inner link rests on its limit swings as its outer one alone."""
     stop, start, T = 0.3, 0.1, 0.3
@@ -394,6 +398,7 @@ def test_drag_is_second_order():
     np.testing.assert_allclose(orders(error, (50, 100, 200)), 2.0, rtol=0, atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_magnetic_force_does_no_work():
     """One turn: the place to second order, the energy, which only the prediction errs in, to third."""
 
@@ -411,6 +416,7 @@ def test_a_magnetic_force_does_no_work():
     np.testing.assert_allclose(place, 2.0, rtol=0, atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_torque_against_the_spin_is_second_order():
     """-c ω on a body that tumbles, in world axes, against a fine run."""
 
@@ -444,6 +450,7 @@ def test_sliding_with_drag_is_second_order():
     np.testing.assert_allclose(orders(error, (20, 40, 80)), 2.0, rtol=0, atol=0.05)
 
 
+@pytest.mark.slow
 def test_joint_torques_against_the_motion_are_second_order():
     """A damping torque, and a force across the motion of the hand of an arm."""
 
@@ -518,6 +525,7 @@ def test_bounces_are_exact():
         assert max(abs(error(steps, shift)) for shift in (0.0, 0.2, 0.5, 0.7)) <= 1e-12
 
 
+@pytest.mark.slow
 def test_stopping_time_and_place():
     """A block that slides to rest: the time to a step, the place to second order."""
     mu = 0.5

@@ -1,6 +1,7 @@
 """Laws that every step of every scene obeys, tried on random scenes."""
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -38,9 +39,15 @@ def scenes(draw):
     return scene
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
-@given(scenes())
-def test_every_step(scene):
+@pytest.mark.parametrize("examples", [10, pytest.param(40, marks=pytest.mark.slow)])
+def test_every_step(examples):
+    more = settings(
+        max_examples=examples, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    )
+    more(given(scenes())(every_step))()
+
+
+def every_step(scene):
     stepper = nd.Stepper(scene, dt=5e-3, on_fail="ignore")
     kinetic = stepper.start().energy["kinetic"]
     for _ in range(60):

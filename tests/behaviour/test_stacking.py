@@ -50,6 +50,7 @@ def test_heavy_on_light(below):
     np.testing.assert_allclose(load_per_storey(trajectory, below + 1, 1e-2), weights, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_wall_of_a_hundred_bricks():
     trajectory = nd.simulate(nd.scenes.load("wall")(), 2.0, dt=1e-2)
     assert len(trajectory.contacts(-1)) >= 760
@@ -109,7 +110,9 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("floor", [pytest.param("halfspace", marks=pytest.mark.slow), "box"])
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    "shape", [pytest.param(s, marks=[] if s in ("sphere", "cylinder", "convex") else pytest.mark.slow) for s in SHAPES]
+)
 def test_every_shape_lands_and_is_carried(shape, floor):
     """Dropped askew with a spin: the ledger closes, nothing sinks in, at the end the ground carries the weight."""
     scene = nd.Scene()

@@ -39,7 +39,7 @@ SCRIPTS = {
 }
 
 
-LONG = "at_rest.py", "fuzz.py", "kills.py", "page.py", "regimes.py", "sweep.py"
+LONG = "at_rest.py", "audits.py", "fuzz.py", "kills.py", "page.py", "regimes.py", "sweep.py"
 OWN = "at_rest.py", "fuzz.py", "kills.py", "sweep.py"
 """What starts, forks and kills processes, in a process of its own."""
 
@@ -74,12 +74,12 @@ def test_script_runs(script, tmp_path, monkeypatch, capsys):
     "scene",
     [
         "--begin 7132",
-        "--begin 1109 --seed 2",
         "--bad --begin 85 --seed 3",
-        "--begin 182 --seed 20261125",
         *(
             pytest.param(scene, marks=pytest.mark.slow)
             for scene in (
+                "--begin 1109 --seed 2",
+                "--begin 182 --seed 20261125",
                 "--begin 3229 --seed 1",
                 "--begin 9438 --seed 1",
                 "--bad --begin 679 --seed 3",

@@ -85,6 +85,7 @@ def test_csv_and_plot(made_up, tmp_path):
             assert y[np.searchsorted(x, factor, "right") - 1] == pytest.approx(made_up.rho(factor)[k])
 
 
+@pytest.mark.slow
 def test_solvers_are_judged_by_the_problem(folder):
     found = profiles.measure(folder, ["auto", "pgs"], tol=1e-8, limit=60.0)
     assert found.problems == ["box", "slip"] and found.solvers == ["auto", "pgs"]
@@ -117,6 +118,7 @@ def test_crash_is_a_result_and_the_next_request_gets_a_new_process():
         assert worker.ask({}, 10.0)["failure"] == "the process died with exit code -6"
 
 
+@pytest.mark.slow
 def test_first_calls_may_compile_for_a_while():
     """The grace is spent once: a solver that hangs in every first call costs it once."""
     script = HANGS.replace('"start"', '"warm"')

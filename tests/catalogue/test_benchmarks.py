@@ -31,8 +31,9 @@ class Account:
         self.unexplained = np.abs(self.energy - self.energy[0] - np.cumsum(self.booked)).max() / self.energy[0]
 
 
+@pytest.mark.slow
 @pytest.mark.case(15)
-@pytest.mark.parametrize("steps", [300, pytest.param(6000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [300, 6000])
 def test_energy_over_ten_thousand_elastic_impacts(steps):
     """27 smooth balls in a closed box: of the change nothing is unexplained, and what is left is the solver's error.
 
@@ -47,8 +48,9 @@ def test_energy_over_ten_thousand_elastic_impacts(steps):
     assert abs(run.energy[-1] - run.energy[steps // 2]) <= 1e-11 * run.energy[0]
 
 
+@pytest.mark.slow
 @pytest.mark.case(15)
-@pytest.mark.parametrize("steps", [4000, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [4000, 10_000])
 def test_elastic_ball_under_gravity_keeps_its_energy(steps):
     """One ball between floor, walls and lid: every impact is exact, so only round-off of 10 000 steps is left."""
     run = Account(nd.scenes.load("billiard")(balls=1, speed=8.0, gravity=9.81), steps, 2e-3, tol=1e-12)
@@ -101,8 +103,9 @@ def test_falling_balls_do_not_overlap(side, dt, duration):
     assert penetration(trajectory) <= 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.case(45)
-@pytest.mark.parametrize(("side", "duration"), [(3, 2.0), pytest.param(6, 4.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("side", "duration"), [(3, 2.0), (6, 4.0)])
 def test_elastic_balls_keep_their_energy(side, duration):
     """At dt = 1e-3; the least mean square error of the peers is 1.1e-3 J² (RaiSim), at dt = 1e-4."""
     run = Account(

@@ -60,6 +60,7 @@ def rest_error(dt, height, restitution=0.5):
     return trajectory.t[moving[-1] + 1] - end
 
 
+@pytest.mark.slow
 @pytest.mark.case(14)
 def test_zeno_ball_comes_to_rest_in_time():
     """Case 14: at t = sqrt(2 H/g) (1 + e)/(1 - e), less what is left of the series at 2 g h: at most 4 h.
@@ -90,14 +91,15 @@ def test_apexes_of_a_bouncing_ball(restitution, h):
     np.testing.assert_allclose((z + v**2 / (2 * g))[tops][fast], apexes[fast], rtol=0, atol=2e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.case(15)
 @pytest.mark.parametrize(
     ("height", "rows", "duration", "impacts"),
     [
         (5.0, 7, 6.0, 140),
         (0.0125, 8, 1.0, 500),
-        pytest.param(5.0, 7, 20.0, 400, marks=pytest.mark.slow),
-        pytest.param(0.0125, 8, 20.0, 10_000, marks=pytest.mark.slow),
+        (5.0, 7, 20.0, 400),
+        (0.0125, 8, 20.0, 10_000),
     ],
 )
 def test_elastic_balls_keep_their_energy(height, rows, duration, impacts):
@@ -330,7 +332,10 @@ def test_painleve_impulse_has_a_limit():
 @pytest.mark.case(20)
 @pytest.mark.parametrize(
     ("start", "order"),
-    [({"angle": 30.0, "slip": -3.0, "spin": 3.0}, 0.8), ({"angle": 45.0, "slip": -5.0, "spin": 2.0}, 0.8)],
+    [
+        ({"angle": 30.0, "slip": -3.0, "spin": 3.0}, 0.8),
+        pytest.param({"angle": 45.0, "slip": -5.0, "spin": 2.0}, 0.8, marks=pytest.mark.slow),
+    ],
 )
 def test_motion_of_the_painleve_rod_converges(start, order):
     """Case 20: a rod that slides to a stop, and one that jams at once and is thrown up: first order to a fine run."""

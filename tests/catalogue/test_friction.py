@@ -206,6 +206,7 @@ def oscillation(dt, x0=0.35, mu=0.3, stiffness=100.0):
     return x, exact, x[turns]
 
 
+@pytest.mark.slow
 @pytest.mark.case(21)
 def test_coulomb_oscillator():
     """Case 21: the amplitude falls by 4 mu m g/k per cycle, and the block stays where |x| <= mu m g/k.
@@ -234,8 +235,9 @@ def test_coulomb_oscillator_all_the_way(h, bar):
     assert np.abs(x - exact).max() <= bar
 
 
+@pytest.mark.slow
 @pytest.mark.case(22)
-@pytest.mark.parametrize("duration", [2.4, pytest.param(7.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("duration", [2.4, 7.5])
 def test_stick_and_slip_on_a_belt(duration):
     """Case 22: carried to x = mu m g/k, then round it with amplitude v_b/omega, grazing the belt's speed, undamped."""
     mu, stiffness, belt = 0.3, 100.0, 0.5
@@ -294,7 +296,7 @@ def test_spinning_disk_has_its_fixed_point():
 
 
 @pytest.mark.case(23)
-@pytest.mark.parametrize(("speed", "spin"), [(1.0, 5.0), (0.4, 10.0)])
+@pytest.mark.parametrize(("speed", "spin"), [pytest.param(1.0, 5.0, marks=pytest.mark.slow), (0.4, 10.0)])
 def test_spinning_disk_and_ring_tend_to_their_ratios(speed, spin):
     """Case 23: from afar, v/(R w) comes closer all the time to 0.653 for a solid disk and to 1 for a ring."""
     target = fixed_point()
@@ -324,3 +326,49 @@ def test_spin_takes_friction_away():
             # The torque at zero drift, 2/3 mu m g R, by the ring rule of the pads 2/3 - 1/150.
             work = trajectory.energy.friction[-1] / 2e-2
             assert work == pytest.approx(-(2 / 3) * mu * g * radius * spin, rel=0.015)
+
+
+@pytest.mark.parametrize("dt", [2e-2, 5e-3])
+def test_ball_on_a_belt_that_speeds_up(dt):
+    """Friction that holds gives a solid ball 2/7 of the belt's velocity, and spin for the rest."""
+    radius, end = 0.05, 0.4
+    scene, material = nd.Scene(), nd.Material(0.5)
+    scene.add_halfspace("belt", material=material)
+    scene.set_motion("belt", surface_velocity=lambda t: (0, math.sin(3 * t), 0))
+    scene.add_sphere("ball", radius, 0.5, position=(0, 0, radius), material=material)
+    run = nd.simulate(scene, end, dt)
+    ball, belt = run.body("ball"), math.sin(3 * end)
+    np.testing.assert_allclose(ball.linear_velocity[-1], (0, 2 / 7 * belt, 0), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ball.angular_velocity[-1], (5 / 7 * belt / radius, 0, 0), rtol=0, atol=1e-7)
+    assert np.abs(run.energy.integration).max() < 1e-12
+    assert run.energy.constraint.sum() == pytest.approx(run.energy.kinetic[-1], rel=0.1)  # all is from the belt
+
+
+@pytest.mark.parametrize("kind", ["surface_velocity", "velocity"])
+def test_ball_rolls_in_circles_on_a_turntable(kind):
+    """With 2/7 of the table's rate, whatever its radius, to second order.
+
+    K. Weltner, Stable circular orbits of freely moving balls on rotating discs, American Journal of Physics 47, 1979.
+    """
+    rate, radius, end = 2.0, 0.05, 2.0
+    x, v = np.array([0.3, 0.0, 0.0]), np.array([0.0, 0.3, 0.0])
+    slower = 2 / 7 * rate
+    turned = slower * end
+    there = x[:2] + np.array([math.cos(turned) - 1, math.sin(turned)]) * 0.3 / slower
+    errors = []
+    for dt in (2e-2, 1e-2):
+        scene, material = nd.Scene(), nd.Material(1.0)
+        scene.add_cylinder("table", 2.0, 0.2, fixed=True, position=(0, 0, -0.1), material=material)
+        scene.set_motion("table", **{kind: ((0, 0, 0), (0, 0, rate))})
+        spin = np.cross((0, 0, 1), v - np.cross((0, 0, rate), x)) / radius
+        scene.add_sphere(
+            "ball",
+            radius,
+            0.5,
+            position=(*x[:2], radius),
+            linear_velocity=tuple(v),
+            angular_velocity=tuple(spin),
+            material=material,
+        )
+        errors.append(np.linalg.norm(nd.simulate(scene, end, dt).body("ball").position[-1, :2] - there))
+    assert errors[0] < 1e-4 and errors[0] / errors[1] > 3.8

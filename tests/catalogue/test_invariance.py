@@ -197,7 +197,7 @@ PATIENT = "aclm", "panagiotopoulos", "tresca"  # a thousand convex problems of t
 
 @pytest.mark.case(48)
 @pytest.mark.parametrize("solver", [pytest.param(s, marks=pytest.mark.slow if s in PATIENT else []) for s in SOLVERS])
-@pytest.mark.parametrize("slip", [0.0, 0.3])
+@pytest.mark.parametrize("slip", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_walls_that_leave_no_room_are_reported(solver, slip):
     """No velocity is admissible."""
     assert not nd.solve(two_walls(1.0, slip), solver=solver, tol=1e-8).converged
@@ -205,7 +205,7 @@ def test_walls_that_leave_no_room_are_reported(solver, slip):
 
 @pytest.mark.case(48)
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("slip", [0.0, 0.3])
+@pytest.mark.parametrize("slip", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_an_impulse_in_which_q_drowns_is_no_solution(solver, slip):
     """Between walls that leave no room, from 0 and from where the relative error is 0; walls that just do are solved.
 

@@ -38,7 +38,7 @@ def test_capstan_formula():
 
 
 @pytest.mark.case(40)
-@pytest.mark.parametrize(("blocks", "mu"), [(8, 0.3), (32, 0.3), (8, 0.8)])
+@pytest.mark.parametrize(("blocks", "mu"), [(8, 0.3), pytest.param(32, 0.3, marks=pytest.mark.slow), (8, 0.8)])
 def test_capstan_holds_up_to_its_ratio(blocks, mu):
     """Bracketed to a millionth; beyond it the surplus accelerates both weights."""
     limit = capstan_limit(blocks, mu)
@@ -99,7 +99,7 @@ def test_ball_slides_in_a_groove(half_angle):
 @pytest.mark.case(50)
 @pytest.mark.parametrize(
     ("squeeze", "dt", "duration"),
-    [(1e-6, 1e-2, 0.2), (1e-4, 1e-3, 0.03), pytest.param(1e-4, 1e-3, 0.2, marks=pytest.mark.slow)],
+    [(1e-6, 1e-2, 0.2), *(pytest.param(1e-4, 1e-3, duration, marks=pytest.mark.slow) for duration in (0.03, 0.2))],
 )
 def test_squeezed_peg_does_not_explode(squeeze, dt, duration):
     """It may hold or fall; it gains no energy but its weight's, and is not thrown about by the position projection.

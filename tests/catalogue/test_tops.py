@@ -125,8 +125,9 @@ def test_critical_spins_of_the_tippe_top():
         assert (inside > top.least_energy(cosine)) == minimum
 
 
+@pytest.mark.slow
 @pytest.mark.case(26)
-@pytest.mark.parametrize("factor", [pytest.param(0.9, marks=pytest.mark.slow), 1.15])
+@pytest.mark.parametrize("factor", [0.9, 1.15])
 def test_tippe_top_leaves_the_upright_above_its_critical_spin(factor):
     top = TippeTop(factor * critical_spins()[0], 5.0, 8.0, dt=4e-3, glide=50.0)
     tilt = np.degrees(np.arccos(top.cosine))
@@ -137,8 +138,9 @@ def test_tippe_top_leaves_the_upright_above_its_critical_spin(factor):
     assert np.diff(top.energy).max() <= 1e-7 * top.energy[0]
 
 
+@pytest.mark.slow
 @pytest.mark.case(26)
-@pytest.mark.parametrize("factor", [pytest.param(0.8, marks=pytest.mark.slow), 1.2])
+@pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_tippe_top_turns_over_above_its_critical_spin(factor):
     """It ends where its energy is least: on its head, or leaning if it was too slow for that."""
     top = TippeTop(factor * critical_spins()[1], 10.0, 8.0, dt=4e-3, glide=50.0)
@@ -233,7 +235,7 @@ def test_rattleback_converges_to_rolling():
 
 
 @pytest.mark.case(28)
-@pytest.mark.parametrize("dt", [1e-1, 4e-2, pytest.param(1e-2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dt", [1e-1, *(pytest.param(dt, marks=pytest.mark.slow) for dt in (4e-2, 1e-2))])
 def test_intermediate_axis_keeps_energy_and_momentum(dt):
     """J = (1, 2, 3), ω = (.01, 1, .01): ‖L‖² = 4.001, 2 E = 2.0004, period 4 K(k)/λ with k² = 0.99980006."""
     J = np.array([1.0, 2.0, 3.0])
@@ -260,6 +262,7 @@ def test_intermediate_axis_keeps_energy_and_momentum(dt):
     assert abs(2 * (crossing[-1] - crossing[0]) / (len(crossing) - 1) - period) <= 1e-4 * (dt / 1e-1) ** 3 + 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.case(29)
 def test_heavy_top_is_fourth_order():
     """Brüls, Cardona and Arnold's top after 2 s against the equations of Euler."""

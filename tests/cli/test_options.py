@@ -55,6 +55,7 @@ CALLS = {
     "compare": ["run.h5 run.h5 --json"],
     "plot": ["run.h5 -o k.pdf --kind speed --name arm/* --size 85x60 --style ggplot"],
 }
+LONG = "bench", "profile", "doctor", "sweep"
 ELSEWHERE = {
     "--dask": "below: dask need not be installed",
     "--peer": "below: engines need not be installed",
@@ -99,8 +100,8 @@ def test_help_tells_of_files_where_some_are_written_and_of_problems_where_they_a
 @pytest.mark.parametrize(
     "call",
     [
-        # What they run is in `test_bench` and `test_profile`, too, in processes of its own.
-        pytest.param(f"{name} {call}", marks=pytest.mark.slow if name in ("bench", "profile") else [])
+        # What others of them do is in tests of their own, too.
+        pytest.param(f"{name} {call}", marks=pytest.mark.slow if name in LONG or "--png" in call else [])
         for name, calls in CALLS.items()
         for call in calls
     ],

@@ -111,6 +111,11 @@ def test_a_scene_of_ones_own(run, tmp_path):
     assert run("new", "my.txt")[0] == 2
     code, out, _ = run("sweep", "my.py", "--set", "mu=0.1,0.9", "--time", "0.05", "--workers", "1")
     assert code == 0 and [line.split()[0] for line in out.splitlines()[1:]] == ["0.1", "0.9"]
+
+
+@pytest.mark.slow
+def test_a_scene_of_ones_own_is_found_by_other_processes(run, tmp_path):
+    run("new", "my.py")
     found = nd.sweep(nd.scenes.load("my.py"), {"mu": [0.1]}, 0.05, executor=1, keep=float_of_end, dt=5e-3)
     assert found[0].failure == ""
 
@@ -252,6 +257,7 @@ def test_order_of_exact_powers():
     assert np.isnan([order(1.0, 1.0, h1, h2, h0), order(0.0, 1.0, h1, h2, h0), order(1e-3, 1.0, h1, h2, h0)]).all()
 
 
+@pytest.mark.slow
 def test_study_finds_the_order(run, tmp_path):
     """Fourth order of a free articulation, second order of a loop, against the finest run."""
     found = json.loads(run("study", "double_pendulum", "--dt", "4e-3,8e-3,5e-4", "--time", "0.4", "--json")[1])

@@ -35,7 +35,8 @@ def distance(A, B, where):
     return coal.distance(A.geometry, a, B.geometry, b, request, result)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
 def test_against_dense_sampling(seed):
     """All kinds of shapes, thin ones among them, up to 1 m and 1 rad each on the way."""
     rng = np.random.default_rng(seed)

@@ -436,6 +436,7 @@ def test_candidates_equal_brute_force(rng):
         assert set(zip(*(p.tolist() for p in d.pairs), strict=True)) == expected
 
 
+@pytest.mark.slow
 def test_reused_candidates_give_the_contacts_of_fresh_ones(rng):
     """Bit for bit, while the list is renewed only now and then."""
     d, x, R = pile(rng)
@@ -453,6 +454,7 @@ def test_reused_candidates_give_the_contacts_of_fresh_ones(rng):
     assert 2 <= renewed <= 10
 
 
+@pytest.mark.slow
 def test_swapped_bodies_mirror_the_contacts(rng):
     """Same points (moved along the normal by the gap at most), opposite normals, same gaps."""
     names = list(ALL)

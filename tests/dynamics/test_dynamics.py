@@ -150,6 +150,7 @@ def test_torque_free_motion_is_exact():
     assert np.abs(run(0.5) - fine).max() <= 5e-11
 
 
+@pytest.mark.slow
 def test_pendulum_of_two_links_is_fourth_order():
     """The arm of `models`, swinging under a tilted gravity without contacts, against a fine run."""
 

@@ -28,25 +28,28 @@ def written(path, bodies, more=""):
     return path
 
 
-def simulated(files, controller, external_force):
+def simulated(files, duration, controller, external_force):
     scene = nd.Scene()
     for name, path in files.items():
         scene.add_mjcf(name, path, material=nd.Material(mu=0.6))
     driven = next(f"{name}/elbow2" for name, a in scene.articulations.items() if a.model.existJointName("elbow2"))
     scene.set_motion(driven, lambda t: np.sin(5.0 * t))
-    return nd.simulate(scene, 0.6, 5e-3, controller=controller, external_force=external_force)
+    return nd.simulate(scene, duration, 5e-3, controller=controller, external_force=external_force)
 
 
-def test_a_file_of_four_robots_moves_as_four_files(tmp_path):
+@pytest.mark.parametrize("duration", [0.3, pytest.param(0.6, marks=pytest.mark.slow)])
+def test_a_file_of_four_robots_moves_as_four_files(duration, tmp_path):
     gains = nd.PD(20.0, 1.0, 0.3)
     push = {"arm0": (3.0, 0.0, 1.0), "leg1": ((0.0, 2.0, 0.0), (0.1, 0.0, 0.0))}
     one = simulated(
         {"all": written(tmp_path / "all.xml", BODIES)},
+        duration,
         lambda t, q, v: {"all": gains},
         lambda t, q, v: {f"all/{body}": wrench for body, wrench in push.items()},
     )
     each = simulated(
         {f"r{k}": written(tmp_path / f"r{k}.xml", [body]) for k, body in enumerate(BODIES)},
+        duration,
         lambda t, q, v: {f"r{k}": gains for k in range(4)},
         lambda t, q, v: {f"r{body[-1]}/{body}": wrench for body, wrench in push.items()},
     )

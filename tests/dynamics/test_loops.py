@@ -29,8 +29,9 @@ def follow(scene, duration, dt):
     return np.array(q), gap, np.abs(kinetic + potential - start).max()
 
 
+@pytest.mark.slow
 @pytest.mark.case(31)
-@pytest.mark.parametrize("duration", [2.5, pytest.param(10.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("duration", [2.5, 10.0])
 def test_bricard_moves_and_keeps_its_energy(duration):
     """Six rows of rank five leave the one degree of freedom; the energy drifts by 1e-5 of 29 J."""
     model, loops = bricard()
@@ -41,9 +42,10 @@ def test_bricard_moves_and_keeps_its_energy(duration):
     assert drift <= 2e-5  # 9.4e-6 at this step, falling with h²
 
 
+@pytest.mark.slow
 @pytest.mark.case(31)
-@pytest.mark.parametrize("windows", [pytest.param(1, marks=pytest.mark.slow), 2])
-@pytest.mark.parametrize(("duration", "turns"), [(4.0, 1), pytest.param(10.0, 4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("windows", [1, 2])
+@pytest.mark.parametrize(("duration", "turns"), [(4.0, 1), (10.0, 4)])
 def test_four_bars_pass_their_singular_configurations(windows, duration, turns):
     """Rods turn all the way and lie flat twice a turn, where the loop loses rank; they stay parallel."""
     model, loops, v = four_bars(windows)
@@ -55,6 +57,7 @@ def test_four_bars_pass_their_singular_configurations(windows, duration, turns):
     assert drift <= 5e-4  # 1.6e-4 and 2.7e-4 of 39 J and more at this step, falling with h²
 
 
+@pytest.mark.slow
 def test_four_bar_is_second_order():
     """Against the pendulum it is: two rods of inertia 1/3 each and a bar that moves as their tips."""
     model, loops, v = four_bars(1)
@@ -92,6 +95,7 @@ def test_admissible_velocities_of_redundant_rows(rng):
     np.testing.assert_allclose(Z.T @ M @ P @ b, 0.0, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_a_chain_between_two_pins_hangs_as_statics_says():
     """Three damped rods over a span of two: the outer ones come to rest at 30° from the vertical."""
     scene = nd.Scene()
@@ -131,6 +135,7 @@ def test_contacts_act_on_closed_loops():
     assert np.abs(trajectory.contacts(-1).gap).max() <= 1e-8
 
 
+@pytest.mark.slow
 def test_joint_friction_holds_a_closed_loop():
     """Dry friction in one joint of three of the four-bar holds it leaning, to the last bit."""
     model, loops, _ = four_bars(1)

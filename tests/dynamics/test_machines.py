@@ -24,6 +24,7 @@ def run(name, duration, dt, parameters=None, **control):
 # -- cart and pole ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_cart_rebounds_from_its_stops():
     """Against both ends in 2 s, without passing them; the impulse acts on the cart, the pole swings on through it."""
     e, h = 0.5, 1e-3
@@ -60,8 +61,9 @@ def block_in_its_guide(scene, q):
     return np.abs(block.shape.vertices @ pose.rotation[2] + pose.translation[2]).max() - 0.026
 
 
+@pytest.mark.slow
 @pytest.mark.case(32)
-@pytest.mark.parametrize("finest", [None, *(pytest.param(dt, marks=pytest.mark.slow) for dt in (5e-6, 1.25e-6))])
+@pytest.mark.parametrize("finest", [None, 5e-6, 1.25e-6])
 def test_slider_crank_converges_and_stays_in_its_guide(finest):
     """First order in the step through knocks and slides at both walls, three quarters of a turn; no penetration."""
     path, walls, depth = {}, set(), {}
@@ -177,6 +179,7 @@ def feet(scene, step):
     return np.array(out)
 
 
+@pytest.mark.slow
 def test_quadruped_stands_without_slip():
     scene, steps = run("quadruped", 10.0, 5e-3, walk=False)
     # The bar: the path of the points of contact on the ground over all 10 s, settling included.
@@ -191,6 +194,7 @@ def test_quadruped_stands_without_slip():
     assert steps[-1].contacts.gap.size == 4
 
 
+@pytest.mark.slow
 def test_quadruped_walks_in_place():
     """Every foot leaves the ground and lands in every period, and the trunk stays up and level."""
     scene, steps = run("quadruped", 3.0, 5e-3)
@@ -253,6 +257,7 @@ def cost(count):
     return calls, most
 
 
+@pytest.mark.slow
 def test_cost_is_linear_in_the_robots():
     """Twice the robots take twice the calls and the memory of a step, but for the sizes of buffers that grow."""
     assert (np.array(cost(16)) <= 2.3 * np.array(cost(8))).all()

@@ -89,7 +89,8 @@ def test_an_arm_that_is_held_and_pushed():
         np.testing.assert_allclose(joint.reaction_torque, np.tile(moment, (10, 1)), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("every", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [1, 3])
 def test_slider_crank(every):
     """Forces in both pins and the loop at the slider, by Newton and Euler for crank and rod by hand."""
 
@@ -241,6 +242,7 @@ def test_forces_of_several_steps_are_their_mean():
     np.testing.assert_allclose(pushed[:, 1], 30.0 * (one.t[1:] > 0.05 + one.dt / 2), rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_wrenches_of_steps_in_pieces(tmp_path):
     """What is recorded of a constant force is the whole of it in every step, of several moves too."""
     push = np.array([1.0, 2.0, 3.0])

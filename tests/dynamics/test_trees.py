@@ -72,7 +72,9 @@ def follow(t, q, v, h, steps, control=None, impulse=None, theta=0.5):
     return q, v, works
 
 
-@pytest.mark.parametrize("what", ["free", "control", "springs", "stiff"])
+@pytest.mark.parametrize(
+    "what", ["free", "control", *(pytest.param(k, marks=pytest.mark.slow) for k in ("springs", "stiff"))]
+)
 def test_floating_robot_keeps_its_momentum(what, rng):
     model, scalar = robot()
     v = 3.0 * rng.normal(size=model.nv)
@@ -102,7 +104,7 @@ def orders(error, steps):
     return np.diff(-np.log2([error(h) for h in steps]))
 
 
-@pytest.mark.parametrize("joints", ["pendulum", "robot"])
+@pytest.mark.parametrize("joints", ["pendulum", pytest.param("robot", marks=pytest.mark.slow)])
 def test_free_motion_is_of_fourth_order(joints):
     """Energy and place of a free motion under constant joint forces; what it gains is the ledger's integration."""
     if joints == "pendulum":
@@ -143,7 +145,7 @@ def test_pushed_motion_is_of_second_order():
     np.testing.assert_allclose(np.diff(-np.log2(errors)), 2.0, rtol=0, atol=0.2)
 
 
-@pytest.mark.parametrize("mechanism", ["bricard", "four bars"])
+@pytest.mark.parametrize("mechanism", [pytest.param("bricard", marks=pytest.mark.slow), "four bars"])
 def test_closed_loops_are_of_second_order(mechanism):
     model, loops, v = (*bricard(), np.zeros(6)) if mechanism == "bricard" else four_bars(1)
     gravity = (0, -9.81, 0) if mechanism == "bricard" else (0, 0, -9.81)
@@ -296,6 +298,7 @@ def test_any_gain_is_stable(theta, gain):
         assert np.abs(end - q).max() <= 1.0 / gain
 
 
+@pytest.mark.slow
 def test_a_tree_that_bounces_between_its_limits_switches_without_harm():
     """Impacts are located, with steps of fourth order between: so are their errors of energy."""
     scene = nd.Scene()

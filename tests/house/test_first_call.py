@@ -79,6 +79,7 @@ def python(*command: str, **environment: str) -> subprocess.CompletedProcess:
 IMPATIENT = "from nsdyn._kernels import compiled; compiled.PATIENCE = -1.0\n"
 
 
+@pytest.mark.slow
 def test_compiling_is_told_to_who_waits(tmp_path):
     """Not before two seconds, once in a process, and not where all is in the cache."""
     for k, told in enumerate(("", "kernels that are new to this machine are compiled: a slow minute or two\n", "")):
@@ -107,6 +108,7 @@ for _ in range(3):
 """
 
 
+@pytest.mark.slow
 def test_the_time_of_solving_is_without_loading():
     """On a clock on which loading a kernel takes 0.3 s, and reading it 1 µs: the first time is as any other."""
     times, clock = np.array([line.split() for line in python("-c", SOLVE).stdout.splitlines()], float).T
@@ -285,6 +287,7 @@ def test_a_kernel_rounds_as_it_says_whoever_calls_it_first():
     assert _product_and_sum(*given) == 0.0
 
 
+@pytest.mark.slow
 def test_what_coal_is_asked_first_does_not_make_boxes_wider():
     """It decides for all boxes of a process; asked along the axes Coal would say 1 - 1e-10 here."""
     assert abs(float(python("-c", BOX).stdout) - 1.0) < 1e-14

@@ -90,9 +90,8 @@ def test_imports_go_downwards(imported):
             assert not up, f"{name} imports {other}"
 
 
-@pytest.mark.parametrize(
-    "rooms", [NEIGHBOURS, *(pytest.param([r], marks=pytest.mark.slow) for r in NEIGHBOURS)], ids=str
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("rooms", [NEIGHBOURS, *([room] for room in NEIGHBOURS)], ids=str)
 def test_the_core_does_without_its_neighbours(rooms, tmp_path):
     """The folders of all of them deleted, or of one, a scene is simulated, solved, recorded and read."""
     shutil.copytree(ROOT, tmp_path / "nsdyn", ignore=shutil.ignore_patterns("__pycache__"))

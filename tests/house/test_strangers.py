@@ -35,7 +35,9 @@ def script(name):
 fuzz = script("fuzz")
 
 
-@pytest.mark.parametrize("name", fuzz.READERS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in ("recording", "fclib") else []) for n in fuzz.READERS]
+)
 def test_damaged_files_are_read_or_refused(name):
     tally = fuzz.run(name, 60, 2, None)
     assert tally["read"] + tally["refused"] == sum(tally.values()) == 60
@@ -48,6 +50,7 @@ def test_many_damaged_files_are_read_or_refused(name):
     assert tally["read"] + tally["refused"] == sum(tally.values()) == 600
 
 
+@pytest.mark.slow
 def test_the_fuzzer_takes_crashes_and_hangs(monkeypatch):
     """Readers that end the process, never return, take memory, and raise what they may not."""
 
@@ -362,26 +365,31 @@ def test_random_scenes():
     assert not failures and set(tally) <= FINE and tally["passed"] >= 10
 
 
-@pytest.mark.parametrize("scene", [50_004_338, pytest.param(50_001_842, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [50_004_338, 50_001_842])
 def test_fast_bodies_do_not_sink(scene, tmp_path):
     """Impacts too many for one step at three sizes a step: what sank was lifted by twice its size."""
     _, figures = anything.outcome(*anything.random_scene(scene, tmp_path), 25)
     assert figures["motion"] < TOLERANCES["motion"] and figures["spin"] < TOLERANCES["spin"]
 
 
+@pytest.mark.slow
 def test_steps_cut_without_contacts_are_audited_so(tmp_path):
     """With theta 0.81 in pieces, of what seemed to touch on its way and did not: half the fall at the end of each."""
     _, figures = anything.outcome(*anything.random_scene(6306, tmp_path), 5)
     assert figures["motion"] < 1e-6
 
 
+@pytest.mark.slow
 def test_what_has_turned_before_it_touches_is_not_met(tmp_path):
     """A light box in a vice turns on its way: with the normal of the end it was pushed sideways where it touches."""
     _, figures = anything.outcome(*anything.random_scene(2447, tmp_path), 25)
     assert figures["normal"] < TOLERANCES["normal"]
 
 
-@pytest.mark.parametrize("scene", [7_770_000_900, 42_420_000_200, 313_370_000_250])
+@pytest.mark.parametrize(
+    "scene", [7_770_000_900, *(pytest.param(k, marks=pytest.mark.slow) for k in (42_420_000_200, 313_370_000_250))]
+)
 def test_contacts_that_turn_and_go_far_create_no_energy(scene, tmp_path):
     """Bodies that turn by a radian a step, and a contact found again under the name of another: 1e-6 to 3e-5 before."""
     _, figures = anything.outcome(*anything.random_scene(scene, tmp_path), 25)

@@ -126,6 +126,7 @@ def test_impacts_have_no_acceleration():
         least_constraint(scene)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(scenes(), st.integers(20, 120), st.integers(0, 2**32 - 1))
 def test_principles_on_random_scenes(scene, count, seed):

@@ -321,7 +321,7 @@ def test_hybrid_solves_where_newton_wanders(function):
         assert nd.solvers.Hybrid(tol=REACH, function=other)(CASES["definite1"]).converged
 
 
-@pytest.mark.parametrize("sigma", [1e-2, 1.0, 1e2])
+@pytest.mark.parametrize("sigma", [1e-2, 1.0, pytest.param(1e2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("nu", [0.5, 1.0])
 def test_proximal_by_the_error(velocities, sigma, nu):
     for case, problem in CASES.items():

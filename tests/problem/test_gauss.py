@@ -246,7 +246,9 @@ def test_factors_and_matrix_agree(stack, rng):
     assert first.bound == pytest.approx(gauss.certify(problem, x, None, opening)[0].bound, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["gripper", "arm_pushes_box", "four_bar", "tumble"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("gripper", marks=pytest.mark.slow), "arm_pushes_box", "four_bar", "tumble"]
+)
 def test_bounds_of_mechanisms(name):
     """Limits, joint friction and loops are rows like others."""
     stepper = nd.Stepper(nd.scenes.load(name)(), dt=2e-3)

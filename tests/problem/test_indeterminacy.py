@@ -166,6 +166,7 @@ def solutions(W, q, mu, count=20000):
     return found
 
 
+@pytest.mark.slow
 def test_all_solutions_of_one_contact(rng):
     """As many as a scan finds, and the same: one of several where friction is steep."""
     several = 0

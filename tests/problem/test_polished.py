@@ -85,6 +85,7 @@ def judge(found, least):
         assert np.median(ratio) <= (1.2 if k >= 1e-6 else 3.0)
 
 
+@pytest.mark.slow
 @extended
 def test_bounds_of_random_answers(rng):
     judge(trials(rng, 6), 35)

@@ -65,6 +65,7 @@ def test_error_is_the_formula(rng):
     assert problem.error(r) == pytest.approx(expected, rel=1e-13)
 
 
+@pytest.mark.slow
 def test_gap_bounds_the_velocity_error(rng):
     """½|v - v*|²_M <= gap for any r in K with u_N >= 0, against a frozen problem solved by an independent method."""
     from scipy.optimize import minimize

@@ -433,6 +433,7 @@ def test_dump_folder_must_not_be_a_file(tmp_path):
             nd.Stepper(nd.scenes.load("slide")(), dump_on_fail=folder)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HARD.is_dir(), reason="the folder of hard problems is not here")
 def test_rigid_bodies_of_the_collection_keep_their_factors(tmp_path):
     for path in sorted(HARD.glob("*.hdf5")):

@@ -55,6 +55,7 @@ def test_every_dataset_has_a_unit_and_named_axes(recorded):
         assert {"nsdyn_version", "pin_version", "dt", "solver", "scene_name"} < set(hdf5.attrs)
 
 
+@pytest.mark.slow
 def test_xarray_shows_names_and_units(recorded):
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")

@@ -99,6 +99,7 @@ def least_norm(c):
     return np.array(clarabel.DefaultSolver(cost, np.zeros(3 * n), A, np.concatenate(right), kinds, settings).solve().x)
 
 
+@pytest.mark.slow
 def test_norm_is_least(rng):
     less = 0
     for _ in range(150):

@@ -142,7 +142,7 @@ def assert_same(a: Trajectory, b: Trajectory):
 
 
 @pytest.mark.parametrize("links", [False, True])
-@pytest.mark.parametrize("n", [0, 1, 256, 600])  # 256 rows are one block
+@pytest.mark.parametrize("n", [0, 1, 256, pytest.param(600, marks=pytest.mark.slow)])  # 256 rows are one block
 def test_what_goes_in_comes_out(n, links, tmp_path):
     trajectory, first, steps = record(None, n, links)
     np.testing.assert_array_equal(trajectory.t, [s.t for s in [first, *steps]])
@@ -210,6 +210,7 @@ def test_interrupt_while_rows_are_packed_loses_and_doubles_none(monkeypatch):
     assert_same(recorder.trajectory(), record(None, 6, links=True)[0])
 
 
+@pytest.mark.slow
 def test_frequent_flushes_change_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_FLUSH_SECONDS", 0.0)
     in_file, _, _ = record(tmp_path / "run.h5", 20, links=True)

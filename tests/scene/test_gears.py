@@ -42,8 +42,8 @@ def scene_of(model, ratio, offset=None, gravity=(0, 0, 0), **keywords):
     ("kinds", "second"),
     [
         ((pin.JointModelRZ(), pin.JointModelRZ()), 0.4),
-        ((pin.JointModelRUBZ(), pin.JointModelRUBZ()), 0.4),
-        ((pin.JointModelRUBZ(), pin.JointModelPZ()), 1.0),
+        pytest.param((pin.JointModelRUBZ(), pin.JointModelRUBZ()), 0.4, marks=pytest.mark.slow),
+        pytest.param((pin.JointModelRUBZ(), pin.JointModelPZ()), 1.0, marks=pytest.mark.slow),
     ],
 )
 def test_two_wheels(kinds, second):
@@ -70,6 +70,7 @@ def test_two_wheels(kinds, second):
         np.testing.assert_allclose(angles[:, 1], ratio * angles[:, 0], rtol=0.0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_geared_pendulum_is_of_second_order():
     """Two links in a chain, the second turns -2 times the first: against its equation of motion in q1."""
     ratio, model = -2.0, model_of(pin.JointModelRY(), pin.JointModelRY(), chain=True)
@@ -94,6 +95,7 @@ def test_geared_pendulum_is_of_second_order():
     assert 3.5 <= errors[0] / errors[1] <= 4.5 and 3.5 <= errors[1] / errors[2] <= 4.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [0, 1])
 def test_limits_of_either_joint_hold_both(side):
     """The wheels strike the limit of one of them, with e = 0.5, then rest on it under a torque."""
@@ -159,7 +161,7 @@ def test_urdf_mimic(tmp_path):
             nd.Scene().add_urdf("r", path)
 
 
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.parametrize("kind", [pytest.param("revolute", marks=pytest.mark.slow), "prismatic"])
 def test_mimic_joints_of_a_model(tmp_path, kind):
     """They move as the gears of the same URDF file do, and have the kinetic energy that Pinocchio's own have."""
     text = MIMIC.format(body=INERTIAL, kind=kind, parent="a", mimic='<mimic joint="j" multiplier="-2" offset="0.1"/>')
@@ -278,6 +280,7 @@ def test_acceleration_of_geared_wheels():
     np.testing.assert_allclose(found.a, np.array((1.0, 3.0)) / (0.1 + 9 * 0.4), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_driven_wheel_drives_the_other():
     """Its work is that of both; what contradicts the drive stops by name."""
     scene = scene_of(model_of(pin.JointModelRZ(), pin.JointModelRZ()), -0.5)

@@ -29,7 +29,9 @@ def puck(v=(0.0, 0.0, 0.0), turning=0.0):
     return scene
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4, 2.0])
+@pytest.mark.parametrize(
+    "angle", [0.0, 0.3, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (np.pi / 4, 2.0))]
+)
 def test_planar_joint_slides_against_its_friction_whatever_the_direction(angle):
     way = np.array((np.cos(angle), np.sin(angle)))
     run = nd.simulate(puck((*3.0 * way, 0.0)), 1.0, 1e-2)
@@ -40,6 +42,7 @@ def test_planar_joint_slides_against_its_friction_whatever_the_direction(angle):
     np.testing.assert_allclose(np.linalg.norm(run.joint("a/j").friction[:, :2], axis=1), MOST, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_planar_joint_that_turns_slides_straight_and_stops():
     """Its coordinates are along axes that turn with it: friction against the turn and the slip know nothing of another.
 
@@ -62,7 +65,9 @@ def test_planar_joint_that_turns_slides_straight_and_stops():
 
 
 @pytest.mark.parametrize("excess", [-1e-6, 1e-6])
-@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4, 1.9])
+@pytest.mark.parametrize(
+    "angle", [0.0, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (0.4, np.pi / 4)), 1.9]
+)
 def test_planar_joint_breaks_away_at_its_friction(angle, excess):
     push = (1.0 + excess) * MOST * np.array((np.cos(angle), np.sin(angle), 0.0))
     run = nd.simulate(puck(), 1.0, 1e-2, controller=lambda t, q, v: {"a": push})
@@ -76,7 +81,7 @@ AXES = [(1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 0, 1), (-2, 1, 5)]
 TORQUE = 0.1
 
 
-@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("axis", [pytest.param(a, marks=[] if a in AXES[1::3] else pytest.mark.slow) for a in AXES])
 def test_ball_joint_turns_against_its_friction_whatever_the_axis(axis):
     way = np.array(axis) / np.linalg.norm(axis)
     scene = nd.Scene(gravity=(0, 0, 0))
@@ -99,6 +104,7 @@ def test_ball_joint_breaks_away_at_its_friction(axis, excess):
     np.testing.assert_allclose(np.linalg.norm(run.v[-1]), expected, rtol=1e-6, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_friction_of_a_ball_joint_turns_with_the_spin_of_a_body_of_three_inertias():
     """J ω̇ = J ω × ω - τ_c ω/‖ω‖: the direction of friction is that of the end of each step, which is of first order."""
     J, begin, most = np.array((0.1, 0.25, 0.3)), np.array((1.0, 2.0, -1.5)), 0.3
@@ -122,6 +128,7 @@ def test_friction_of_a_ball_joint_turns_with_the_spin_of_a_body_of_three_inertia
     assert errors[0] < 2.5e-3 and errors[0] > 1.9 * errors[1]
 
 
+@pytest.mark.slow
 def test_chain_of_ball_joints_lands_and_comes_to_rest_under_their_friction():
     """Five shares at once, with contacts: friction is in every ball, and against the spin wherever there is any."""
     model, parent, at, n = pin.Model(), 0, pin.SE3.Identity(), 5

@@ -37,7 +37,9 @@ def loaded(tmp_path, text, **keywords):
     return scene
 
 
-@pytest.mark.parametrize("self_collisions", [True, pytest.param(False, marks=pytest.mark.slow), "apart"])
+@pytest.mark.parametrize(
+    "self_collisions", [True, *(pytest.param(k, marks=pytest.mark.slow) for k in (False, "apart"))]
+)
 def test_a_robot_stands_on_the_floor_of_its_own_file(tmp_path, self_collisions):
     scene = loaded(tmp_path, QUAD, keyframe="stand", self_collisions=self_collisions)
     none = np.zeros(6)

@@ -100,6 +100,7 @@ def test_what_is_out_of_reach_is_loose_and_accepted():
     assert nd.solvers.Auto(tol=1e-3)(problem).converged
 
 
+@pytest.mark.slow
 def test_effort_beyond_the_loose_tolerance_is_bounded():
     """Where the tolerance is out of reach a solve ends after the work it may do, the same in every run."""
     problem = kicked_stack(height=40)
@@ -232,6 +233,7 @@ def test_one_contact_that_two_coordinates_move(rng):
         assert nd.solve(problem).converged
 
 
+@pytest.mark.slow
 def test_small_islands_of_redundant_contacts_need_nothing_else(tmp_path, monkeypatch):
     """A chain of twenty light links lands on twice as many rows as coordinates: impulses are far from unique."""
     searched, most, path = [], 0, tmp_path / "chain.xml"

@@ -102,6 +102,7 @@ def unsymmetric(mu, seed, nc=30):
 FORMS = pytest.mark.parametrize("form", [lambda p: p, given], ids=["factors", "matrix"])
 
 
+@pytest.mark.slow
 @FORMS
 def test_iterations_hardly_depend_on_the_mass_ratio(form):
     """20 boxes, the masses growing upwards by 1 to 1000 in all; every start from nothing."""
@@ -114,6 +115,7 @@ def test_iterations_hardly_depend_on_the_mass_ratio(form):
     assert max(counts) <= 4 * min(counts), counts
 
 
+@pytest.mark.slow
 @FORMS
 @pytest.mark.parametrize("kick", [0.0, 0.3])
 def test_stack_of_a_hundred_boxes(form, kick):
@@ -122,7 +124,7 @@ def test_stack_of_a_hundred_boxes(form, kick):
 
 
 @FORMS
-@pytest.mark.parametrize("mu", [0.0, 0.1, 1.0, 10.0])
+@pytest.mark.parametrize("mu", [0.0, 0.1, 1.0, pytest.param(10.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("change", ["copies", "light", "heavy"])
 def test_copies_and_units(change, mu, form):
     problem = kicked_stack(mu=mu)
@@ -156,7 +158,7 @@ def test_other_matrices(kind, mu):
 
 
 @FORMS
-@pytest.mark.parametrize("mu", [0.0, 0.5, 10.0])
+@pytest.mark.parametrize("mu", [0.5, *(pytest.param(mu, marks=pytest.mark.slow) for mu in (0.0, 10.0))])
 def test_inconsistent_walls_are_reported(form, mu):
     solution = nd.solve(form(squeezed_box(mu=mu)))
     assert solution.status is nd.Status.NO_SLATER_POINT and not solution.converged

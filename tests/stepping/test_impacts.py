@@ -229,6 +229,7 @@ def test_light_balls_between_heavy_ones_strike_more_often_than_there_are_rounds(
     np.testing.assert_allclose(v[[0, 3]], (0, 1), rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_poisson_in_a_crowd():
     """Boxes and balls thrown together, one restitution for all, many contacts at once."""
     rng = np.random.default_rng(5)
@@ -320,6 +321,46 @@ def test_what_rests_does_not_chatter(law):
     trajectory = nd.simulate(scene, 0.5, dt=1e-2, impact=law)
     assert np.abs(trajectory.v[1:]).max() < 1e-8
     np.testing.assert_allclose(trajectory.contacts(-1).impulse[:, 0].sum(), 10 * g * 1e-2, rtol=1e-6)
+
+
+def test_what_no_longer_rebounds_comes_to_rest_at_once():
+    """Boxes that settle on each other: without it, an impact stops one face and sets off the next, for 60 rounds."""
+    scene, material = nd.Scene(), nd.Material(0.5, 0.3)
+    scene.add_halfspace("ground", material=material)
+    for k in range(3):
+        place = (0.01 * k, 0, 0.1 + 0.2 * k + 0.02 * (k + 1))
+        scene.add_box(f"b{k}", (0.2, 0.2, 0.2), 1.0, position=place, material=material)
+
+    class Counted(nd.solvers.Auto):
+        """The solver, with the calls by impacts; moves have others."""
+
+        count = 0
+
+        def __call__(self, problem, r0=None):
+            Counted.count += 1
+            return super().__call__(problem, r0)
+
+    stepper, counts = nd.Stepper(scene, dt=5e-3, solver=Counted()), []
+    for _ in range(200):
+        step = stepper.step()
+        counts.append(Counted.count)
+    assert np.diff(counts).max() < 400  # 67, and 3608 without
+    assert np.abs(step.v).max() < 1e-8
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_round_off_of_parted_balls_is_no_failure(law):
+    """Two balls strike three that touch. What parts leaves velocities of round-off, beside which old impulses count."""
+    scene, material = nd.Scene(gravity=(0, 0, 0)), nd.Material(0.0, 1.0)
+    for k in range(5):
+        struck = k > 1
+        place, speed = 0.2 * k - 0.05 * (not struck), float(not struck)
+        scene.add_sphere(f"b{k}", 0.1, 1.0, position=(place, 0, 0), linear_velocity=(speed, 0, 0), material=material)
+    stepper = nd.Stepper(scene, dt=7e-3, impact=law, on_fail="raise")
+    for _ in range(30):
+        step = stepper.step()
+        assert step.solution.status is nd.Status.CONVERGED
+    assert step.v[0::6].sum() == pytest.approx(2.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("given", ["hooke", nd.impacts.Newton, None, nd.solvers.Auto()])

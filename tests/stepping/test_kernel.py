@@ -71,14 +71,17 @@ def test_moves_of_the_kernel_are_the_general_ones(name, steps, monkeypatch):
     made(setup.scene, steps * setup.dt, setup.options(), monkeypatch)
 
 
-@pytest.mark.parametrize("name", ["quadruped", "arm_pushes_box", "double_pendulum", "bricard", "four_bar"])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param("quadruped", marks=pytest.mark.slow), "arm_pushes_box", "double_pendulum", "bricard", "four_bar"],
+)
 def test_quiet_steps_of_trees_are_the_general_ones(name, monkeypatch):
     """The same of robots under control, in contact and not, beside free bodies and alone, and of closed loops."""
     setup = nd.scenes.setup(name)
     made(setup.scene, (300 if name == "quadruped" else 120) * setup.dt, setup.options(), monkeypatch)
 
 
-@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("beside", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_quiet_steps_of_driven_joints_are_the_general_ones(beside, monkeypatch):
     """Two windows of four bars, whose first rod turns as prescribed, alone and beside a box that slides."""
     model, loops, v = four_bars(2)

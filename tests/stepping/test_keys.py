@@ -12,7 +12,7 @@ ANYTHING = Path(__file__).resolve().parents[2] / "demos" / "bench" / "anything.p
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", [550081, 580025])
+@pytest.mark.parametrize("seed", [pytest.param(550081, marks=pytest.mark.slow), 580025])
 def test_no_key_names_two_contacts(seed, tmp_path, monkeypatch):
     """In violent collisions: islands are made again, and moves meet what their ends have shown."""
     monkeypatch.syspath_prepend(ANYTHING.parent)

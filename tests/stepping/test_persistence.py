@@ -354,7 +354,7 @@ def test_a_slow_elastic_ball_keeps_bouncing(drop):
     np.testing.assert_allclose(e.total - G * 0.1, G * drop, rtol=1e-7)  # of 9.81 J to round-off
 
 
-@pytest.mark.parametrize("bounces", [20, 100, 300])
+@pytest.mark.parametrize("bounces", [20, *(pytest.param(count, marks=pytest.mark.slow) for count in (100, 300))])
 def test_a_ball_between_two_plates_may_bounce_any_number_of_times_in_a_step(bounces):
     """40 bounces of a step are located. What sixty more in no time leave of the speed is round-off, and no approach."""
     scene, material = nd.Scene(gravity=(0, 0, 0)), nd.Material(mu=0.0, restitution=1.0)
@@ -367,6 +367,7 @@ def test_a_ball_between_two_plates_may_bounce_any_number_of_times_in_a_step(boun
     assert bounces > 40 or min(kinetic) == pytest.approx(0.5, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_elastic_balls_keep_their_energy():
     """64 under gravity between walls: some 400 impacts, of which the slow ones were lost."""
     rng, scene, material = np.random.default_rng(1), nd.Scene(), nd.Material(mu=0.0, restitution=1.0)

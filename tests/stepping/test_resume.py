@@ -77,14 +77,17 @@ def assert_same(a, b):
     assert all(one[2][name].shape == other[2][name].shape for name in TIMES)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n == "pile" else [pytest.mark.slow]) for n in RUNS])
-def test_killed_run_goes_on_bit_for_bit(name, tmp_path):
-    """Killed twice, in the run and in the one that goes on with it, in or between writes as it happens."""
+@pytest.mark.parametrize(
+    ("name", "kills"),
+    [("rolling", ["record"]), *(pytest.param(n, ["record", "resume"], marks=pytest.mark.slow) for n in RUNS)],
+)
+def test_killed_run_goes_on_bit_for_bit(name, kills, tmp_path):
+    """Killed in the run, and again in the one that goes on with it, in or between writes as it happens."""
     whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"
     run(name, record=whole)
     rng = np.random.default_rng()
     steps = RUNS[name][1]
-    for how in ("record", "resume"):
+    for how in kills:
         last, delay = int(rng.integers(1, steps // 3)), float(rng.uniform(0.0, 0.02))
         print(f"killed {delay:.4f} s after step {last}")  # shown where the test fails
         killed(name, how, part, last, delay)
@@ -138,6 +141,17 @@ def test_what_rests_goes_on_bit_for_bit():
         assert stepper.step().v.tobytes() == fresh.step().v.tobytes()
 
 
+PILE = {"boxes": 2, "spheres": 2}
+
+
+@pytest.fixture(scope="module")
+def fallen(tmp_path_factory):
+    """The recording of a small pile, which nothing may change."""
+    path = tmp_path_factory.mktemp("fallen") / "run.h5"
+    nd.simulate(nd.scenes.load("pile")(**PILE), 0.05, dt=0.01, record=path)
+    return path, path.read_bytes()
+
+
 @pytest.mark.parametrize(
     ("scene", "options", "words"),
     [
@@ -155,13 +169,11 @@ def test_what_rests_goes_on_bit_for_bit():
         ({}, {"record": "other.h5"}, "record must be None where resume"),
     ],
 )
-def test_another_run_is_refused(scene, options, words, tmp_path):
-    path, parameters = tmp_path / "run.h5", {"boxes": 2, "spheres": 2}
-    nd.simulate(nd.scenes.load("pile")(**parameters), 0.05, dt=0.01, record=path)
-    before = path.read_bytes()
+def test_another_run_is_refused(fallen, scene, options, words):
+    path, before = fallen
     arguments = {"duration": 0.1, "dt": 0.01} | options
     with pytest.raises(ValueError, match=words):
-        nd.simulate(nd.scenes.load("pile")(**parameters | scene), resume=path, **arguments)
+        nd.simulate(nd.scenes.load("pile")(**PILE | scene), resume=path, **arguments)
     assert path.read_bytes() == before
 
 

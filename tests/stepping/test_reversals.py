@@ -128,6 +128,7 @@ def test_a_dry_joint_past_its_reversals_is_second_order():
     second_order(run, exact, (100, 200, 400))
 
 
+@pytest.mark.slow
 def test_a_controlled_slide_that_turns_on_a_slope_is_second_order():
     """A ball on two rails, across and along a slope, with a control against its motion, in closed form."""
     mu, c, mass, speed = 0.3, 0.5, 2.0, 2.0

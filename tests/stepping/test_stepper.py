@@ -121,7 +121,7 @@ def test_failure_raises_warns_or_is_recorded(tmp_path):
         with pytest.raises(nd.NotConverged, match="did not converge") as caught:
             nd.simulate(scene, 0.1, dt=1e-2, solver=lazy, on_fail=on_fail)
         assert caught.value.problem.nc >= 16 and caught.value.solution.iterations == 1
-    nd.simulate(scene, 0.1, dt=1e-2, solver=lazy, on_fail="ignore")
+    nd.simulate(scene, 0.02, dt=1e-2, solver=lazy, on_fail="ignore")
     lazy = nd.solvers.PGS(tol=1e-300, max_iter=200)
     with pytest.warns(UserWarning, match="did not converge") as warned:
         trajectory = nd.simulate(scene, 0.1, dt=1e-2, solver=lazy)

@@ -250,6 +250,7 @@ def finalise(mark, first):
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_tasks_are_interrupted_again_where_an_interrupt_is_dropped(tmp_path, capfd):
     begin, mark = time.monotonic(), str(tmp_path / "mark")
     outcomes = gathering.gather(finalise, {0: (mark, True), 1: (mark, False)}, 2)
@@ -283,7 +284,9 @@ def test_ctrl_c_of_two_workers_loses_no_run_that_is_told(tmp_path):
     assert sorted(json.loads(row)["parameters"]["mu"] for row in after) == [float(f"0.{k}") for k in range(2, 10)]
 
 
-@pytest.mark.parametrize("delay", [0.0, 600.0], ids=["between tasks", "in a task"])
+@pytest.mark.parametrize(
+    "delay", [0.0, pytest.param(600.0, marks=pytest.mark.slow)], ids=["between tasks", "in a task"]
+)
 def test_no_process_outlives_one_that_is_killed(delay, tmp_path):
     """They hold its output open, which is closed once all are gone."""
     script = f"""import os, signal, time
@@ -348,9 +351,11 @@ def run(capsys, *arguments):
     return code, *capsys.readouterr()
 
 
+SETTINGS = ["--set", "mu=0.1,0.2", "--set", "speed=1", "--time", "0.05", "--dt", "0.01"]
+
+
 def test_command(capsys, tmp_path):
-    settings = ["--set", "mu=0.1,0.2", "--set", "speed=1", "--time", "0.05", "--dt", "0.01"]
-    code, out, _ = run(capsys, "slide", *settings, *ONE, "--csv", str(tmp_path / "s.csv"))
+    code, out, _ = run(capsys, "slide", *SETTINGS, *ONE, "--csv", str(tmp_path / "s.csv"))
     lines = out.splitlines()
     assert code == 0 and len(lines) == 3 and lines[0].split()[:3] == ["mu", "speed", "displacement"]
     assert lines[2].split()[:3] == ["0.2", "1", f"{0.05 - 0.1 * 9.81 * 0.05**2:.6g}"]
@@ -358,13 +363,20 @@ def test_command(capsys, tmp_path):
     units = {"displacement [m]", "kinetic [J]", "friction [J]", "gauss_bound [√J]", "residual [m/s]", "penetration [m]"}
     assert head[:3] == ["mu", "speed", "failure"] and units <= set(head) and len(rows) == 2
     assert all("[" in title for title in head[3:])
-    # Text and JSON, stored and read from there, one process and several: the same figures.
-    store = str(tmp_path / "s.jsonl")
-    several, stored, again = (
-        json.loads(run(capsys, "slide", *settings, "--json", *more)[1])
-        for more in (["--workers", "2"], [*ONE, "--store", store], [*ONE, "--store", store])
-    )
-    assert several == stored == again and [r["mu"] for r in stored["runs"]] == [0.1, 0.2]
+    # Text and JSON, stored and read from there: the same figures.
+    found, *stored = told(capsys, ONE, *2 * ([*ONE, "--store", str(tmp_path / "s.jsonl")],))
+    assert stored == [found, found] and [r["mu"] for r in found["runs"]] == [0.1, 0.2]
+
+
+@pytest.mark.slow
+def test_command_of_several_processes(capsys):
+    one, several = told(capsys, ONE, ["--workers", "2"])
+    assert several == one
+
+
+def told(capsys, *options):
+    """Figures of a sweep with each of these options."""
+    return [json.loads(run(capsys, "slide", *SETTINGS, "--json", *more)[1]) for more in options]
 
 
 def test_command_with_a_failing_run(capsys):

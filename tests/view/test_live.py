@@ -30,6 +30,7 @@ def stepper():
     return nd.Stepper(scene, dt=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_a_window_follows_a_stepper(stepper, window, tmp_path):
     live = nd.Live(stepper, fps=1e-3)

@@ -176,6 +176,7 @@ def test_one_is_singular():
     assert nd.Solution.__repr__(told).endswith(" 1 iteration>")
 
 
+@pytest.mark.slow
 def test_a_trajectory_plays_in_its_cell(run, tmp_path, monkeypatch, request):
     shown = run._repr_html_()
     assert len(shown) < embedding.LARGEST and Cells(shown).open == []

@@ -151,6 +151,7 @@ def test_bodies_are_where_the_cursor_is(opened, falling):
     assert page.run("nsdyn.panes[0].chart.now") == now(page)
 
 
+@pytest.mark.slow
 def test_camera_stays_above_the_ground(opened, falling):
     page = opened(falling)
     page.run("(s => { s.camera.position.set(3, -2, 3); nsdyn.show(0.5); })(nsdyn.panes[0].stage)")
@@ -196,6 +197,7 @@ def test_camera_follows_and_bodies_leave_a_trail(opened, falling):
     assert pixels(page, purple) > 20
 
 
+@pytest.mark.slow
 def test_all_that_moves_is_in_the_picture_of_every_window(opened, falling):
     page = opened(falling)
     ball = page.run("Array.from(nsdyn.recordings[0].arrays.outline)")
@@ -273,6 +275,7 @@ def test_power_is_what_each_step_took(opened, sliding):
     assert "peaks up to 1.4" in text(page, ".values")
 
 
+@pytest.mark.slow
 def test_checks_are_those_of_the_steps(opened, sliding):
     page = opened(sliding)
     click_on(page, ".checks")
@@ -312,6 +315,7 @@ def test_impacts_are_marked_and_jumped_to(opened, sliding):
     assert now(page) == sliding.t[found.step[1]]
 
 
+@pytest.mark.slow
 def test_contacts_are_counted_and_where_they_are(opened, sliding):
     page = opened(sliding)
     for t in (0.1, 0.3):
@@ -399,6 +403,7 @@ def test_a_contact_is_picked_where_it_is_seen(opened, sliding):
     assert table(page)["state"] == "apart"
 
 
+@pytest.mark.slow
 def test_space_presses_the_button_that_has_the_focus(opened, sliding):
     page = opened(sliding)
     page.run("nsdyn.dock.setSpeed(0.001)")  # it is not at its end before it is asked, however slow the machine
@@ -421,6 +426,7 @@ def test_space_presses_the_button_that_has_the_focus(opened, sliding):
     assert page.run("nsdyn.clock.playing") and page.run(f"{forces}.getAttribute('aria-pressed')") == "false"
 
 
+@pytest.mark.slow
 def test_keys_are_listed(opened, sliding):
     page = opened(sliding)
     shown = "document.getElementById('help').open"
@@ -514,6 +520,7 @@ def test_the_address_points_at_the_time_shown(opened, sliding, window):
     assert now(page) == 0.125
 
 
+@pytest.mark.slow
 def test_picture_has_a_clock_and_no_controls(sliding, opened):
     page = opened(sliding, at="#picture")
     hidden = page.run(
@@ -529,6 +536,7 @@ def test_picture_has_a_clock_and_no_controls(sliding, opened):
     assert page.run("location.hash") == "#picture"
 
 
+@pytest.mark.slow
 def test_checks_that_are_round_off_are_told(opened):
     scene = nd.Scene()
     scene.add_sphere("ball", 0.1, 1.0)
@@ -557,6 +565,7 @@ def test_scale_of_forces(opened, sliding):
     np.testing.assert_allclose(np.reshape(forces, (4, 3)), np.tile((0, 0, 2 * 9.81 / 4), (4, 1)), rtol=0, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_impacts_are_cut_and_marked(opened, sliding):
     """What carries a load is readable beside an impact of a hundred times as much, whose arrow has two heads."""
     page = opened(sliding, forces=True)
@@ -573,6 +582,7 @@ def test_impacts_are_cut_and_marked(opened, sliding):
     assert text(page, ".scale.forces").endswith("N, ↠ stronger")
 
 
+@pytest.mark.slow
 def test_two_recordings_have_one_clock(opened, falling, sliding):
     page = opened(sliding, beside=falling)
     assert page.run("nsdyn.panes.length") == 2 and page.run("nsdyn.clock.end") == 1.0
@@ -652,6 +662,7 @@ def fast_slide():
     return nd.simulate(nd.scenes.load("slide")(mu=0.5), 0.02, dt=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", ["#t=0", "#picture"])  # the latter is what films show
 def test_headings_tell_what_differs(opened, slow_slide, fast_slide, at):
     page = opened(slow_slide, beside=fast_slide, at=at)
@@ -732,6 +743,7 @@ def test_curves_of_the_other_recording_are_laid_over(opened, sliding):
     assert page.run(lines) == [[[]], [[]]] and page.run(legend) == []
 
 
+@pytest.mark.slow
 def test_curves_that_coincide_take_turns(opened):
     scene = nd.Scene()
     scene.add_halfspace("ground", material=nd.Material(mu=0.3))
@@ -760,6 +772,7 @@ def test_curves_that_coincide_take_turns(opened):
     assert page.run("nsdyn.panes[0].chart.lanes[0].lines.every(line => line.dash === undefined)")
 
 
+@pytest.mark.slow
 def test_what_is_not_recorded_is_told(opened, tmp_path):
     scene = nd.scenes.load("bounce")()
     page = opened(nd.simulate(scene, 0.6, dt=1e-3, every=10, contacts=False))
@@ -793,6 +806,7 @@ def test_links_have_masses_and_energies(opened):
     assert potential == pytest.approx(t.energy.potential[-1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_link_shows_its_joint(opened):
     """A mass on a rail that a force pushes, and a hinge on it: what its panel says is what the recording does."""
     scene = nd.scenes.load("cart_pole")()
@@ -824,6 +838,7 @@ def test_a_link_shows_its_joint(opened):
     np.testing.assert_allclose(forces, np.interp(times, t.t_steps, known), rtol=2**-15, atol=0)
 
 
+@pytest.mark.slow
 def test_rest_is_rest(opened):
     page = opened(nd.simulate(nd.scenes.load("stack")(height=2), 0.05, dt=1e-2))
     assert page.run("nsdyn.panes[0].chart.lanes[0].note") == "at rest: nothing of 3.924 J moves"

@@ -52,6 +52,7 @@ def brightness(page):
     return float(np.asarray(Image.open(io.BytesIO(page.picture())).convert("L")).mean())
 
 
+@pytest.mark.slow
 def test_curves_and_scrubber_have_one_axis(opened, sliding):
     page = opened(sliding)
     for size in (SIZE, (1920, 1080), (390, 844)):
@@ -68,6 +69,7 @@ def test_curves_and_scrubber_have_one_axis(opened, sliding):
         page.run("nsdyn.panes[0].inspector.clear()")
 
 
+@pytest.mark.slow
 def test_text_grows_with_the_window(opened, sliding):
     page = opened(sliding)
     sizes = []
@@ -78,6 +80,7 @@ def test_text_grows_with_the_window(opened, sliding):
     assert np.ravel(sizes) == pytest.approx(np.repeat([13, 13, 16.25, 26], 2), abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_grid_is_seen_by_day_and_at_night(opened, sliding):
     from PIL import Image
 
@@ -120,6 +123,7 @@ def test_dots_behind_bodies_fade(opened, sliding):
     assert [h for *_, h in page.run(hidden)] == [False] * 4
 
 
+@pytest.mark.slow
 def test_every_step_can_be_stepped_through(opened, sliding):
     """What friction takes in each step, of which a page of 30 states a second knows ten."""
     page = opened(sliding)
@@ -166,6 +170,7 @@ def test_motion_of_bodies(opened, sliding):
     assert low == 0.0 and 0.1 < high < 0.11  # it stays at its height, of which round-off is no picture
 
 
+@pytest.mark.slow
 def test_speeds_of_round_off_are_nothing_beside_others(opened):
     """The first body rests on the ground, the other falls: what is at play is its speed."""
     scene = nd.Scene()
@@ -178,6 +183,7 @@ def test_speeds_of_round_off_are_nothing_beside_others(opened):
     assert plays == pytest.approx([9.81 * 0.2] * 2, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_clock_of_a_film_hides_no_legend(sliding, tmp_path, window):
     """Beside each other in a narrow window, where names and legends take two rows; nor where they take one."""
     sliding.to_html(tmp_path / "page.html", beside=sliding)
@@ -190,6 +196,7 @@ def test_the_clock_of_a_film_hides_no_legend(sliding, tmp_path, window):
         assert top >= bottom, size
 
 
+@pytest.mark.slow
 def test_scenes_without_visuals_have_no_choice(opened, sliding):
     assert opened(sliding).run("document.querySelector('.tools .collision')") is None
 
@@ -213,6 +220,7 @@ def test_without_webgl_the_curves_show(opened, sliding):
     assert page.run("window.failure") is None
 
 
+@pytest.mark.slow
 def test_dark_as_the_system_is_or_as_one_asks(opened, sliding):
     page = opened(sliding, size=(640, 360))
     light = brightness(page)
@@ -246,6 +254,7 @@ def test_open_contacts_are_shown_if_one_asks(opened):
     assert page.run("nsdyn.panes[0].overlay.placed.length") == dots + contacts
 
 
+@pytest.mark.slow
 def test_motion_of_joints(opened):
     drive = {"cart_pole": np.array([3.0, 0.1])}
     run = nd.simulate(nd.scenes.load("cart_pole")(), 0.2, dt=1e-2, controller=lambda t, q, v: drive)
@@ -319,6 +328,7 @@ def test_a_joint_that_carries_several_links_has_one_curve(opened, tmp_path):
     assert [row[0] for row in page.run("nsdyn.panes[0].plot.values('motion', 0.1)")] == one
 
 
+@pytest.mark.slow
 def test_nothing_is_written_over_the_curves(opened, falling_row):
     page = opened(falling_row)
     words = (
@@ -338,6 +348,7 @@ def test_nothing_is_written_over_the_curves(opened, falling_row):
     }
 
 
+@pytest.mark.slow
 def test_a_lone_number_on_an_axis_is_that_of_its_line(opened, falling_row):
     page = opened(falling_row)
     words = (

@@ -19,6 +19,7 @@ def falling():
     return recordings.falling()
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_picture_shows_the_bodies_where_they_are(falling, tmp_path, window):
     from PIL import Image
@@ -67,6 +68,7 @@ def stand_in(tmp_path, monkeypatch, script):
     monkeypatch.setenv("PATH", str(path.parent), prepend=":")
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_film_has_a_picture_for_each_moment(falling, tmp_path, monkeypatch):
     stand_in(tmp_path, monkeypatch, "open(sys.argv[-1], 'wb').write(sys.stdin.buffer.read())")

@@ -85,13 +85,20 @@ def check(figure):
         assert ax.get_window_extent().width > 0.4 * figure.bbox.width
 
 
+FEW = "energy", "force", "joint", "friction"
+LATER = "certificate", "position", "force"
+
+
 @pytest.mark.parametrize("size", [pytest.param((140, 90), marks=pytest.mark.slow), (85, 65)])
-@pytest.mark.parametrize("kind", plots.KINDS)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[] if k in FEW else pytest.mark.slow) for k in plots.KINDS])
 def test_labels_do_not_collide(arm, kind, size):
     check(drawn(lambda figure: plots.draw(arm, kind, figure=figure), size, 10 if size[0] > 100 else 8))
 
 
-@pytest.mark.parametrize("kind", [kind for kind in plots.KINDS if kind not in ("joint", "phase")])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=pytest.mark.slow if k in LATER else []) for k in plots.KINDS if k not in ("joint", "phase")],
+)
 def test_round_off_is_not_drawn_at_full_scale(resting, kind):
     """A stack at rest: what is shown spans at least a millionth of what is at play, or a decade of round-off."""
     figure = drawn(lambda figure: plots.draw(resting, kind, figure=figure))
@@ -134,6 +141,7 @@ def test_what_rests_where_it_is_has_no_axis_of_noise():
     assert low < -1e-4 and high > 1e-4 and "round-off" in ax.texts[0].get_text()
 
 
+@pytest.mark.slow
 def test_errors_of_steps_are_dots(arm):
     """A step may have none where the next has one: lines would be a comb."""
     for kind in ("certificate", "penetration"):
@@ -195,7 +203,9 @@ def test_plots_draw_what_is_recorded(slide, arm):
         plots.draw(slide, "phase")
 
 
-@pytest.mark.parametrize("kind", ["position", "speed", "force", "joint"])
+@pytest.mark.parametrize(
+    "kind", ["position", *(pytest.param(k, marks=pytest.mark.slow) for k in ("speed", "force", "joint"))]
+)
 def test_curves_can_be_told_apart(arm, kind):
     """Links that move as one, which have one colour on the page, too."""
     figure = drawn(lambda figure: plots.draw(arm, kind, figure=figure))
@@ -273,6 +283,7 @@ def test_what_is_alone_and_what_has_not_begun():
             assert (text == "nothing touches") == (kind in ("force", "slip", "gap", "power")), kind
 
 
+@pytest.mark.slow
 def test_many_bodies_have_few_names():
     """Those that move most stand out, each in a colour of its own, though three of them have one on the page."""
     scene, fast = nd.Scene(gravity=(0, 0, 0)), {0: 9, 6: 8, 24: 7, 27: 6, 28: 5, 29: 4}
@@ -296,6 +307,7 @@ def test_no_two_curves_look_the_same():
     assert panels.looks({"a": 3, "b": 27, "c": 4}) == {"a": panels.look(3), "b": panels.look(0), "c": panels.look(4)}
 
 
+@pytest.mark.slow
 def test_coordinates_in_two_units_can_be_told_apart():
     """Twelve angles of a quadruped, and the place of its trunk."""
     setup = nd.scenes.setup("quadruped")
@@ -355,6 +367,7 @@ def test_colours_are_those_of_the_page():
     assert panels.look(1)["color"] == tuple(part / 255 for part in panels.PALETTE[1])
 
 
+@pytest.mark.slow
 def test_refinement_is_drawn_with_its_orders():
     found = nd.refine("double_pendulum", [1e-2, 5e-3, 2.5e-3], 0.05)
     figure = drawn(lambda figure: draw_refinement(found, figure))
@@ -368,6 +381,7 @@ def test_refinement_is_drawn_with_its_orders():
     assert [text.get_text() for text in figure.axes[0].texts] == ["nothing but round-off,\nless than 1e-11"]
 
 
+@pytest.mark.slow
 def test_sweep_is_drawn_over_its_numbers():
     parameters = {"mu": [0.1, 0.2, 0.3], "shape": ["a", "b"]}
     members = [
@@ -434,6 +448,7 @@ def test_plot_on_the_command_line(slide, tmp_path, monkeypatch, capsys):
     assert set(figures.KINDS) == set(plots.KINDS)
 
 
+@pytest.mark.slow
 def test_a_style_has_its_own_colours(arm, slide):
     """One of greys has no others, of curves, areas and points; two curves never look the same."""
     for run, kind in ((arm, "joint"), (arm, "energy"), (arm, "certificate"), (slide, "friction"), (slide, "speed")):
@@ -460,6 +475,7 @@ def test_no_line_is_black_on_black(slide, kind, label):
     assert to_rgb(line.get_color()) == (1.0, 1.0, 1.0) and to_rgb(ax.get_facecolor()) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_a_robot_that_all_names_begin_with_is_left_out(arm):
     for kind, name, labels in (
         ("joint", "*", ["shoulder", "elbow"]),
@@ -473,6 +489,7 @@ def test_a_robot_that_all_names_begin_with_is_left_out(arm):
     check(drawn(lambda figure: plots.draw(run, "joint", figure=figure), (85, 120), 8))
 
 
+@pytest.mark.slow
 def test_studies_on_the_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     given = "--time", "0.05"

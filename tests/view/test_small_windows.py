@@ -139,7 +139,8 @@ def check_all(page, size, count, tmp_path):
         page.run(press("overlay"))
 
 
-@pytest.mark.parametrize("size", [pytest.param(ZOOMED, marks=pytest.mark.slow), LYING])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [ZOOMED, LYING])
 def test_two_legends_are_seen_whole(opened, runs, size):
     page = opened(runs[0], size, "#t=0.1", beside=runs[1])
     page.run("nsdyn.show(0.1)")
@@ -155,7 +156,7 @@ def test_two_legends_are_seen_whole(opened, runs, size):
         assert any("sum" in text for text, _ in legend) and all(inside for _, inside in legend), legend
 
 
-@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("dark", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_controls_are_as_bright_as_the_page(opened, runs, dark):
     from PIL import Image
 
@@ -166,6 +167,7 @@ def test_the_controls_are_as_bright_as_the_page(opened, runs, dark):
     assert (np.asarray(picture).mean() < 100) == dark
 
 
+@pytest.mark.slow
 def test_targets_are_large_under_fingers_in_any_window(page):
     page.resize((1280, 800))
     page.run(RESTED)

@@ -44,6 +44,7 @@ def test_arrays_of_meshes_are_those_of_the_recording(run):
     assert arrays["meshes/position_ends"].tolist() == [24] and arrays["meshes/index_ends"].tolist() == [36]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_a_window_shows_robots_as_a_page_does(tmp_path, window):
     (tmp_path / "box.stl").write_bytes(fuzz.binary_stl())
@@ -155,6 +156,7 @@ def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
     assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > least).sum() < 0.75 * 2 * outline
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_films_leave_nothing_out(tmp_path, window):
     """Drawn is only the rectangle around bodies and their shadows, and the picture is that of the whole."""
@@ -208,6 +210,7 @@ def test_all_buttons_there_can_be_have_one_row(run, opened):
         assert page.run("document.getElementById('dock').clientHeight < 50 * innerWidth / 1280"), size
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_links_that_have_no_visual_shape_show_their_collision_shape(tmp_path, opened):
     arm = """<link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>

@@ -31,25 +31,36 @@ GOES_ON, SETTLED, FAILED = range(3)
 
 
 @in_place
-def law(u, r, rho, mu, P, A):
-    """P(u) of every contact, into P (3 nc,), and A_c = -dP_c/du_c, into A (nc, 3, 3)."""
+def projected(u, r, rho, mu, P):
+    """P(u) of every contact, into P (3 nc,)."""
     for c in range(mu.size):
         i = 3 * c
-        B = A[c]
-        B[:] = 0.0
         a = r[i] - rho[c] * u[i]
         if a <= 0.0:
             P[i] = P[i + 1] = P[i + 2] = 0.0
             continue
         z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
         t = math.sqrt(z1 * z1 + z2 * z2)
+        s = mu[c] * a / t if t > mu[c] * a else 1.0
+        P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
+
+
+@in_place
+def stiffness(u, r, rho, mu, A):
+    """A_c = -dP_c/du_c of every contact, into A (nc, 3, 3)."""
+    for c in range(mu.size):
+        i = 3 * c
+        B = A[c]
+        B[:] = 0.0
+        a = r[i] - rho[c] * u[i]
+        if a <= 0.0:
+            continue
+        z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
+        t = math.sqrt(z1 * z1 + z2 * z2)
         B[0, 0] = rho[c]
         if t <= mu[c] * a:
-            P[i], P[i + 1], P[i + 2] = a, z1, z2
             B[1, 1] = B[2, 2] = rho[c]
             continue
-        s = mu[c] * a / t
-        P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
         x, y, k = z1 / t, z2 / t, rho[c] * mu[c] * a / t
         B[1, 0], B[2, 0] = rho[c] * mu[c] * x, rho[c] * mu[c] * y
         B[1, 1], B[2, 2] = k * y * y, k * x * x
@@ -67,11 +78,14 @@ def defect(blocks, y, P, F, work):
 
 
 @in_place
-def norms_of_islands(label, q, out):
-    """The norm of q of every island, 1 where it is 0, into out (islands,)."""
+def norms_of_islands(label, q, r, out):
+    """The norm of q of every island into out (islands,); 1 where q is 0, and r is made 0 as well, its solution."""
     out[:] = 0.0
     for i in range(q.size):
         out[label[i // 3]] += q[i] * q[i]
+    for i in range(q.size):
+        if out[label[i // 3]] == 0.0:
+            r[i] = 0.0
     for k in range(out.size):
         out[k] = math.sqrt(out[k]) or 1.0
 
@@ -158,8 +172,9 @@ def dense(problem, r, tol, penalty, most):
     while best > tol and count < most and penalty > LEAST:
         if inner == 0:
             rho = penalty / scales
-            law(u, estimate, rho, mu, P, A)
+            projected(u, estimate, rho, mu, P)
         defect(blocks, y, P, F, work)
+        stiffness(u, estimate, rho, mu, A)
         assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
         if not factorise(K, pivot, low, end):
             return count, best
@@ -168,7 +183,7 @@ def dense(problem, r, tol, penalty, most):
         count += 1
         relative_velocity(blocks, y, u)
         u += q
-        law(u, estimate, rho, mu, P, A)
+        projected(u, estimate, rho, mu, P)
         velocity(blocks, q, P, own_y, shown, work)
         so_far = penalty, inner + 1, before, best
         verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)

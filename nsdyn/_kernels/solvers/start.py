@@ -140,11 +140,11 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
         Number of islands, whether one is left, factorisations, and, where none is left, the defect of the literature
         and the residual of r; then its velocity is in u.
     """
-    top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     offset, block = blocks[:2]
     found = _blocks.islands(block, offset.size - 1, label)
     measures, norms, size = islands[0, :found], islands[1, :found], islands[2, :found]
-    newton.norms_of_islands(label, q, norms)
+    newton.norms_of_islands(label, q, r, norms)
+    top, residual = _blocks.judged(blocks, q, mu, scales, r, u)
     newton.measures_of_islands(label, scales, norms, u, r, mu, measures)
     size[:] = 0.0
     for c in range(label.size):

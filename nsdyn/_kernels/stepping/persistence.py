@@ -102,7 +102,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, and ω̄ how body 2
     turns on body 1, the pair turns by -w ω̄/‖ω̄‖² and back: as if its forces pressed a little elsewhere, at most by
     `ARM` h ‖ω̄‖ R. Where nothing sticks only across the normal, about which a normal force has no moment. Contacts carry
-    it in the ratio of their pressures.
+    it in the ratio of their pressures. Velocities are relative to surfaces that move: the work of these is their own.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     bodies : tuple
         R, inverse_J, shapes (frames, 3, 3), (nf, 3, 3); how far bodies reach from their centres, (frames,), m; and h.
     pressed : tuple
-        r and mu, shape (rows,).
+        r and mu, shapes (3 rows,) and (rows,), and what moving surfaces add to u, (3 rows,), empty if none move.
     flags : three ndarrays of bool, shape (nc,)
         Contacts that stay, stick, and slide through.
     found : tuple
@@ -129,11 +129,13 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
         Whether any does.
     """
     geom1, geom2, frame1, frame2, normal = contacts
-    (R, inverse_J, arm, h), (r, mu), (couple, dv, left, other) = bodies, pressed, found
+    (R, inverse_J, arm, h), (r, mu, transport), (couple, dv, left, other) = bodies, pressed, found
     stays, sticks, slides = flags
     free, nc, some = inverse_J.shape[0], geom1.size, False
     u = np.empty(r.size)
     relative_velocity(blocks, mean, u)
+    for i in range(transport.size):
+        u[i] += transport[i]
     dv[:] = 0.0
     other[:] = False
     first = 0

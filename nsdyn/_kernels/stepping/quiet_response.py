@@ -143,7 +143,7 @@ def respond(scene, bodies, rows, met, flags, known, head, room):
         (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
         (col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
         (R, inverse_J, arm, num[col.STEP]),
-        (mu, scales, alone, *last),
+        (mu, scales, own[:0], alone, *last),
         (stays, flags[col.STICKS, :nc], flags[col.SLIDES, :nc]),
         laws,
         off,

@@ -65,8 +65,8 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
     velocities : (v⁻, v_f)
         Shape (n,) each, m/s and rad/s: before the forces of the move, and after them but for its impulses.
     given : tuple
-        mu and scales, shape (rows,), - and kg⁻¹; local, shape (5, 3 rows), without couples; r and u of the last solve,
-        if any, shape (3 rows,), N·s and m/s.
+        mu and scales, shape (rows,), - and kg⁻¹; what moving surfaces add to u, as of `persistence.couples`; local,
+        shape (5, 3 rows), without couples; r and u of the last solve, if any, shape (3 rows,), N·s and m/s.
     off : ndarray of bool, shape (rows,)
         Rows of whose islands the first solution changes that of the last solve; empty where it changes all.
     solver : tuple
@@ -88,7 +88,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
         and error, residual and factorisations of the last one.
     """
     (before, free), (first, back, passes, (known, count, error, residual)) = velocities, begin
-    (mu, scales, alone, last_r, last_u), (stays, _, slides) = given, flags
+    (mu, scales, transport, alone, last_r, last_u), (stays, _, slides) = given, flags
     own, enough, good, limits, tol, most = solver
     _, dv, change, mean, _, other, local, b, r, u = state
     names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
@@ -103,7 +103,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
                 mean[i] = 0.5 * (before[i] + (free[i] + dv[i]) + change[i])
             if passes == 0 or not turns(mean, bodies[1].shape[0], bodies[3]):
                 break
-            if not turn(blocks, contacts, mean, bodies, (r, mu), flags, laws, alone, state):
+            if not turn(blocks, contacts, mean, bodies, (r, mu, transport), flags, laws, alone, state):
                 break
             passes, back = passes - 1, True
             last_r, last_u, off = r.copy(), u.copy(), other

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.elements import changes_nothing, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.sdf_elements import TABLE
+from nsdyn.scene.robot_files.sdf_frames import AXES, Frames, Joint, is_true
 from nsdyn.scene.robot_files.xml import UNLIMITED, Report, is_limit, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import MeshFile, Visual, mesh_visual
@@ -31,19 +31,6 @@ from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 
 __all__ = ["read_sdf"]
-
-AXES = {
-    "fixed": (),
-    "ball": (),
-    "revolute": ("axis",),
-    "continuous": ("axis",),
-    "prismatic": ("axis",),
-    "universal": ("axis", "axis2"),
-    "revolute2": ("axis", "axis2"),
-}
-"""Axes of the types of joints that are read."""
-
-DYNAMICS = "damping", "friction", "spring_stiffness", "spring_reference"
 
 FRICTION = "surface/friction/ode"
 """Where a collision has its coefficients of friction."""
@@ -68,30 +55,19 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, [])}") from None
 
 
-@dataclass(frozen=True)
-class _Joint:
-    """A joint of the file; its pose is that of its frame in the world at zero configuration."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    pose: Any
-    element: Element
-
-
 class _Reader:
     """Builds a Pinocchio model from the elements of an SDF model."""
 
     def __init__(self, element: Element, folders: Sequence[Path]) -> None:
         self.element, self.folders = element, folders
         self.report = Report()
-        self.static = _true(element.findtext("static"))  # then all of it is fixed, whatever its joints
+        self.static = is_true(element.findtext("static"))  # then all of it is fixed, whatever its joints
         self.flaws: list[str] = []
         for tag in ("model", "include"):
             if element.find(tag) is not None:
                 raise ValueError(f"a <{tag}> inside the model is not read: write it out")
-        self.links = {e.get("name", ""): e for e in element.findall("link")}
+        self.frames = Frames(element)
+        self.links = self.frames.links
         if not self.links:
             raise ValueError("it has no <link>")
         for tag in ("link", "joint"):
@@ -99,13 +75,12 @@ class _Reader:
             if count > 1:
                 raise ValueError(f"{tag} {name!r} must have a name of its own")
         joints = element.findall("joint")
-        self.frames = {e.get("name", ""): e for e in [*element.findall("link"), *joints, *element.findall("frame")]}
-        self.joints = [self._joint(e) for e in joints]
+        self.joints = [self.frames.joint(e) for e in joints]
         self._note_unused(joints)
         self.model = pin.Model()
         self.at = {0: pin.SE3.Identity()}  # joint of the model to the pose of its frame in the world, at zero
         self.base = [np.empty(0)]  # initial q, joint by joint
-        self.values: list[tuple[float, ...]] = []  # per coordinate, as `_values_of` returns them
+        self.values: list[tuple[float, ...]] = []  # per coordinate, as `Frames.values_of` returns them
         self.where: dict[str, int] = {}  # link to its joint of the model
         self.loops: list[Loop] = []
         self.parts = Counter(j.child for j in self.joints)
@@ -126,56 +101,13 @@ class _Reader:
             if e.get("type") != "fixed" and e.find(tag) is not None and tag not in AXES.get(e.get("type", ""), ())
         ]
         inertials = [(link, e) for link, element in self.links.items() for e in element.findall("inertial")]
-        missing += [f"link {link!r}: automatic inertia" for link, e in inertials if _true(e.get("auto"))]
+        missing += [f"link {link!r}: automatic inertia" for link, e in inertials if is_true(e.get("auto"))]
         dropped += [
             f"collision {c.get('name')!r}: friction across that is not that along"
             for c in self.element.iter("collision")
             if (across := c.findtext(f"{FRICTION}/mu2")) is not None
             and not changes_nothing(across, c.findtext(f"{FRICTION}/mu", "1"))
         ]
-
-    # -- poses ---------------------------------------------------------------------------------------------
-
-    def _pose_of(self, name: str, seen: tuple[str, ...] = ()) -> Any:
-        """Pose in the world of a link, joint, frame, the model ("__model__") or "world"."""
-        if name == "world":
-            return pin.SE3.Identity()
-        if name in ("__model__", ""):
-            return _pose(self.element.find("pose"))
-        if name not in self.frames or name in seen:
-            raise ValueError(
-                f"frame {name!r} is not defined" if name not in seen else f"frame {name!r} hangs on itself"
-            )
-        element = self.frames[name]
-        pose = element.find("pose")
-        default = {"joint": element.findtext("child", ""), "frame": element.get("attached_to", "")}.get(element.tag, "")
-        relative_to = (None if pose is None else pose.get("relative_to")) or default
-        return self._pose_of(relative_to, (*seen, name)) * _pose(pose)
-
-    def _pose_in(self, link: str, pose: Element | None) -> Any:
-        """Pose in a link of what is in it, which may be given in any frame."""
-        frame = "" if pose is None else pose.get("relative_to", "")
-        return (self._pose_of(link).actInv(self._pose_of(frame)) if frame else pin.SE3.Identity()) * _pose(pose)
-
-    def _joint(self, element: Element) -> _Joint:
-        name, kind = element.get("name", ""), element.get("type", "")
-        if kind not in AXES:
-            raise ValueError(f"joint {name!r} is of type {kind!r}; read are {sorted(AXES)}")
-        parent, child = (self._link_of(element.findtext(end, ""), name) for end in ("parent", "child"))
-        if child == "world":
-            raise ValueError(f"joint {name!r} has the world for a child")
-        return _Joint(name, kind, parent, child, self._pose_of(name), element)
-
-    def _link_of(self, frame: str, joint: str) -> str:
-        """Link that a frame named by a joint is attached to."""
-        for _ in range(len(self.frames) + 1):
-            if frame == "world" or frame in self.links:
-                return frame
-            element = self.frames.get(frame)
-            if element is None or element.tag != "frame":
-                break
-            frame = element.get("attached_to", "")
-        raise ValueError(f"joint {joint!r} names {frame!r}, which is no link")
 
     # -- the tree --------------------------------------------------------------------------------------------
 
@@ -203,7 +135,7 @@ class _Reader:
             setattr(model, which, values)
         model.damping, model.lowerDryFrictionLimit, model.upperDryFrictionLimit = damping, -friction, friction
         apart: frozenset[frozenset[str]] = frozenset()
-        if not _true(self.element.findtext("self_collide")):
+        if not is_true(self.element.findtext("self_collide")):
             apart = frozenset(frozenset(pair) for pair in combinations(self.links, 2))
         return describe_model(
             model,
@@ -248,7 +180,7 @@ class _Reader:
 
     def _free(self, link: str) -> int:
         index = self._add_joint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"{link}_free")
-        pose = self._pose_of(link)
+        pose = self.frames.pose_of(link)
         self.base.append(np.array(pin.SE3ToXYZQUAT(pose)))
         self.values += [(-np.inf, np.inf, 0.0, 0.0, 0.0, 0.0, np.inf)] * 6
         self.at[index] = pose
@@ -259,12 +191,12 @@ class _Reader:
         self.model.addJointFrame(index)
         return index
 
-    def _add(self, joint: _Joint) -> int:
+    def _add(self, joint: Joint) -> int:
         """Joint of the model that carries the child; that of the parent if the joint is fixed."""
         parent = 0 if joint.parent == "world" else self.where[joint.parent]
         if joint.kind == "fixed" or self.static:
             return parent
-        axes = [self._axis(joint, tag) for tag in AXES[joint.kind]]
+        axes = [self.frames.axis(joint, tag) for tag in AXES[joint.kind]]
         if joint.kind == "ball":
             kind = pin.JointModelSpherical()
             self.base.append(np.array([0.0, 0.0, 0.0, 1.0]))
@@ -279,50 +211,17 @@ class _Reader:
                 kind = pin.JointModelComposite(kinds[0])
                 kind.addJoint(kinds[1])
             self.base.append(np.zeros(len(axes)))
-            self.values += [self._values_of(joint, tag) for tag in AXES[joint.kind]]
+            self.values += [self.frames.values_of(joint, tag) for tag in AXES[joint.kind]]
         index = self._add_joint(parent, kind, self.at[parent].actInv(joint.pose), joint.name)
         self.at[index] = joint.pose
         return index
-
-    def _axis(self, joint: _Joint, tag: str) -> Array:
-        """Axis in the frame of the joint."""
-        axis = joint.element.find(f"{tag}/xyz")
-        text, frame = (None, None) if axis is None else (axis.text, axis.get("expressed_in"))
-        xyz = numbers(text, 3, (0, 0, 1), f"{tag} of joint {joint.name!r}")
-        if _true(joint.element.findtext(f"{tag}/use_parent_model_frame")):
-            frame = "__model__"
-        if frame:
-            xyz = joint.pose.rotation.T @ self._pose_of(frame).rotation @ xyz
-        if not xyz.any():
-            raise ValueError(f"{tag} of joint {joint.name!r} must not be zero")
-        out: Array = xyz / np.linalg.norm(xyz)
-        return out
-
-    @staticmethod
-    def _values_of(joint: _Joint, tag: str) -> tuple[float, ...]:
-        """(lower, upper, damping, friction, stiffness, rest, effort) of an axis."""
-        axis = joint.element.find(tag)
-
-        def value(where: str, default: float) -> float:
-            text = None if axis is None else axis.findtext(where)
-            try:
-                if abs(float(text or "")) >= UNLIMITED:
-                    return float(np.copysign(np.inf, float(text or "")))
-            except ValueError:  # told below
-                pass
-            return float(numbers(text, 1, (default,), f"{where} of joint {joint.name!r}")[0])
-
-        limits = (-np.inf, np.inf)
-        if joint.kind != "continuous":
-            limits = value("limit/lower", -np.inf), value("limit/upper", np.inf)
-        return (*limits, *(value(f"dynamics/{what}", 0.0) for what in DYNAMICS), value("limit/effort", np.inf))
 
     # -- bodies ------------------------------------------------------------------------------------------------
 
     def _hang(self, link: str, joint: int) -> None:
         """Put a link on a joint: its frame, the part of its mass that this joint carries, its shapes."""
         self.where[link] = joint
-        element, pose = self.links[link], self.at[joint].actInv(self._pose_of(link))
+        element, pose = self.links[link], self.at[joint].actInv(self.frames.pose_of(link))
         self.model.addFrame(pin.Frame(link, joint, 0, pose, pin.FrameType.BODY))
         self._add_mass(link, joint)
         for number, collision in enumerate(element.findall("collision")):
@@ -335,7 +234,7 @@ class _Reader:
                 self.report.missing.append(f"collision {collision.get('name')!r} of link {link!r}: its shape")
                 continue
             shape, shift = found
-            placement = pose * self._pose_in(link, collision.find("pose")) * pin.SE3(np.eye(3), shift)
+            placement = pose * self.frames.pose_in(link, collision.find("pose")) * pin.SE3(np.eye(3), shift)
             self.shapes.append(Link(label, joint, placement, shape))
             self.bodies.append(link)
             mu = collision.findtext(f"{FRICTION}/mu")
@@ -362,13 +261,13 @@ class _Reader:
         else:
             scale = numbers(mesh.findtext("scale"), 3, (1, 1, 1), "scale of <mesh>")
             shape = mesh_visual(mesh_file(mesh.findtext("uri", "").strip(), self.folders), scale)
-        placement = pose * self._pose_in(link, visual.find("pose")) * pin.SE3(np.eye(3), shift)
+        placement = pose * self.frames.pose_in(link, visual.find("pose")) * pin.SE3(np.eye(3), shift)
         yield Visual(link, joint, placement, shape, colour)
 
-    def _close(self, joint: _Joint, index: int) -> None:
+    def _close(self, joint: Joint, index: int) -> None:
         """Weld the part of a link that a further parent carries to the link."""
         self._add_mass(joint.child, index)
-        pose, own = self._pose_of(joint.child), self.where[joint.child]
+        pose, own = self.frames.pose_of(joint.child), self.where[joint.child]
         if own == index:  # two fixed joints
             return
         placements = self.at[own].actInv(pose), self.at[index].actInv(pose)
@@ -386,7 +285,9 @@ class _Reader:
         xx, yy, zz = (value(f"inertia/i{a}", 1.0) for a in ("xx", "yy", "zz"))
         xy, xz, yz = (value(f"inertia/i{a}", 0.0) for a in ("xy", "xz", "yz"))
         inertia = part * np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        centre = self._pose_of(link) * self._pose_in(link, None if element is None else element.find("pose"))
+        centre = self.frames.pose_of(link) * self.frames.pose_in(
+            link, None if element is None else element.find("pose")
+        )
         mass = check_mass(value("mass", 1.0), f"link {link!r}")
         if fault := flaw(inertia, f"link {link!r}"):
             self.flaws.append(fault)
@@ -420,22 +321,3 @@ class _Reader:
                 return shapes.mesh(file, value("scale", 3, (1, 1, 1)))
             case _:
                 return None
-
-
-def _true(text: str | None) -> bool:
-    word = (text or "false").strip().lower()
-    if word not in ("true", "1", "false", "0"):
-        raise ValueError(f"<static>, <self_collide> and their like must be true or false, got {text!r}")
-    return word in ("true", "1")
-
-
-def _pose(element: Element | None) -> Any:
-    """SE3 of a <pose>: x y z and roll pitch yaw, or a quaternion x y z w."""
-    if element is None or element.text is None:
-        return pin.SE3.Identity()
-    if element.get("rotation_format") == "quat_xyzw":
-        values = numbers(element.text, 7, None, "<pose>")
-        return pin.XYZQUATToSE3(np.r_[values[:3], values[3:] / np.linalg.norm(values[3:])])
-    values = numbers(element.text, 6, None, "<pose>")
-    unit = np.pi / 180.0 if _true(element.get("degrees")) else 1.0
-    return pin.SE3(pin.rpy.rpyToMatrix(unit * values[3:]), values[:3])
