@@ -10,6 +10,7 @@ from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive, Whole
 
 SWEEPS = 2000
 """Sweeps granted to one convex problem."""
@@ -22,7 +23,7 @@ def _inner(scaled: Equilibrated, shift: Array, x: Array, goal: float) -> tuple[A
 
 
 @dataclass(frozen=True)
-class ACLM:
+class ACLM(Options):
     """Acary–Cadoux–Lemaréchal–Malick: freeze s = μ‖u_T‖, minimise ½ rᵀWr + rᵀ(q + s e_N) on K, update s.
 
     The proof of existence made a method. Good where friction is moderate: the shift contracts quickly, more so with
@@ -45,9 +46,9 @@ class ACLM:
     convex optimization, ZAMM 91, 2011.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 200
-    memory: int = 5
+    tol: Positive = 1e-8
+    max_iter: Count = 200
+    memory: Whole = 5
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,6 +15,9 @@ from nsdyn.literature.impulse_newton import matrix
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Allowed, Count, Options, Positive
+
+Relaxation = Annotated[float, Allowed("in [1, 2)", lambda a: 1.0 <= a < 2.0)]
 
 PROXIMAL = 1e-6
 """Proximal term η added to W of unit blocks: redundant contacts need it."""
@@ -24,7 +27,7 @@ CHECK = 10
 
 
 @dataclass(frozen=True)
-class ADMM:
+class ADMM(Options):
     """Proximal ADMM: x minimises on the affine part, z projects on the cones, y is the multiplier -û.
 
     x = (W + (η + ρ) I)⁻¹ (η x + ρ z - y - q - s),  z ← P_K(x̂ + y/ρ),  y ← y + ρ (x̂ - z), with over-relaxed
@@ -44,24 +47,15 @@ class ADMM:
         Over-relaxation a in [1, 2). Above 1 it helps convex problems, but amplifies the lag of the shift: 1.6 reaches
         1e-8 on fewer frictional problems and more slowly.
 
-    Raises
-    ------
-    ValueError
-        For a relaxation outside [1, 2).
-
     References
     ----------
     J. Carpentier, Q. Le Lidec, L. Montaut, From compliant to rigid contact simulation: a unified and efficient
     approach, RSS 2024.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 100_000
-    relaxation: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not 1.0 <= self.relaxation < 2.0:
-            raise ValueError(f"relaxation must be in [1, 2), got {self.relaxation}")
+    tol: Positive = 1e-8
+    max_iter: Count = 100_000
+    relaxation: Relaxation = 1.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

@@ -12,7 +12,7 @@ from nsdyn.literature.formulations import ELEMENTS, xuewen_soh_wanji
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice
+from nsdyn.tools.options import Count, Options, Positive
 
 Merit = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural", "xuewen-soh-wanji"]
 
@@ -33,7 +33,7 @@ def shortest(V: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Bundle:
+class Bundle(Options):
     """ε-subdifferential bundle method on φ = ½‖F(r)‖², the contact conditions as a minimum.
 
     The direction is minus the shortest vector of the hull of the subgradients gathered near r. If φ falls enough
@@ -62,13 +62,10 @@ class Bundle:
     1975.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 5000
+    tol: Positive = 1e-8
+    max_iter: Count = 5000
     function: Merit = "fischer-burmeister"
-    size: int = 20
-
-    def __post_init__(self) -> None:
-        choice(self.function, sorted(MERITS), "function")
+    size: Count = 20
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

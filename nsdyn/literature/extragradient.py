@@ -8,10 +8,11 @@ from nsdyn.literature.fixed_point import Rule, march
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive
 
 
 @dataclass(frozen=True)
-class Extragradient:
+class Extragradient(Options):
     """Extragradient method r̄ = P_K(r - ρ û(r)), r ← P_K(r - ρ û(r̄)), EG-VI, with a self-adaptive step.
 
     Good as a last resort that rarely diverges: it converges for every monotone Lipschitz operator, without
@@ -33,8 +34,8 @@ class Extragradient:
     1976; E. Khobotov, 1987.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 100_000
+    tol: Positive = 1e-8
+    max_iter: Count = 100_000
     rule: Rule = "khobotov"
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:

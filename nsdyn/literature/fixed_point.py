@@ -12,6 +12,7 @@ from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive
 
 Rule = Literal["khobotov", "solodov-tseng"]
 
@@ -26,8 +27,6 @@ def march(problem: FC3D, r0: Array | None, tol: float, max_iter: int, rule: Rule
     whose ratio was below L_min.
     """
     limit, low, shrink = 0.9, 0.3, 2.0 / 3.0  # L, L_min, ν of the paper
-    if rule not in ("khobotov", "solodov-tseng"):
-        raise ValueError(f"rule must be 'khobotov' or 'solodov-tseng', got {rule!r}")
     run, count = Run(problem, r0, tol), 0
     if run.over:
         return run.finish(0)
@@ -68,7 +67,7 @@ def march(problem: FC3D, r0: Array | None, tol: float, max_iter: int, rule: Rule
 
 
 @dataclass(frozen=True)
-class FixedPoint:
+class FixedPoint(Options):
     """Projected fixed point r ← P_K(r - ρ û(r)), FP-VI, with a self-adaptive step.
 
     Good as the simplest method: one product with W an iteration, no factorisation, no parameter. Linear at best; it
@@ -90,8 +89,8 @@ class FixedPoint:
     1987; D. Han, H. Lo, 2002; M. Solodov, P. Tseng, 1996 for the rules.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 100_000
+    tol: Positive = 1e-8
+    max_iter: Count = 100_000
     rule: Rule = "khobotov"
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:

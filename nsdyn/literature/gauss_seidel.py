@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -13,12 +13,13 @@ from nsdyn.literature._kernels import one_contact as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice
+from nsdyn.tools.options import Allowed, Count, Options, Positive
 
 Local = Literal[
     "projection", "iterated-projection", "exact", "alart-curnier", "jean-moreau", "natural", "fischer-burmeister"
 ]
 Order = Literal["given", "shuffled", "reshuffled", "symmetric"]
+Relaxation = Annotated[float, Allowed("between 0 and 2", lambda omega: 0.0 < omega < 2.0)]
 
 CHECK = 10
 """Sweeps between two measurements."""
@@ -28,7 +29,7 @@ LOCAL_ITERATIONS = 100
 
 
 @dataclass(frozen=True)
-class GaussSeidel:
+class GaussSeidel(Options):
     """NSGS and PSOR: every contact in turn by a local solver, FC(W_cc/ω, q̄_c), without acceleration.
 
     Good on granular scenes and loose tolerances, where nothing is cheaper. It fails where information must travel far,
@@ -53,11 +54,6 @@ class GaussSeidel:
     order : {'given', 'shuffled', 'reshuffled', 'symmetric'}
         Of the contacts: as in the problem, a random one, a new random one every sweep, or forth and back in turns.
 
-    Raises
-    ------
-    ValueError
-        For an unknown local solver or order, or ω outside (0, 2).
-
     References
     ----------
     F. Jourdan, P. Alart, M. Jean, CMAME 155, 1998. V. Acary, M. Brémond, O. Huber, On solving contact problems with
@@ -65,18 +61,12 @@ class GaussSeidel:
     2011.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 100_000
+    tol: Positive = 1e-8
+    max_iter: Count = 100_000
     local: Local = "alart-curnier"
-    local_tol: float | None = None
-    omega: float = 1.0
+    local_tol: Positive | None = None
+    omega: Relaxation = 1.0
     order: Order = "given"
-
-    def __post_init__(self) -> None:
-        choice(self.local, get_args(Local), "local")
-        choice(self.order, get_args(Order), "order")
-        if not 0.0 < self.omega < 2.0:
-            raise ValueError(f"omega must be between 0 and 2, got {self.omega}")
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

@@ -12,6 +12,7 @@ from nsdyn.literature.impulse_newton import Function, matrix, newton, steps
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive
 
 SAFE = 100
 """Extragradient iterations before the first Newton, the number of the paper."""
@@ -21,7 +22,7 @@ FACTORISATIONS = 30
 
 
 @dataclass(frozen=True)
-class Hybrid:
+class Hybrid(Options):
     """NSN-HYBRID: extragradient iterations, Newton from their best iterate, and again from the best of both.
 
     The first round is the paper's: 100 safe iterations, then Newton. Where that fails a round follows with twice the
@@ -44,8 +45,8 @@ class Hybrid:
     V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, sections 4 and 5.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 100_000
+    tol: Positive = 1e-8
+    max_iter: Count = 100_000
     function: Function = "alart-curnier"
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:

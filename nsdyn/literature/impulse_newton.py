@@ -13,7 +13,7 @@ from nsdyn.literature.formulations import ELEMENTS, block_diagonal
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice
+from nsdyn.tools.options import Count, Options, Positive
 
 Function = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural"]
 Search = Literal["goldstein-price", "armijo", "none"]
@@ -142,7 +142,7 @@ def matrix(W: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class ImpulseNewton:
+class ImpulseNewton(Options):
     """Semismooth Newton in the impulses, NSN, on one of four nonsmooth equations, with a line search.
 
     Good where W is well conditioned: elastic bodies, few contacts per coordinate; quadratic near the solution. It
@@ -166,7 +166,7 @@ class ImpulseNewton:
     Raises
     ------
     ValueError
-        For an unknown option, or a split rule with a map that has one step per contact.
+        As `Options`, and for a split rule with a map that has one step per contact.
 
     References
     ----------
@@ -174,19 +174,14 @@ class ImpulseNewton:
     friction, 2018, section 4.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 200
+    tol: Positive = 1e-8
+    max_iter: Count = 200
     function: Function = "fischer-burmeister"
     search: Search = "none"
     rho: Rho = "spectral"
 
     def __post_init__(self) -> None:
-        for name, known in (
-            ("function", tuple(ELEMENTS)),
-            ("search", ("goldstein-price", "armijo", "none")),
-            ("rho", ("spectral", "split", "condition", "one")),
-        ):
-            choice(getattr(self, name), known, name)
+        super().__post_init__()
         if self.rho in ("split", "condition") and self.function in ("natural", "fischer-burmeister"):
             raise ValueError(f"rho={self.rho!r} splits the cone, which function={self.function!r} does not allow")
 

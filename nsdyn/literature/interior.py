@@ -13,6 +13,7 @@ from nsdyn.problem.operators import Operator
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.newton import by_islands, newton
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive, Whole
 
 __all__ = ["Interior", "interior"]
 
@@ -64,7 +65,7 @@ def interior(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tup
 
 
 @dataclass(frozen=True)
-class Interior:
+class Interior(Options):
     """Nonassociated interior point method from nothing, finished by the Newton of `newton`, island by island.
 
     Good as the cold start of last resort: 20 to 40 factorisations whatever the masses, and it finds the contact
@@ -88,9 +89,9 @@ class Interior:
     methods for convex programming, Math. Oper. Res. 22, 1997.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 40
-    max_newton: int = 500
+    tol: Positive = 1e-8
+    max_iter: Count = 40
+    max_newton: Whole = 500
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem; of r0 is only asked whether it is the solution."""

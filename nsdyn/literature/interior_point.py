@@ -16,6 +16,7 @@ from nsdyn.literature.formulations import block_diagonal
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive, Whole
 
 FACTORISATIONS = 60
 """Granted to one convex problem."""
@@ -102,7 +103,7 @@ def _inner(scaled: Equilibrated, shift: Array, x: Array, goal: float) -> tuple[A
 
 
 @dataclass(frozen=True)
-class InteriorPoint:
+class InteriorPoint(Options):
     """Frozen shift as in `ACLM`, each convex problem by a primal-dual interior point method.
 
     Good at high accuracy on redundant contacts, where sweeps are slow: 10 to 25 factorisations a problem, whatever
@@ -124,9 +125,9 @@ class InteriorPoint:
     using interior point algorithm, Optim. Methods Softw. 39, 2024.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 200
-    memory: int = 5
+    tol: Positive = 1e-8
+    max_iter: Count = 200
+    memory: Whole = 5
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

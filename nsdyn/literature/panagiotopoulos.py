@@ -12,6 +12,7 @@ from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive, Whole
 
 SWEEPS = 2000
 """Sweeps granted to one convex problem."""
@@ -33,7 +34,7 @@ def _inner(scaled: Equilibrated, tangent: Array, x: Array, goal: float) -> tuple
 
 
 @dataclass(frozen=True)
-class Panagiotopoulos:
+class Panagiotopoulos(Options):
     """Alternate the normal problem at frozen friction and the friction problem on disks at frozen normal impulses.
 
     Good where W_NT is small, as on flat interfaces: two quadratic programs of the simplest kind. It fails where
@@ -54,9 +55,9 @@ class Panagiotopoulos:
     problem, Ing.-Archiv 44, 1975. V. Acary, M. Brémond, O. Huber, 2018, section 4.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 1000
-    memory: int = 5
+    tol: Positive = 1e-8
+    max_iter: Count = 1000
+    memory: Whole = 5
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

@@ -11,10 +11,11 @@ from nsdyn.literature._kernels import pgs as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive, Whole
 
 
 @dataclass(frozen=True)
-class PGS:
+class PGS(Options):
     """Block Gauss–Seidel: each contact in turn solved exactly, Anderson-accelerated.
 
     Good on loose tolerances and granular scenes, where a sweep costs 0.1 µs per contact block. It fails where
@@ -37,10 +38,10 @@ class PGS:
     1998. H. Walker, P. Ni, Anderson acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49, 2011.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 10_000
-    memory: int = 20
-    patience: int = 10_000
+    tol: Positive = 1e-8
+    max_iter: Count = 10_000
+    memory: Whole = 20
+    patience: Count = 10_000
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

@@ -14,13 +14,13 @@ from nsdyn.literature.impulse_newton import Function, Search, matrix, newton
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice
+from nsdyn.tools.options import Count, NonNegative, Options, Positive
 
 Rule = Literal["adaptive", "error"]
 
 
 @dataclass(frozen=True)
-class Proximal:
+class Proximal(Options):
     """Proximal point algorithm, PPA-NSN: solve the problem of W + α I and q - α r_k by Newton, r_k its solution.
 
     Good on redundant contacts at tight tolerances, masonry and stacks, where it is the robust one of the paper:
@@ -44,30 +44,20 @@ class Proximal:
     function, search
         Inner Newton, see `ImpulseNewton`; full steps reach more than searched ones, which stop at kinks.
 
-    Raises
-    ------
-    ValueError
-        For an unknown rule, or α that is not positive.
-
     References
     ----------
     V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 4. W. Hager,
     H. Zhang, Self-adaptive inexact proximal point methods, Comput. Optim. Appl. 39, 2008.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 1000
-    alpha: float = 1e-3
-    inner: int = 20
+    tol: Positive = 1e-8
+    max_iter: Count = 1000
+    alpha: Positive = 1e-3
+    inner: Count = 20
     function: Function = "alart-curnier"
     search: Search = "none"
     rule: Rule = "adaptive"
-    nu: float = 1.0
-
-    def __post_init__(self) -> None:
-        choice(self.rule, ("adaptive", "error"), "rule")
-        if not self.alpha > 0.0:
-            raise ValueError(f"alpha must be positive, got {self.alpha}")
+    nu: NonNegative = 1.0
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

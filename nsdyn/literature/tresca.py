@@ -12,6 +12,7 @@ from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive, Whole
 
 SWEEPS = 2000
 """Sweeps granted to one convex problem."""
@@ -25,7 +26,7 @@ def _inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[A
 
 
 @dataclass(frozen=True)
-class Tresca:
+class Tresca(Options):
     """Haslinger's fixed point: freeze the bounds μθ, minimise ½ rᵀWr + rᵀq on r_N ≥ 0, ‖r_T‖ ≤ μθ, set θ = r_N.
 
     Good where normal and tangential impulses are weakly coupled: granular packings, elastic bodies at small μ, where
@@ -46,9 +47,9 @@ class Tresca:
     Sci. 5, 1983. V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 4.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 500
-    memory: int = 5
+    tol: Positive = 1e-8
+    max_iter: Count = 500
+    memory: Whole = 5
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.options import Allowed, Count, Options, Positive
+
+Step = Annotated[float, Allowed("between 0 and 2 (in units of 1/λ_max)", lambda step: 0.0 < step < 2.0)]
 
 
 def uzawa_iterates(csr: tuple[Index, Index, Array], q: Array, radius: Array, rho: float, r: Array) -> Iterator[Array]:
@@ -32,7 +36,7 @@ def uzawa_iterates(csr: tuple[Index, Index, Array], q: Array, radius: Array, rho
 
 
 @dataclass(frozen=True)
-class Uzawa:
+class Uzawa(Options):
     """Uzawa: a gradient step on the impulses of given friction (Tresca), the bound μ r_N updated outside.
 
     Good as the plainest method with a proof: for symmetric W it converges for every step below 2/λ_max(W), linearly.
@@ -48,24 +52,15 @@ class Uzawa:
     step : float
         Step times λ_max of the equilibrated W, between 0 and 2.
 
-    Raises
-    ------
-    ValueError
-        For a step outside (0, 2).
-
     References
     ----------
     N. Pop, A mixed finite element discretization of a quasistatic contact problem with friction, section 4: its
     2ρ - 2ρ² ≥ β > 0 is 0 < ρ < 2/λ_max(W) here.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 500
-    step: float = 1.8
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.step < 2.0:
-            raise ValueError(f"step must be between 0 and 2 (in units of 1/λ_max), got {self.step}")
+    tol: Positive = 1e-8
+    max_iter: Count = 500
+    step: Step = 1.8
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

@@ -167,9 +167,11 @@ class Trajectory:
     def contacts(self, k: int) -> ContactTable:
         """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError.
 
-        ValueError if the recording has no contacts.
+        ValueError if k is no whole number or the recording has no contacts.
         """
         tables.need_contacts(self)
+        if not isinstance(k, (int, np.integer)):
+            raise ValueError(f"step must be a whole number, got {k!r}")
         step = k + self.steps + 1 if k < 0 else k
         if not 1 <= step <= self.steps:
             raise IndexError(f"contacts belong to steps 1 to {self.steps}, got {k}")

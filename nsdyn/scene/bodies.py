@@ -138,7 +138,7 @@ def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions)
     else:
         if mass is None:
             raise ValueError(f"mass of {name!r} is needed, unless fixed=True")
-        m = checks.mass(mass, f"mass of {name!r}")
+        m = checks.positive(mass, f"mass of {name!r}")
         inertia = given["inertia"]
         if inertia is None and centre.any():
             raise ValueError(f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous")

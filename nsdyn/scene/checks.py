@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from nsdyn.tools.arrays import Array
 
-__all__ = ["folders", "inertia", "mass", "number", "path", "quaternion", "rotation", "vector"]
+__all__ = ["folders", "inertia", "lengths", "number", "path", "positive", "quaternion", "rotation", "vector"]
 
 
 LARGEST, SMALLEST = 1e50, 1e-50
-"""Sizes of numbers, and of masses and inertias, whose products stay in the range of floating-point numbers."""
+"""Sizes of numbers, and of masses, inertias and lengths, whose products stay in the range of floating-point numbers."""
 
 
 NORMALISED = 1e-6
@@ -35,7 +35,7 @@ def _above(value: float) -> str:
 
 def number(value: Any, what: str) -> float:
     """A finite number."""
-    if isinstance(value, (str, bytes)):
+    if isinstance(value, (str, bytes, bool, np.bool_)):
         raise ValueError(f"{what} must be a number, got {value!r}")
     try:
         out = float(value)
@@ -88,11 +88,19 @@ def rotation(quaternion: Array) -> Array:
     return out
 
 
-def mass(value: Any, what: str) -> float:
+def positive(value: Any, what: str) -> float:
     """A positive number."""
     out = number(value, what)
     if out < SMALLEST:
         raise ValueError(f"{what} must be positive{_above(out)}, got {out:g}")
+    return out
+
+
+def lengths(value: ArrayLike, what: str) -> Array:
+    """Three positive numbers."""
+    out = vector(value, 3, what)
+    if (out < SMALLEST).any():
+        raise ValueError(f"{what} must be positive{_above(out.min())}, got {out.tolist()}")
     return out
 
 

@@ -439,7 +439,8 @@ class Scene:
     def set_pair(self, a: str, b: str, mu: float | None = None, restitution: float | None = None) -> None:
         """Give two bodies their own coefficients, which beat the combination rule; None leaves the rule's value.
 
-        A whole articulation goes by its name, a body of it by "articulation/body", which beats the whole.
+        A whole articulation goes by its name, a body of it by "articulation/body", which beats the whole. ValueError
+        for bodies that are not there, for one body twice, which never touches itself, and without a coefficient.
         """
         links = [
             f"{robot.name}/{body}" for robot in self.articulations.values() for body in dict.fromkeys(robot.bodies)
@@ -447,7 +448,11 @@ class Scene:
         known = [*self.bodies, *self.articulations, *links]
         for name in (a, b):
             choice(name, known, "body")
+        if mu is None and restitution is None:
+            raise ValueError(f"the pair of {a!r} and {b!r} needs mu or restitution")
         Material(0.0 if mu is None else mu, 0.0 if restitution is None else restitution)
+        if a == b and a not in self.articulations:
+            raise ValueError(f"the pair of {a!r} and itself never touches: only parts of an articulation do")
         self.pairs[frozenset((a, b))] = (mu, restitution)
 
     # -- what the stepper needs --------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ import coal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nsdyn.scene import hulls, meshes
+from nsdyn.scene import checks, hulls, meshes
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array, Index
 
@@ -170,28 +170,6 @@ class Shape:
         return out
 
 
-def _positive(value: Any, name: str) -> float:
-    """The value as a float if it is positive and finite."""
-    try:
-        out = float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number, got {value!r}") from None
-    if not (np.isfinite(out) and out > 0.0):
-        raise ValueError(f"{name} must be positive and finite, got {out:g}")
-    return out
-
-
-def _triple(value: ArrayLike, name: str) -> Array:
-    """The value as three finite floats."""
-    try:
-        out = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be 3 numbers, got {value!r}") from None
-    if out.shape != (3,) or not np.isfinite(out).all():
-        raise ValueError(f"{name} must be 3 finite numbers, got {out.tolist()}")
-    return out
-
-
 _NO_FACES = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
 
@@ -221,25 +199,18 @@ def halfspace(normal: ArrayLike, offset: float) -> Shape:
     offset : float
         m, for a unit normal.
     """
-    n = _triple(normal, "normal")
+    n = checks.vector(normal, 3, "normal")
     length = float(np.linalg.norm(n))
     if length == 0.0:
         raise ValueError("normal must not be zero")
-    try:
-        d = float(offset) / length
-    except (TypeError, ValueError):
-        raise ValueError(f"offset must be a number, got {offset!r}") from None
-    if not np.isfinite(d):
-        raise ValueError(f"offset must be finite, got {d:g}")
+    d = checks.number(offset, "offset") / length
     n /= length
     return Shape(HALFSPACE, coal.Halfspace(n, d), n, *_NO_FACES, d, np.inf, np.zeros((3, 3)), np.inf, np.inf)
 
 
 def box(size: ArrayLike) -> Shape:
     """Box of the full edge lengths `size`, shape (3,), in m."""
-    lengths = _triple(size, "size")
-    if (lengths <= 0.0).any():
-        raise ValueError(f"size must be positive, got {lengths.tolist()}")
+    lengths = checks.lengths(size, "size")
     half = 0.5 * lengths
     # Vertex 4 i + 2 j + k has the signs of (i, j, k).
     vertices = np.array(list(np.ndindex(2, 2, 2))) * lengths - half
@@ -266,28 +237,26 @@ def box(size: ArrayLike) -> Shape:
 
 def sphere(radius: float) -> Shape:
     """Ball of the given radius in m."""
-    r = _positive(radius, "radius")
+    r = checks.positive(radius, "radius")
     return _curved(SPHERE, (r, 0.0, 0.0), r, r)
 
 
 def capsule(radius: float, length: float) -> Shape:
     """Points within `radius` of a segment of the given length along z (the distance of the two sphere centres), m."""
-    r, full = _positive(radius, "radius"), _positive(length, "length")
+    r, full = checks.positive(radius, "radius"), checks.positive(length, "length")
     return _curved(CAPSULE, (r, 0.5 * full, 0.0), r + 0.5 * full, r)
 
 
 def cylinder(radius: float, length: float) -> Shape:
     """Cylinder of full height `length` along z, in m."""
-    r, full = _positive(radius, "radius"), _positive(length, "length")
+    r, full = checks.positive(radius, "radius"), checks.positive(length, "length")
     bounding = float(np.hypot(r, 0.5 * full))
     return _curved(CYLINDER, (r, 0.5 * full, 0.0), bounding, min(r, 0.5 * full))
 
 
 def ellipsoid(radii: ArrayLike) -> Shape:
     """Ellipsoid with the given semi-axes along x, y, z, shape (3,), in m."""
-    r = _triple(radii, "radii")
-    if (r <= 0.0).any():
-        raise ValueError(f"radii must be positive, got {r.tolist()}")
+    r = checks.lengths(radii, "radii")
     return _curved(ELLIPSOID, r.tolist(), float(r.max()), float(r.min()))
 
 
@@ -385,7 +354,7 @@ def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
     UserWarning
         When the hull has more than 1.02 times the volume of the mesh: its hollows are filled.
     """
-    factor = np.full(3, _positive(scale, "scale")) if np.ndim(scale) == 0 else np.array(scale, dtype=float)
+    factor = np.full(3, checks.positive(scale, "scale")) if np.ndim(scale) == 0 else np.array(scale, dtype=float)
     if factor.shape != (3,) or not (np.isfinite(factor).all() and factor.all()):
         raise ValueError(f"scale must be a number or 3 numbers other than 0, got {scale!r}")
     surface = meshes.read(Path(path))

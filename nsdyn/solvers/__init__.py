@@ -2,8 +2,9 @@
 
 To add one:
 
-1. a file here, or in `nsdyn.literature` for a method that is kept to compare: a frozen dataclass with `tol` and the
-   options of the method, whose docstring has its equations, its source, and where it fails;
+1. a file here, or in `nsdyn.literature` for a method that is kept to compare: a frozen dataclass of `Options`, with
+   `tol` and those of the method, annotated with what they may be, whose docstring has its equations, its source, and
+   where it fails;
 2. ``__call__(problem, r0=None)`` that returns ``Solution.judge(problem, r, tol, iterations, seconds)``: what the solver
    believes is not asked, and what is not finite is told by the status;
 3. its name and its home in `HOMES`, for type checkers also among the imports above it;
@@ -158,11 +159,8 @@ def __getattr__(name: str) -> Any:
 
 
 def by_name(name: str, tol: float = 1e-8) -> Solver:
-    """Return the solver of that name at tolerance `tol`, and no looser; ValueError naming the known, or for tol ≤ 0."""
-    choice(name, SOLVERS, "solver")
-    if not tol > 0.0:
-        raise ValueError(f"tol must be positive, got {tol}")
-    made = SOLVERS[name]
+    """Return the solver of that name at tolerance `tol`, and no looser; ValueError for what is none of either."""
+    made = SOLVERS[choice(name, SOLVERS, "solver")]
     solver: Solver = made(tol=tol, loose=tol) if name == "auto" else made(tol=tol)
     return solver
 
@@ -196,6 +194,11 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
         problem for which that was needed, and which is quickly solved, is solved twice more: the first use of code is
         slow.
 
+    Raises
+    ------
+    ValueError
+        For what is no problem, no solver or no tolerance.
+
     Examples
     --------
     A point of 1 kg that falls at 1 m/s and slides at 0.2 m/s, μ = 0.5, stops in one impulse:
@@ -206,6 +209,8 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     >>> solution.status.name, solution.r[:2].round(6).tolist()
     ('CONVERGED', [1.0, -0.2])
     """
+    if not isinstance(problem, FC3D):
+        raise ValueError(f"problem must be a nsdyn.FC3D, got {type(problem).__name__}")
     solver, before = as_solver(solver, tol), loading()
     with waiting():
         solution = solver(problem, r0)

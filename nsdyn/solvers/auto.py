@@ -16,6 +16,7 @@ from nsdyn.solvers.continuation import continuation
 from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import DENSE, MARGIN, PENALTY, Multipliers, part
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import NonNegative, Options, Positive
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,7 @@ def sharp(tol: float) -> float:
 
 
 @dataclass(frozen=True)
-class Auto:
+class Auto(Options):
     """Portfolio, island by island, to a tolerance where it buys something and with a bound on effort everywhere.
 
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
@@ -224,9 +225,9 @@ class Auto:
         Bound on the effort beyond `loose`, as a multiple of that for `loose`; `Tuning.free` where the start meets it.
     """
 
-    tol: float = 1e-8
-    loose: float = 1e-4
-    effort: float = 4.0
+    tol: Positive = 1e-8
+    loose: Positive = 1e-4
+    effort: NonNegative = 4.0
 
     @property
     def aims(self) -> tuple[float, float]:

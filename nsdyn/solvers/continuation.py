@@ -15,6 +15,7 @@ from nsdyn.problem.operators import Operator
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.newton import PENALTY, by_islands, newton
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive
 
 __all__ = ["Continuation", "continuation"]
 
@@ -253,7 +254,7 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) ->
 
 
 @dataclass(frozen=True)
-class Continuation:
+class Continuation(Options):
     """Pseudo-arclength continuation from smoothed laws to Coulomb's, island by island, from nothing.
 
     Good where all else stalls: collisions of many bodies, large friction, redundant contacts. It costs 20 to 100
@@ -271,8 +272,8 @@ class Continuation:
     E. Allgower, K. Georg, Introduction to numerical continuation methods, SIAM 2003.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 1000
+    tol: Positive = 1e-8
+    max_iter: Count = 1000
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem; of r0 is only asked whether it is the solution."""

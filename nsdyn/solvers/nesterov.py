@@ -13,6 +13,7 @@ from nsdyn._kernels.solvers import nesterov as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import Count, Options, Positive
 
 CHECK = 10
 """Sweeps between two measurements."""
@@ -54,7 +55,7 @@ class Sweeps:
 
 
 @dataclass(frozen=True)
-class Nesterov:
+class Nesterov(Options):
     """Gauss–Seidel sweeps with Nesterov's momentum that each contact loses by itself.
 
     Good on random piles at loose tolerances: about 20 ns per contact and sweep, no factorisation, and momentum survives
@@ -78,9 +79,9 @@ class Nesterov:
     friction and contact, ACM Trans. Graph. 34, 2015.
     """
 
-    tol: float = 1e-8
-    max_iter: int = 20_000
-    patience: int = 5000
+    tol: Positive = 1e-8
+    max_iter: Count = 20_000
+    patience: Count = 5000
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

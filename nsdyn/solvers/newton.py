@@ -17,6 +17,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator, operator
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.options import Count, Options, Positive
 
 __all__ = ["DENSE", "MARGIN", "PENALTY", "Newton", "by_islands", "newton", "part"]
 
@@ -157,7 +158,7 @@ def by_islands(
 
 
 @dataclass(frozen=True)
-class Newton:
+class Newton(Options):
     """Semismooth Newton on the augmented Lagrangian of the velocity problem, island by island.
 
     Good near the solution: quadratic, immune to mass ratios, and a rank-deficient W is no obstacle since the matrix
@@ -179,9 +180,9 @@ class Newton:
     CMAME 92, 1991. V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018.
     """
 
-    tol: float = 1e-8
-    penalty: float = 10.0
-    max_iter: int = 200
+    tol: Positive = 1e-8
+    penalty: Positive = 10.0
+    max_iter: Count = 200
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

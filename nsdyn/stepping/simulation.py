@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nsdyn.recording.recorder import Recorder
 from nsdyn.recording.trajectory import Trajectory
-from nsdyn.scene import settings
+from nsdyn.scene import checks, settings
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Solver
 from nsdyn.stepping import checkpoint
@@ -22,6 +22,8 @@ from nsdyn.stepping.functions import Callback
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.state import State
 from nsdyn.stepping.stepper import Stepper
+from nsdyn.stepping.system import check_flags, check_seconds
+from nsdyn.tools.options import is_number
 
 __all__ = ["Options", "RunOptions", "command", "simulate"]
 
@@ -127,8 +129,8 @@ def simulate(
     """
     from tqdm import tqdm  # costs 50 ms that a library user may not need
 
-    if not (isinstance(duration, (int, float)) and math.isfinite(duration) and duration > 0.0):
-        raise ValueError(f"duration must be a positive number of seconds, got {duration!r}")
+    check_seconds(duration=duration)
+    check_flags(contacts=contacts, progress=progress)
     stepper = Stepper(
         scene,
         dt,
@@ -146,12 +148,15 @@ def simulate(
     )
     if duration < 0.5 * stepper.dt:
         raise ValueError(f"duration must be at least half a step of dt = {stepper.dt:g} s, got {duration:g} s")
-    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+    if not is_number(every, int) or every < 1:
         raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
+    for name, file in (("record", record), ("resume", resume)):
+        if file is not None:
+            checks.path(file, name)
     if resume is not None and record is not None:
         raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
     steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))
-    kept = {"max_points": max_points, "every": every, "contacts": bool(contacts), "polish": polish}
+    kept = {"max_points": max_points, "every": every, "contacts": contacts, "polish": polish}
     with _recorder(stepper, record, resume, kept, duration, steps // every) as recorder:
         done = every * recorder.rows
         # disable=None: tqdm draws only on a terminal

@@ -145,7 +145,7 @@ class Stepper:
         lift: bool = False,
         polish: bool = False,
     ) -> None:
-        check_options(scene, dt, theta, overlap, {"lift": lift, "polish": polish})
+        check_options(scene, dt, theta, overlap, lift, polish)
         law = as_law(impact)
         self._certificate = polished.certify if polish else gauss.certify
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,9 @@ from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.instant import System
 from nsdyn.stepping.mover import Mover
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import is_number
 
-__all__ = ["check_options", "system_of"]
+__all__ = ["check_flags", "check_options", "check_seconds", "system_of"]
 
 CLOSED = 1e-9
 """Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
@@ -30,19 +30,30 @@ SLOW = 0.01
 takes: grains of 1e-5 m gained 1e-6 of their energy from gaps that counted as closed."""
 
 
-def check_options(scene: Any, dt: Any, theta: Any, overlap: Any, flags: Mapping[str, Any]) -> None:
-    """ValueError for options of `nsdyn.Stepper` that are none; `flags` are those that are true or false."""
-    if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0.0):
-        raise ValueError(f"dt must be a positive number of seconds, got {dt!r}")
-    if not 0.5 <= theta <= 1.0:
+def check_seconds(**given: Any) -> None:
+    """ValueError for times that are no positive numbers of seconds."""
+    for name, value in given.items():
+        if not (is_number(value) and 0.0 < value < math.inf):
+            raise ValueError(f"{name} must be a positive number of seconds, got {value!r}")
+
+
+def check_flags(**given: Any) -> None:
+    """ValueError for what is neither True nor False."""
+    for name, value in given.items():
+        if not isinstance(value, bool):
+            raise ValueError(f"{name} must be True or False, got {value!r}")
+
+
+def check_options(scene: Any, dt: Any, theta: Any, overlap: Any, lift: Any, polish: Any) -> None:
+    """ValueError for options of `nsdyn.Stepper` that are none."""
+    check_seconds(dt=dt)
+    if not (is_number(theta) and 0.5 <= theta <= 1.0):
         raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
     if not isinstance(scene, Scene):
         raise ValueError(f"scene must be a nsdyn.Scene, got {scene!r}; nsdyn.scenes.load(name)() makes a named one")
-    if isinstance(overlap, bool) or not isinstance(overlap, (int, float)) or not 0.0 <= overlap <= 1.0:
+    if not (is_number(overlap) and 0.0 <= overlap <= 1.0):
         raise ValueError(f"overlap must be a fraction in [0, 1], got {overlap!r}")
-    for name, value in flags.items():
-        if not isinstance(value, bool):
-            raise ValueError(f"{name} must be True or False, got {value!r}")
+    check_flags(lift=lift, polish=polish)
 
 
 def system_of(

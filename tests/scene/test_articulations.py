@@ -416,6 +416,9 @@ def test_pairs_of_links_beat_pairs_of_robots(hand):
         and pairs.pair_material(hand, geoms)(plate, base)[0] == 0.1
     )
     assert set(nd.simulate(hand, 0.01).contacts(-1).mu) == {0.9}
+    hand.set_pair("r", "r", restitution=0.0)
+    with pytest.raises(ValueError, match="'r/foot' and itself never touches"):
+        hand.set_pair("r/foot", "r/foot", restitution=0.0)
     with pytest.raises(ValueError, match=r"did you mean 'r/foot'\? body must be one of .*; got 'r/food'"):
         hand.set_pair("r/food", "plate", mu=0.1)
 

@@ -17,6 +17,7 @@ GOOD = {"size": (0.2, 0.2, 0.2), "mass": 1.0}
         ({"mass": 0.0}, "mass of 'b' must be positive"),
         ({"mass": float("nan")}, "mass of 'b' must be finite"),
         ({"mass": "heavy"}, "mass of 'b' must be a number"),
+        ({"mass": True}, "mass of 'b' must be a number, got True"),
         ({"mass": None}, "mass of 'b' is needed"),
         ({"size": (0.2, -0.2, 0.2)}, "size"),
         ({"size": (0.2, float("nan"), 0.2)}, "size"),
@@ -83,6 +84,11 @@ def test_bad_scene():
         scene.set_pair("b", "c", mu=0.1)
     with pytest.raises(ValueError, match="mu must not be negative"):
         scene.set_pair("b", "b", mu=-0.1)
+    with pytest.raises(ValueError, match="'b' and itself never touches"):
+        scene.set_pair("b", "b", mu=0.1)
+    with pytest.raises(ValueError, match="the pair of 'b' and 'b' needs mu or restitution"):
+        scene.set_pair("b", "b")
+    assert not scene.pairs
     with pytest.raises(ValueError, match="must be a file in URDF"):
         scene.add_urdf("arm", "nowhere.urdf")
 

@@ -170,12 +170,15 @@ def test_describe_is_plain_data():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: shapes.sphere(0), "radius must be positive and finite, got 0"),
+        (lambda: shapes.sphere(0), "radius must be positive, got 0"),
         (lambda: shapes.sphere("big"), "radius must be a number, got 'big'"),
+        (lambda: shapes.sphere(1e-300), "radius must be positive, at least 1e-50, got 1e-300"),
+        (lambda: shapes.sphere(1e300), r"radius must be finite and at most 1e\+50 in size, got 1e\+300"),
         (lambda: shapes.capsule(1, -2), "length must be positive"),
-        (lambda: shapes.cylinder(np.nan, 2), "radius must be positive and finite, got nan"),
-        (lambda: shapes.box((1, 2)), "size must be 3 finite numbers"),
+        (lambda: shapes.cylinder(np.nan, 2), "radius must be finite, got nan"),
+        (lambda: shapes.box((1, 2)), r"size must be 3 numbers, got shape \(2,\)"),
         (lambda: shapes.box((1, 2, 0)), "size must be positive"),
+        (lambda: shapes.box((1, 2, 1e-300)), "size must be positive, at least 1e-50"),
         (lambda: shapes.ellipsoid((1, 2, -1)), "radii must be positive"),
         (lambda: shapes.halfspace((0, 0, 0), 1), "normal must not be zero"),
         (lambda: shapes.halfspace((0, 0, 1), np.inf), "offset must be finite"),

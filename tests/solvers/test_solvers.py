@@ -1,5 +1,7 @@
 """Every solver on every small problem, judged by the problem; agreement in velocities, never in impulses."""
 
+import re
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -164,11 +166,79 @@ def test_factorisations_by_blocks_and_by_w(rng):
         np.testing.assert_array_equal(operator.factor(A)(g), first)
 
 
-def test_unknown_solver_and_tolerance():
-    with pytest.raises(ValueError, match=r"solver must be one of .*, pgs, .*; got 'magic'"):
-        nd.solve(corner_box()[0], "magic")
-    with pytest.raises(ValueError, match="tol must be positive"):
-        nd.solve(corner_box()[0], tol=0.0)
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"solver": "magic"}, r"solver must be one of .*, pgs, .*; got 'magic'"),
+        *(({"tol": tol}, f"tol must be positive and finite, got {tol!r}") for tol in (0.0, -1, np.nan, np.inf, "a")),
+        ({"problem": np.eye(3)}, r"problem must be a nsdyn\.FC3D, got ndarray"),
+    ],
+)
+def test_what_is_no_problem_no_solver_or_no_tolerance_is_told(given, message):
+    with pytest.raises(ValueError, match=message):
+        nd.solve(**{"problem": CASES["rest"], **given})
+
+
+NONE = {
+    str: ("zz", 3, np.nan, None, True),
+    int: (-1, 0.5, np.nan, np.inf, "zz", None, True, [1]),
+    float: (-1.0, np.nan, np.inf, "zz", 1j, True, np.ones(2)),
+}
+"""What no option of that kind may be."""
+
+
+@pytest.mark.parametrize("made", [*nd.solvers.SOLVERS.values(), nd.solvers.Nesterov])
+def test_options_of_solvers_that_are_none_are_told(made):
+    """Each of them when the solver is made: a typo had run as the default, a bad number had failed in a kernel."""
+    for option in fields(made):
+        kind = float if option.name == "local_tol" else type(option.default)
+        for bad in NONE[kind]:
+            with pytest.raises(ValueError, match=f"{option.name} must be .*[,;] got {re.escape(repr(bad))}$"):
+                made(**{option.name: bad})
+
+
+@pytest.mark.parametrize(
+    ("made", "option", "allowed", "refused"),
+    [
+        ("PGS", "memory", (0, 1), ()),
+        ("PGS", "max_iter", (1,), (0,)),
+        ("Auto", "effort", (0.0,), ()),
+        ("Auto", "loose", (1e-300,), (0.0,)),
+        ("Proximal", "alpha", (1e-3,), (0.0,)),
+        ("Proximal", "nu", (0.0,), ()),
+        ("GaussSeidel", "local_tol", (None, 1e-3), (0.0,)),
+        ("GaussSeidel", "omega", (1e-3, 1.999), (0.0, 2.0)),
+        ("ADMM", "relaxation", (1.0, 1.999), (0.999, 2.0)),
+        ("Uzawa", "step", (1e-3, 1.999), (0.0, 2.0)),
+    ],
+)
+def test_where_the_options_of_solvers_end(made, option, allowed, refused):
+    make = getattr(nd.solvers, made)
+    for value in allowed:
+        assert getattr(make(**{option: value}), option) == value
+    for value in refused:
+        with pytest.raises(ValueError, match=f"{option} must be .*, got {value}"):
+            make(**{option: value})
+
+
+def test_options_of_solvers_say_what_was_meant():
+    with pytest.raises(ValueError, match=r"did you mean 'natural'\? function must be one of .*; got 'natrual'"):
+        nd.solvers.Hybrid(function="natrual")
+
+
+def test_a_solver_derived_from_another_has_options_of_its_own():
+    @dataclass(frozen=True)
+    class Counted(nd.solvers.Auto):
+        calls: "list[Unknown]" = field(default_factory=list)  # noqa: F821  as of what only type checkers import
+
+    assert Counted(tol=1e-6).calls == []
+    with pytest.raises(ValueError, match="tol must be positive and finite, got -1"):
+        Counted(tol=-1)
+
+
+def test_options_of_solvers_are_numbers_of_python():
+    """Those of NumPy had kernels compiled anew, and another text in recordings."""
+    assert repr(nd.solvers.PGS(np.float64(1e-8), np.int32(40))) == repr(nd.solvers.PGS(1e-8, 40))
 
 
 @pytest.mark.skipif(not FILES.is_dir(), reason="the folder of FCLIB problems is not here")

@@ -1,0 +1,67 @@
+"""Options of a frozen dataclass, checked by their annotations when one is made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from types import NoneType
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from nsdyn.tools.naming import choice
+
+__all__ = ["Allowed", "Count", "NonNegative", "Options", "Positive", "Whole", "is_number"]
+
+
+class Allowed(NamedTuple):
+    """The numbers that an option may be: what it must be in words, and whether one is."""
+
+    words: str
+    holds: Callable[[float], bool]
+
+
+Positive = Annotated[float, Allowed("positive and finite", lambda x: 0.0 < x < math.inf)]
+NonNegative = Annotated[float, Allowed("finite and not negative", lambda x: 0.0 <= x < math.inf)]
+Count = Annotated[int, Allowed("a whole number, at least 1", lambda n: n >= 1)]
+Whole = Annotated[int, Allowed("a whole number, at least 0", lambda n: n >= 0)]
+
+
+class Options:
+    """Base of frozen dataclasses that refuse what their annotations do not allow.
+
+    A field is a Literal, or Annotated with the kind of number and what is `Allowed`, and may be None too; what a class
+    derived from such a one adds is its own. Numbers of NumPy become those of Python, so that a kernel is compiled for
+    one kind of them.
+
+    Raises
+    ------
+    ValueError
+        Naming the option, what it must be and what was given.
+    """
+
+    def __post_init__(self) -> None:
+        made: type = type(self)
+        for name, annotation in _annotations(made).items():
+            value, kinds = getattr(self, name), get_args(annotation)
+            if get_origin(annotation) is Literal:
+                choice(value, kinds, name)
+            elif not (value is None and NoneType in kinds):
+                kind, allowed = get_args(kinds[0]) if NoneType in kinds else kinds
+                value = value.item() if isinstance(value, np.generic) else value
+                if not is_number(value, kind) or not allowed.holds(value):
+                    raise ValueError(f"{name} must be {allowed.words}, got {value!r}")
+                object.__setattr__(self, name, kind(value))
+
+
+@cache
+def _annotations(made: type) -> dict[str, Any]:
+    """The annotations of the class of `Options` that a class is or derives from; their texts are evaluated once."""
+    line = made.__mro__
+    return get_type_hints(line[line.index(Options) - 1], include_extras=True)
+
+
+def is_number(value: Any, kind: type = float) -> bool:
+    """Whether a value is a number, of the kind int a whole one; True and False are none."""
+    return isinstance(value, (int, kind)) and not isinstance(value, bool)
