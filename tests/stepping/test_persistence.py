@@ -36,8 +36,11 @@ class Pair:
         rows = np.concatenate(H.reshape(2, 3, 6), axis=1)
         self.work = float(self.r @ rows @ self.mean)
 
-    def couple(self, h, sticks=True):
-        """(couple, change of v, whether there is any other than none) in a move of h s, of bodies of 1 m."""
+    def couple(self, h, sticks=True, transport=()):
+        """(couple, change of v, whether there is any other than none) in a move of h s, of bodies of 1 m.
+
+        Surfaces that move add `transport` to the relative velocity.
+        """
         yes = np.array([True])
         couple, dv = np.zeros((1, 3)), np.empty(12)
         zero = np.array([0])
@@ -46,7 +49,7 @@ class Pair:
             (zero, zero + 1, zero, zero + 1, self.normal),
             self.mean,
             (self.R, np.linalg.inv(self.J), np.ones(2), h),
-            (self.r, np.array([0.5])),
+            (self.r, np.array([0.5]), np.array(transport, dtype=float)),
             (yes, yes & sticks, ~yes),
             (couple, dv, np.full(1, np.inf), np.empty(1, np.bool_)),
         )
@@ -67,6 +70,12 @@ def test_a_couple_takes_the_work_of_its_contact_and_keeps_the_momenta(rng):
     np.testing.assert_allclose(momentum[1], couple, rtol=0, atol=1e-14)
     np.testing.assert_allclose(momentum.sum(axis=0), 0.0, rtol=0, atol=1e-14)
     np.testing.assert_array_equal(dv[:, :3], 0.0)
+
+
+def test_a_couple_leaves_the_work_of_a_moving_surface_alone(rng):
+    pair, belt = Pair(rng), np.array([0.0, 0.3, -0.1])
+    couple, _, _ = pair.couple(10.0, transport=belt)
+    assert couple @ pair.turning() == pytest.approx(-(pair.work + pair.r @ belt), rel=1e-12)
 
 
 def test_what_slips_does_the_work_of_its_friction(rng):

@@ -151,37 +151,33 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
                     work += r[i + 1] * u[i + 1] + r[i + 2] * u[i + 2]
                     held = True
             last += 1
-        a, b = frame1[first], frame2[first]
+        a, b, most, size, turning = frame1[first], frame2[first], 0.0, 0.0, (0.0, 0.0, 0.0)
         if press > 0.0 and a < free and b < free:
             size = max(arm[a] if a >= 0 else 0.0, arm[b] if b >= 0 else 0.0)
             turning = along(spin_of(b, free, R, mean), -1.0, spin_of(a, free, R, mean))
             if not held:
                 turning = along(turning, -dot(row(normal, first), turning), row(normal, first))
+            most = ARM * press * h * math.sqrt(dot(turning, turning)) * size
+        if most > NO_ARM * press * size:
             speed = math.sqrt(dot(turning, turning))
-            most = ARM * press * h * speed * size
-            if most > NO_ARM * press * size:
-                amount = -work / speed
-                amount = min(max(amount, -most), most)
-                now = 0.0
-                for c in range(first, last):
-                    now += dot(row(couple, c), turning)
-                rest, scale = abs(amount * speed - now), press * size * speed
-                differ = rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first]
-                left[first] = rest
-                some = some or differ
-                for c in range(first, last):
-                    if differ:
-                        share = r[3 * c] / press if stays[c] and r[3 * c] > 0.0 else 0.0
-                        put(couple, c, times(share * amount / speed, turning))
-                    other[c] = differ
-                total = (0.0, 0.0, 0.0)
-                for c in range(first, last):
-                    total = along(total, 1.0, row(couple, c))
-                add_couple(a, -1.0, total, R, inverse_J, dv)
-                add_couple(b, 1.0, total, R, inverse_J, dv)
-            else:
-                for c in range(first, last):
-                    put(couple, c, (0.0, 0.0, 0.0))
+            amount = min(max(-work / speed, -most), most)
+            now = 0.0
+            for c in range(first, last):
+                now += dot(row(couple, c), turning)
+            rest, scale = abs(amount * speed - now), press * size * speed
+            differ = rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first]
+            left[first] = rest
+            some = some or differ
+            for c in range(first, last):
+                if differ:
+                    share = r[3 * c] / press if stays[c] and r[3 * c] > 0.0 else 0.0
+                    put(couple, c, times(share * amount / speed, turning))
+                other[c] = differ
+            total = (0.0, 0.0, 0.0)
+            for c in range(first, last):
+                total = along(total, 1.0, row(couple, c))
+            add_couple(a, -1.0, total, R, inverse_J, dv)
+            add_couple(b, 1.0, total, R, inverse_J, dv)
         else:
             for c in range(first, last):
                 put(couple, c, (0.0, 0.0, 0.0))
