@@ -98,6 +98,15 @@ class Half(_Half):
         """Whether the contacts found where the move begins are those of there."""
         return self.s.unmoved(self.looked, self.middle.placement, self.reach)
 
+    def wrench(self) -> Array | None:
+        """Impulses of external wrenches on the free bodies as of `Impulses`."""
+        force, torque = self.forces.force, self.forces.torque
+        if not (force.any() or torque.any()):
+            return None
+        turn = np.einsum("bij,bj->bi", self.middle.placement.R[: len(torque)], torque)
+        out: Array = self.h * np.concatenate((force, turn), axis=1)
+        return out
+
     def known(self, rate: Array, reach: Array, fast: bool, same: bool) -> Half:
         """The same with what has been found."""
         self.__dict__.update(rate=rate, reach=reach, fast=fast, same=same)
