@@ -124,7 +124,9 @@ class Wrenches(NamedTuple):
     @staticmethod
     def of(moves: list[tuple[float, float, Array | None]]) -> Wrenches | None:
         """From when impulses acted, how long moves were, and wrenches as of `Impulses`; None without any."""
-        acted = [(time, h, wrench, np.flatnonzero(wrench.any(axis=1))) for time, h, wrench in moves if wrench is not None]
+        acted = [
+            (time, h, wrench, np.flatnonzero(wrench.any(axis=1))) for time, h, wrench in moves if wrench is not None
+        ]
         if not acted:
             return None
         time, duration = (np.repeat([a[k] for a in acted], [a[3].size for a in acted]) for k in (0, 1))

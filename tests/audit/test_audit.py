@@ -233,13 +233,56 @@ def test_tolerances(trajectory):
         nd.check(trajectory, gap=1.0)
 
 
-def test_external_forces_are_not_recorded():
-    pushed = nd.simulate(scene(), duration=0.01, external_force=lambda t, q, v: {"can": (1.0, 0.0, 0.0)})
+def pushes():
+    """A box that sticks and slips to and fro, and a drone that nothing else touches."""
+    scene, material = nd.Scene(), nd.Material(mu=0.6)
+    scene.add_halfspace("ground", material=material)
+    scene.add_box("box", (0.2, 0.3, 0.1), 1.0, position=(0, 0, 0.05), material=material)
+    scene.add_box("drone", (0.2, 0.3, 0.1), 1.0, position=(0, 2, 1))
+
+    def force(t, q, v):
+        return {
+            "box": (12 * np.cos(7 * t), 3 * np.sin(5 * t), 0),
+            "drone": ((0, 0, 9.0 - v[8]), (0.002, 0.004 - 0.01 * v[10], 0.001)),
+        }
+
+    return nd.simulate(scene, 0.8, 2e-2, external_force=force)
+
+
+def test_external_forces_push_in_every_move_of_a_step():
+    """Where slip turns round a step is cut, and a force that changes is another in each of its moves."""
+    pushed = pushes()
+    c = pushed.columns
+    box = c["wrenches/body"] == 0
+    assert (c["wrenches/duration"][box] < 0.02).any()
     audit = nd.check(pushed)
-    assert audit.passed and audit["momentum"].reason == "external forces act"
+    assert audit.passed and audit.not_audited == UNSEEN, audit
+    assert max(audit["momentum"].worst, audit["spin"].worst) < 1e-13
+
+    def found(**other):
+        columns = c | {f"wrenches/{name}": values for name, values in other.items()}
+        return {f.name for f in nd.check(nd.Trajectory(pushed.meta, pushed.scene, columns)).findings if not f.passed}
+
+    assert "momentum" in found(impulse=np.where(box[:, None], 1.0 + 1e-6, 1.0) * c["wrenches/impulse"])
+    assert {"momentum", "spin"} <= found(body=1 - c["wrenches/body"])
+    first = np.flatnonzero(box & (c["wrenches/duration"] < 0.02))[:2]
+    moved = c["wrenches/impulse"].copy()
+    moved[first, 0] += 1e-4, -1e-4
+    assert {"velocities", "sideways"} <= found(impulse=moved)  # of which the sum is the same
+    for name in ("time", "duration"):
+        assert "times" in found(**{name: 1.0001 * c[f"wrenches/{name}"]})
+
+
+def test_external_forces_of_older_recordings_are_not_known():
+    pushed = pushes()
+    columns = {name: x for name, x in pushed.columns.items() if not name.startswith("wrenches/")}
+    columns["contacts/duration"] = np.full(len(columns["contacts/time"]), np.nan)
+    old = nd.Trajectory(pushed.meta, pushed.scene, columns)
+    audit = nd.check(old)
+    assert audit["momentum"].reason == "external forces act"
     assert np.isnan(audit["momentum"].worst) and "not audited" in repr(audit)
-    del pushed.meta["external_force"]  # as in older recordings
-    assert "is not recorded" in nd.check(pushed)["spin"].reason
+    del old.meta["external_force"]  # as in still older ones
+    assert "is not recorded" in nd.check(old)["spin"].reason
 
 
 def test_links(tmp_path):
