@@ -28,8 +28,8 @@ CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 class Flight:
     """Where free bodies are in each step when its impulses act on them.
 
-    With impulses r_j at the times t_j within a step, with those of external wrenches where they are recorded, and w what
-    other forces change of the velocity,
+    With impulses r_j at the times t_j within a step, with those of external wrenches where these are recorded, and w
+    what other forces change of the velocity,
 
         x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + what w moves,
 
@@ -204,7 +204,7 @@ def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array
     """How free bodies are turned after each step, (n, free, 4), and when each moment acts, (moments, 4).
 
     Then the angular velocities before and after each, world axes, (2, moments, 3), rad/s. The moments, on body
-    row % free in step row // free, are sorted by row and time. Where external wrenches are not recorded they act as those
+    row % free in step row // free, are sorted by row and time. External wrenches that are not recorded act where those
     of a step in one piece do.
     """
     t, free = poses.trajectory, poses.free

@@ -156,9 +156,10 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     u = np.where(_rebounding(poses, c, step)[:, None], 0.0, c["u"][:, 1:])
     power = (r[:, 1:] * u).sum(axis=1)
     if flight is not None and flight.timed:
-        # Of what strikes and rests then, by a law that has friction against the mean slip, it is that.
+        # Of what strikes and rests then it is the mean slip, and by Frémond's law of all that impacts push.
         mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1)
-        power = np.where(c["restitution"] > 0.0, np.fmin(power, mean), power)
+        by_mean = str(t.meta.get("impact", "")).lower().startswith("fremond") & flight.instant
+        power = np.where(by_mean | (c["restitution"] > 0.0), np.fmin(power, mean), power)
     yield worst_of("friction", power / at_play(poses), power, step, names)
     most = _rubbed(r, mu, u)
     if flight is not None and flight.timed:

@@ -52,7 +52,7 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /pieces/actuation, limit, friction, external, shift, strength, drive
                                                    (., nv)  as of /joints
     /wrenches/offset                               (n+1,)  external wrenches on free bodies in the moves of step k,
-                                                   those that are not 0, are rows offset[k-1] to offset[k] of the following;
+                                                   not 0, are rows offset[k-1] to offset[k] of these;
                                                    only in runs with external forces; since version 10
     /wrenches/body, time, duration                 (.,)  number of the body, s after the beginning of the step, s of the
                                                    move, as of /contacts
@@ -76,9 +76,9 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
 them, so that the ledger closes, as are `/joints`, `/links`, `/solver/iterations`, `time` and `/wall_time`; `shift`,
 `bound` and `coulomb` are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the
-last, their impulses and works too; there are no `/pieces` and `/wrenches`. With contacts false there are none of these.
-A recording that is complete is compressed (byte shuffle and gzip) and has names of axes (`nsdyn.recording.labels`); every dataset has its
-units, and the file the attributes of /meta.
+last, their impulses and works too; there are no `/pieces` and `/wrenches`. With contacts false there are none. A
+recording that is complete is compressed (byte shuffle and gzip) and has names of axes (`nsdyn.recording.labels`);
+every dataset has its units, and the file the attributes of /meta.
 """
 
 from __future__ import annotations

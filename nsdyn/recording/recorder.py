@@ -68,8 +68,8 @@ class Recorder:
     Notes
     -----
     `append(step)` reads t, q, v, frames_x, frames_quat, the mapping energy, joints, links, pieces and wrenches as of
-    `nsdyn.stepping.state.Step`, and what `STEP` and `CONTACT` of `nsdyn.recording.columns` name, at its path. It
-    keeps references to these for a while: the arrays must not be changed afterwards. Of a step whose `untold` is not None
+    `nsdyn.stepping.state.Step`, and what `STEP` and `CONTACT` of `nsdyn.recording.columns` name, at its path. It keeps
+    references to these for a while: the arrays must not be changed afterwards. Of a step whose `untold` is not None
     only that is kept. It has nc, the number of contacts, and methods `steps` and `contacts`, which take the `untold` of
     m steps in a row with as many contacts, and return an object with these attributes as arrays: with a leading axis of
     m, and those of contacts with leading axes that (m, nc) fits.

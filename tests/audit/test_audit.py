@@ -361,6 +361,19 @@ def test_friction_of_what_rebounds_opposes_the_slip_of_each_impact(impact):
     assert audit.passed, audit
 
 
+def test_friction_of_fremonds_law_opposes_the_mean_slip_of_what_does_not_rebound_too():
+    """A box that slides is stopped, and more, where a ball strikes it; it does not bounce on the ground."""
+    scene, rough = nd.Scene(), nd.Material(mu=0.9)
+    scene.add_halfspace("ground", material=rough)
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), linear_velocity=(0.3, 0, -1), material=rough)
+    scene.add_sphere("ball", 0.05, 1.0, position=(0, 0, 0.3), linear_velocity=(0, 0, -3), material=rough)
+    scene.set_pair("box", "ball", restitution=0.6)
+    run = nd.simulate(scene, 0.1, dt=5e-3, impact="fremond")
+    assert nd.check(run).passed, nd.check(run)
+    run.meta["impact"] = "Newton()"  # which has no friction that drives
+    assert not nd.check(run)["friction"].passed
+
+
 def bounces():
     """A ball with spin that bounces on a rough plane, between the ends of steps."""
     scene, material = nd.Scene(), nd.Material(mu=0.2, restitution=0.5)
