@@ -349,6 +349,23 @@ def test_bodies_that_the_scene_squeezes_are_not_the_motions_overlap():
     assert not finding.passed and finding.step == 2 and finding.amount == pytest.approx(4e-8, rel=1e-6)
 
 
+def test_contacts_of_grains_sink_by_what_the_solver_leaves():
+    """Boxes of 0.1 mm, of which that is more than passes of larger ones; what a recording tells hides no more."""
+    scene, turned = nd.Scene(gravity=(0, 0, -9.81e-3)), np.array((0.5, 0.0, 0.7, 0.5))
+    scene.add_halfspace("ground", material=nd.Material(mu=0.3))
+    for k in range(3):
+        at, turn = np.array((0.1 * k, 0.05 * k, 1 + 1.3 * k)), turned / np.linalg.norm(turned)
+        scene.add_box(f"grain{k}", (1e-4, 7e-5, 6e-5), 1e-6, position=1e-4 * at, quaternion=turn)
+    run = nd.simulate(scene, 0.6, 5e-3)
+    overlap = nd.check(run)["overlap"]
+    assert overlap.passed and 1e-7 * 6e-5 < overlap.amount < 5e-11, overlap
+    run.q[-1, 2] -= 1e-10
+    assert not nd.check(run)["overlap"].passed
+    run.q[-1, 2] -= 1e-7
+    run.meta["solver"] = "Auto(tol=1.0)"
+    assert not nd.check(run)["overlap"].passed
+
+
 @pytest.mark.parametrize("impact", ["poisson", "fremond"])
 def test_friction_of_what_rebounds_opposes_the_slip_of_each_impact(impact):
     """Not that of the end: a ball on another one, both with spin, fall on a plane that is rough."""
