@@ -259,8 +259,8 @@ def test_external_forces_push_in_every_move_of_a_step():
     assert audit.passed and audit.not_audited == UNSEEN, audit
     assert max(audit["momentum"].worst, audit["spin"].worst) < 1e-13
 
-    def found(**other):
-        columns = c | {f"wrenches/{name}": values for name, values in other.items()}
+    def found(group="wrenches", **other):
+        columns = c | {f"{group}/{name}": values for name, values in other.items()}
         return {f.name for f in nd.check(nd.Trajectory(pushed.meta, pushed.scene, columns)).findings if not f.passed}
 
     assert "momentum" in found(impulse=np.where(box[:, None], 1.0 + 1e-6, 1.0) * c["wrenches/impulse"])
@@ -269,6 +269,7 @@ def test_external_forces_push_in_every_move_of_a_step():
     moved = c["wrenches/impulse"].copy()
     moved[first, 0] += 1e-4, -1e-4
     assert {"velocities", "sideways"} <= found(impulse=moved)  # of which the sum is the same
+    assert "contact_works" in found("contacts", work_friction=1.01 * c["contacts/work_friction"])
     for name in ("time", "duration"):
         assert "times" in found(**{name: 1.0001 * c[f"wrenches/{name}"]})
 
