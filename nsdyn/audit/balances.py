@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn.audit.findings import Found, at_play, not_audited, of_bodies, worst_of
 from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
-from nsdyn.audit.pushes import UNTIMED, Times, velocities
+from nsdyn.audit.pushes import GIVEN, UNTIMED, Pushes, Times, velocities
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out
@@ -32,7 +32,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
         yield from (not_audited(name, why) for name in ("sideways", "lifts"))
     else:
         yield from _lifts(poses, flight)
-    if t.meta.get("external_force", True) and free:
+    if t.meta.get("external_force", True) and free and GIVEN not in t.columns:
         known = "external_force" in t.meta
         reason = "external forces act" if known else "whether external forces act is not recorded"
     if reason or flight is None:
@@ -97,13 +97,15 @@ def _outside(poses: Poses) -> Array:
     begin = times.time - (1.0 - float(t.meta["theta"])) * times.length
     end = begin + times.length
     np.maximum.at(out, poses.step, np.max([-begin, end - t.dt, begin - end], axis=0))
-    side, row = np.nonzero((poses.frame[poses.pair] >= 0) & (poses.frame[poses.pair] < poses.free))
-    body = poses.frame[poses.pair][side, row]
-    row = row[order := np.lexsort(((begin + end)[row], body, poses.step[row]))]
-    one, other = row[:-1], row[1:]
-    next_ = (body[order][:-1] == body[order][1:]) & (poses.step[one] == poses.step[other])
+    pushes = Pushes.of(poses, times, np.zeros((poses.step.size, 3)))
+    begin = pushes.time - (1.0 - float(t.meta["theta"])) * pushes.length
+    end = begin + pushes.length
+    np.maximum.at(out, pushes.step, np.max([-begin, end - t.dt, begin - end], axis=0))
+    order = np.lexsort((begin + end, pushes.body, pushes.step))
+    one, other = order[:-1], order[1:]
+    next_ = (pushes.body[one] == pushes.body[other]) & (pushes.step[one] == pushes.step[other])
     same = (begin[one] == begin[other]) & (end[one] == end[other])
-    np.maximum.at(out, poses.step[other], np.where(next_ & ~same, end[one] - begin[other], 0.0))
+    np.maximum.at(out, pushes.step[other], np.where(next_ & ~same, end[one] - begin[other], 0.0))
     return out
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.pushes import Pushes, Times, together, velocities
+from nsdyn.audit.pushes import GIVEN, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -28,7 +28,8 @@ CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 class Flight:
     """Where free bodies are in each step when its impulses act on them.
 
-    With impulses r_j at the times t_j within a step, and w what forces change of the velocity,
+    With impulses r_j at the times t_j within a step, with those of external wrenches where these are recorded, and w
+    what other forces change of the velocity,
 
         x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + what w moves,
 
@@ -39,9 +40,9 @@ class Flight:
     Attributes
     ----------
     impulse, torque : ndarray, shape (n, free, 3)
-        Σ r, N·s, and Σ (p - x(t_j)) × r and couples, about where the bodies are then, N·m·s.
+        Σ r, N·s, and Σ (p - x(t_j)) × r and couples, about where the bodies are then, N·m·s; with external wrenches.
     size, levers : ndarray, shape (n, free)
-        Σ ‖r‖, and Σ ‖p - x‖ ‖r‖.
+        Σ ‖r‖, and Σ ‖p - x‖ ‖r‖, with the moments of external wrenches.
     lift : ndarray, shape (n, free, 3)
         Where bodies end - where this brings them, m: what the projection has lifted them.
     unknown, within : ndarray, shape (n, free)
@@ -85,10 +86,10 @@ class Flight:
         t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
         c, h, shape = t.columns, t.dt, (t.steps, free)
         axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
-        geoms, steps = poses.pair.T, poses.step
-        times, r = Times.of(poses), np.einsum("ci,cij->cj", c["contacts/impulse"], axes)
-        pushes, cut = Pushes.of(poses.frame[geoms], free, steps, times, r), times.cut(poses)
-        row, side, step, body, time, length, push = pushes
+        geoms, times = poses.pair.T, Times.of(poses)
+        pushes = Pushes.of(poses, times, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
+        row, _, step, body, time, length, push, couple = pushes
+        cut, met = pushes.cut(poses), row >= 0
         mass, impulse = np.array(poses.scene["masses"]), pushes.summed(shape, push)
         moments, before = pushes.summed(shape, time[:, None] * push), velocities(poses)[:-1]
         forced = np.diff(velocities(poses), axis=0) - impulse / mass[:, None]
@@ -99,9 +100,10 @@ class Flight:
         way = time[:, None] * pushes.earlier(push) - pushes.earlier(time[:, None] * push)
         fall = (begun * (time - 0.5 * begun) / h)[:, None] * forced[step, body]
         at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
-        arm, size = c["contacts/point"][row] - at, np.linalg.norm(push, axis=1)
-        # Of older recordings, which have none of it, the angular momentum is not audited.
-        moment = np.cross(arm, push) + np.where(side, 1.0, -1.0)[:, None] * np.nan_to_num(c["contacts/couple"][row])
+        arm, size = np.zeros(at.shape), np.linalg.norm(push, axis=1)
+        arm[met] = c["contacts/point"][row[met]] - at[met]
+        # Of older recordings, which have no couples, the angular momentum is not audited.
+        moment = np.cross(arm, push) + couple
         turned, then, turning = _turned(poses, step * free + body, time, moment)
         sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
         own = _sides(poses, pushes, (before, forced, begun / h), (at, arm, then, turning))
@@ -114,7 +116,8 @@ class Flight:
         np.maximum.at(within, (step, body), unknown[step, body] + sunk)
         off = (unknown + np.linalg.norm(lift, axis=2))[step, body] + sunk
         off += 2.0 * np.linalg.norm(arm, axis=1) * lifted[step, body]
-        levers = pushes.summed(shape, size * np.linalg.norm(arm, axis=1))
+        turns = np.where(met, size * np.linalg.norm(arm, axis=1), np.linalg.norm(couple, axis=1))
+        levers = pushes.summed(shape, turns)
         doubt = np.where(cut[step, body], _fastest(poses, levers)[step, body] * off, 0.0)
         return cls(
             impulse,
@@ -127,7 +130,7 @@ class Flight:
             turned,
             lifted,
             Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),
-            np.bincount(row, doubt, len(n)).astype(float),
+            np.bincount(row[met], doubt[met], len(n)).astype(float),
             cut,
             times.length == 0.0,
             times.known,
@@ -201,14 +204,14 @@ def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array
     """How free bodies are turned after each step, (n, free, 4), and when each moment acts, (moments, 4).
 
     Then the angular velocities before and after each, world axes, (2, moments, 3), rad/s. The moments, on body
-    row % free in step row // free, are sorted by row and time. What else changes angular momenta in a step, as external
-    forces do, acts where those of a step in one piece do.
+    row % free in step row // free, are sorted by row and time. External wrenches that are not recorded act where those
+    of a step in one piece do.
     """
     t, free = poses.trajectory, poses.free
     q, w = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), poses.v[:-1, :, 3:].reshape(-1, 3).copy()
     inertia, now = np.tile(_inertias(poses), (t.steps, 1, 1)), np.zeros(t.steps * free)
     given, order = row.size, np.arange(row.size)
-    if t.meta.get("external_force", False):
+    if t.meta.get("external_force", False) and GIVEN not in t.columns:
         rest = np.diff(spins(poses), axis=0).reshape(-1, 3)
         np.subtract.at(rest, row, moment)
         late = (1.0 - float(t.meta["theta"])) * t.dt

@@ -1,4 +1,4 @@
-"""Impulses on free bodies, one by one: when they act in their step, and how long the move takes that they act in."""
+"""What pushes free bodies, one by one: when it acts in its step, and how long the move takes that it acts in."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from nsdyn.audit.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["UNTIMED", "Pushes", "Times", "together", "velocities"]
+__all__ = ["GIVEN", "UNTIMED", "Pushes", "Times", "together", "velocities"]
 
+
+GIVEN = "wrenches/offset"
+"""Is among the columns where external wrenches on free bodies are recorded."""
 
 UNTIMED = "in what moves impulses acted is not recorded"
 """Why what hangs on it is not audited of older recordings."""
@@ -21,15 +24,17 @@ UNTIMED = "in what moves impulses acted is not recorded"
 class Pushes(NamedTuple):
     """Impulses on free bodies, one by one, sorted by step, body and time; two of a contact of two free bodies.
 
+    And external wrenches, where these are recorded.
+
     Attributes
     ----------
     row, side : ndarray of int, shape (m,)
-        Of the contact, and 0 or 1 for its first or second body.
+        Of the contact, and 0 or 1 for its first or second body; -1 of wrenches.
     step, body : ndarray of int, shape (m,)
     time, length : ndarray, shape (m,)
         Within the step, s, and of the move that it acts in, 0 of an impact in no time.
-    push : ndarray, shape (m, 3)
-        World axes, N·s.
+    push, couple : ndarray, shape (m, 3)
+        Impulse and couple on the body, world axes, N·s and N·m·s; 0 for couples that are not recorded.
     """
 
     row: Index
@@ -39,15 +44,32 @@ class Pushes(NamedTuple):
     time: Array
     length: Array
     push: Array
+    couple: Array
 
     @classmethod
-    def of(cls, frames: Index, free: int, step: Index, times: Times, impulse: Array) -> Pushes:
-        """From the frames (contacts, 2) and the impulses (contacts, 3) on the second ones."""
-        row, side = np.nonzero((frames >= 0) & (frames < free))
-        body, push = frames[row, side], np.where(side, 1.0, -1.0)[:, None] * impulse[row]
-        order = np.lexsort((times.length[row], times.time[row], body, step[row]))
-        row, side = row[order], side[order]
-        return cls(row, side, step[row], body[order], times.time[row], times.length[row], push[order])
+    def of(cls, poses: Poses, times: Times, impulse: Array) -> Pushes:
+        """Of a recording; from the impulses (contacts, 3) on the second bodies of its contacts."""
+        frames = poses.frame[poses.pair].T
+        row, side = np.nonzero((frames >= 0) & (frames < poses.free))
+        sign, couple = np.where(side, 1.0, -1.0)[:, None], np.nan_to_num(poses.contacts["couple"])
+        columns: list[Any] = [row, side, poses.step[row], frames[row, side], times.time[row], times.length[row]]
+        columns += [sign * impulse[row], sign * couple[row]]
+        if times.known and GIVEN in (c := poses.trajectory.columns):
+            count, twist = np.diff(c[GIVEN]), c["wrenches/impulse"]
+            none, step = np.full(count.sum(), -1), np.repeat(np.arange(count.size), count)
+            given = [none, none, step, *(c[f"wrenches/{name}"] for name in ("body", "time", "duration"))]
+            given += [twist[:, :3], twist[:, 3:]]
+            columns = [np.concatenate(both) for both in zip(columns, given, strict=True)]
+        order = np.lexsort((columns[5], columns[4], columns[3], columns[2]))
+        return cls(*(column[order] for column in columns))
+
+    def cut(self, poses: Poses) -> Bools:
+        """`Flight.cut`: whether anything pushes a body in less than the step, or it fell in pieces."""
+        whole = np.ones((poses.trajectory.steps, poses.free), np.bool_)
+        met, short = ~whole, self.length < poses.trajectory.dt
+        met[self.step, self.body] = True
+        whole[self.step[short], self.body[short]] = False
+        return np.where(met, ~whole, _fell_in_pieces(poses))
 
     def summed(self, shape: tuple[int, int], values: Array) -> Array:
         """Sums of values of each impulse by steps and bodies."""
@@ -93,17 +115,6 @@ class Times(NamedTuple):
         if known:
             return cls(c["time"], c["duration"], True)
         return cls(np.full(poses.step.size, late * h), np.full(poses.step.size, h), False)
-
-    def cut(self, poses: Poses) -> Bools:
-        """`Flight.cut`: whether any contact of a body acts in less than the step, or it fell in pieces."""
-        out, whole = _fell_in_pieces(poses), np.ones((poses.trajectory.steps, poses.free), np.bool_)
-        met = ~whole
-        for side in poses.frame[poses.pair]:
-            own = (side >= 0) & (side < poses.free)
-            met[poses.step[own], side[own]] = True
-            short = own & (self.length < poses.trajectory.dt)
-            whole[poses.step[short], side[short]] = False
-        return np.where(met, ~whole, out)
 
 
 def _fell_in_pieces(poses: Poses) -> Bools:

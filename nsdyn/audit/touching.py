@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from nsdyn.audit.findings import Found, at_play, not_audited, worst_of
+from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
 from nsdyn.audit.flight import Flight
 from nsdyn.audit.overlap import separation
 from nsdyn.audit.poses import Poses
@@ -30,6 +31,9 @@ POINT = Solid.described({"shape": "sphere", "size": (0.0, 0.0, 0.0)})
 
 Moment = tuple[tuple[Array, Array], tuple[Array, Array]]
 """World poses (R, x) of the first and the second shapes of contacts."""
+
+SLOW = 0.01
+"""m/s: a contact may sink for as long as this takes to go the size of its bodies, but for no longer than a step."""
 
 PARTING = 1e-4
 """m/s, above which what has restitution rebounds: the residual that a solve may have that is accepted."""
@@ -66,8 +70,18 @@ def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
     """True overlaps in all states, the worst by size or in m."""
     depth, first, second, state = separations(poses)
     depth = depth - _squeezed(poses, depth, first * len(poses.names) + second, state)
-    figure = depth / poses.size(first, second) if by_size else depth
+    size = poses.size(first, second)
+    figure = (depth - _sunk(poses, size)) / size if by_size else depth
     yield worst_of("overlap", figure, depth, state, poses.named(first, second))
+
+
+def _sunk(poses: Poses, size: Array) -> Array:
+    """What the solver's tolerance lets contacts of bodies of such a size sink in a step, m."""
+    t = poses.trajectory
+    told = re.search(r"\btol=(\d+(?:\.\d*)?(?:e[+-]?\d+)?)", str(t.meta.get("solver", "")))
+    tol = min(float(told[1]), TOLERANCES["velocities"]) if told else 0.0
+    out: Array = tol * np.minimum(t.dt, size / SLOW)
+    return out
 
 
 def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:
@@ -156,9 +170,10 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     u = np.where(_rebounding(poses, c, step)[:, None], 0.0, c["u"][:, 1:])
     power = (r[:, 1:] * u).sum(axis=1)
     if flight is not None and flight.timed:
-        # Of what strikes and rests then, by a law that has friction against the mean slip, it is that.
+        # Of what strikes and rests then it is the mean slip, and by Frémond's law of all that impacts push.
         mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1)
-        power = np.where(c["restitution"] > 0.0, np.fmin(power, mean), power)
+        by_mean = str(t.meta.get("impact", "")).lower().startswith("fremond") & flight.instant
+        power = np.where(by_mean | (c["restitution"] > 0.0), np.fmin(power, mean), power)
     yield worst_of("friction", power / at_play(poses), power, step, names)
     most = _rubbed(r, mu, u)
     if flight is not None and flight.timed:

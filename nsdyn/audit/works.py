@@ -10,7 +10,7 @@ import numpy as np
 from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
 from nsdyn.audit.flight import Flight, spins
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.pushes import UNTIMED, together
+from nsdyn.audit.pushes import GIVEN, UNTIMED, together
 from nsdyn.audit.retraced import Retraced
 from nsdyn.audit.told import JAM
 from nsdyn.audit.touching import apart
@@ -105,10 +105,9 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     of[order] = group
     several = np.bincount(of, bounces, begin.size)[of] > 0.0
     frames = poses.frame[poses.pair]
-    hidden = np.isnan(u).any(axis=1) | (
-        bool(t.meta.get("external_force", True)) & ((0 <= frames) & (frames < poses.free)).any(axis=0)
-    )
-    blind = np.bincount(of, hidden | (frames >= poses.free).any(axis=0), begin.size)[of] > 0.0
+    given = bool(t.meta.get("external_force", True)) & ((0 <= frames) & (frames < poses.free)).any(axis=0)
+    hidden = np.isnan(u).any(axis=1) | (given & (GIVEN not in t.columns))
+    blind = np.bincount(of, hidden | given | (frames >= poses.free).any(axis=0), begin.size)[of] > 0.0
     single, joint = ~several & ~hidden, several & ~blind
     # Forces that act with them work along one of the parts.
     fell = t.dt * float(np.linalg.norm(t.scene["gravity"])) * size * (bounces & ~flight.instant)

@@ -51,6 +51,13 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
     /pieces/moves                                  (., nv)  1 for the coordinates of its island, 0 for others
     /pieces/actuation, limit, friction, external, shift, strength, drive
                                                    (., nv)  as of /joints
+    /wrenches/offset                               (n+1,)  external wrenches on free bodies in the moves of step k,
+                                                   not 0, are rows offset[k-1] to offset[k] of these;
+                                                   only in runs with external forces; since version 10
+    /wrenches/body, time, duration                 (.,)  number of the body, s after the beginning of the step, s of the
+                                                   move, as of /contacts
+    /wrenches/impulse                              (., 6)  force and moment about the centre of mass, world, N s and
+                                                   N m s
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
                                                    rows offset[k-1] to offset[k] of
     /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
@@ -69,9 +76,9 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
 them, so that the ledger closes, as are `/joints`, `/links`, `/solver/iterations`, `time` and `/wall_time`; `shift`,
 `bound` and `coulomb` are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the
-last, their impulses and works too; there are no `/pieces`. With contacts false there are none. A recording that is
-complete is compressed (byte shuffle and gzip) and has names of axes (`nsdyn.recording.labels`); every dataset has its
-units, and the file the attributes of /meta.
+last, their impulses and works too; there are no `/pieces` and `/wrenches`. With contacts false there are none. A
+recording that is complete is compressed (byte shuffle and gzip) and has names of axes (`nsdyn.recording.labels`);
+every dataset has its units, and the file the attributes of /meta.
 """
 
 from __future__ import annotations
@@ -103,6 +110,7 @@ __all__ = [
     "STEP",
     "STEPS",
     "WORKS",
+    "WRENCHES",
     "Columns",
     "ContactColumn",
     "StepColumn",
@@ -197,6 +205,7 @@ ON_JOINTS = {**IMPULSES, "shift": "rad or m", "strength": "N m s or N s", "drive
 JOINTS = [f"joints/{name}" for name in ON_JOINTS]
 ON_LINKS = "links/impulse"
 PIECES = {"begin": "f8", "duration": "f8", "contacts": "i8", "moves": "i1", **dict.fromkeys(ON_JOINTS, "f8")}
+WRENCHES = {"body": "i4", "time": "f8", "duration": "f8", "impulse": "f8"}
 STEPS = [*(f"energy/{name}" for name in WORKS), *STEP, "wall_time"]
 # Columns that older files lack: (version, column, those that it is the sum of, its value without any).
 ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
@@ -214,4 +223,4 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
 # Attributes of /meta that older files lack.
 ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": "", "polish": False}
 CONTACTS = [f"contacts/{name}" for name in CONTACT]
-RAGGED = ("contacts", "pieces")
+RAGGED = ("contacts", "pieces", "wrenches")

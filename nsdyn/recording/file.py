@@ -35,6 +35,7 @@ from nsdyn.recording.columns import (
     STATES,
     STEP,
     STEPS,
+    WRENCHES,
     Columns,
 )
 from nsdyn.tools.datasets import check_heaps, created, dataset
@@ -61,13 +62,13 @@ place, so that one that grows, a few rows at a time, would become larger than wi
 
 
 def _row_counts(names: Iterable[str], states: int, ends: Mapping[str, int]) -> dict[str, int]:
-    """Count the rows of each dataset in a recording of that many states; `ends` are those of contacts and pieces."""
+    """Count the rows of each dataset in a recording of that many states; `ends` are those of `RAGGED`."""
     count = dict.fromkeys([*STATES, *LINKS, *(f"{group}/offset" for group in ends)], states)
     return {name: count.get(name, ends.get(name.partition("/")[0], states - 1)) for name in names}
 
 
 def _ends(source: Mapping[str, Any], row: int) -> dict[str, int]:
-    """How many contacts and pieces, where there are any, a file or columns have until a row."""
+    """How many rows of each of `RAGGED`, where there are any, a file or columns have until a row."""
     return {group: int(source[f"{group}/offset"][row]) for group in RAGGED if f"{group}/offset" in source}
 
 
@@ -195,10 +196,11 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     if not states:
         raise ValueError("/t has no rows")
     joints = [name for name in (*JOINTS, ON_LINKS) if name in file]
-    pieces = ["pieces/offset", *(f"pieces/{name}" for name in PIECES)] if "pieces" in file else []
-    offsets = [name for name in (*STATES, *pieces) if name.endswith("/offset")]
+    of_cut = {"pieces": PIECES, "wrenches": WRENCHES}
+    parts_of_steps = [f"{g}/{name}" for g, names in of_cut.items() if g in file for name in ("offset", *names)]
+    offsets = [name for name in (*STATES, *parts_of_steps) if name.endswith("/offset")]
     ends = _ends({name: schema.column(file, name, states, "i8", ()) for name in offsets}, -1)
-    names = STATES + (LINKS if "frames" in file else []) + steps + joints + pieces + contacts
+    names = STATES + (LINKS if "frames" in file else []) + steps + joints + parts_of_steps + contacts
     rows = _row_counts(names, states, ends)
     columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
     for name, size in _row_counts(absent, states, ends).items():
@@ -221,6 +223,8 @@ def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
         return STEP[name].kind, ()
     if group == "pieces" and inner != "offset":
         return PIECES[inner], (None,) if inner in (*ON_JOINTS, "moves") else ()
+    if group == "wrenches" and inner != "offset":
+        return WRENCHES[inner], (6,) if inner == "impulse" else ()
     row: tuple[str, tuple[int | None, ...]] = ("f8", (None,))
     return {
         "q": row,
@@ -229,6 +233,5 @@ def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
         ON_LINKS: ("f8", (None, 6)),
         "frames/x": ("f8", (None, 3)),
         "frames/quat": ("f8", (None, 4)),
-        "contacts/offset": ("i8", ()),
-        "pieces/offset": ("i8", ()),
+        **dict.fromkeys((f"{group}/offset" for group in RAGGED), ("i8", ())),
     }.get(name, ("f8", ()))

@@ -68,6 +68,6 @@ class Kept:
 
 
 def _group(name: str) -> str:
-    """Which columns have as many rows: those of contacts, of pieces, or of steps."""
+    """Which columns have as many rows: those of one of `RAGGED`, or of steps."""
     group, _, inner = name.partition("/")
     return group if group in RAGGED and inner != "offset" else "steps"

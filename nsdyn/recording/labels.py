@@ -9,7 +9,7 @@ reads. Scales that the layout of `nsdyn.recording.columns` does not name are::
     /body, /shape                names of the moving bodies of /frames, of the shapes of /contacts/geom1 and geom2
     /axis, /quaternion, /side, /wrench
                                  x y z; x y z w; N T1 T2; force and moment
-    /contacts/contact, /pieces/piece
+    /contacts/contact, /pieces/piece, /wrenches/row
                                  (.,)   s, ends of the steps that they are of
 
 Groups have those that their datasets use, by hard links.
@@ -39,19 +39,23 @@ UNITS = {
     "links/impulse": "N s or N m s",
     "pieces/begin": "s",
     "pieces/duration": "s",
+    "wrenches/time": "s",
+    "wrenches/duration": "s",
+    "wrenches/impulse": "N s or N m s",
     **{f"{group}/{name}": unit for group in ("joints", "pieces") for name, unit in ON_JOINTS.items()},
     **{f"contacts/{name}": column.unit for name, column in CONTACT.items()},
 }
 """Of datasets, or of all others of a group; else 1."""
 
 STATES = ("t", "q", "v", "frames/x", "frames/quat", "energy/kinetic", "energy/potential")
-ROWS = {"contacts": "contacts/contact", "pieces": "pieces/piece"}
+ROWS = {"contacts": "contacts/contact", "pieces": "pieces/piece", "wrenches": "wrenches/row"}
 COLUMNS: dict[str, tuple[str, ...]] = {
     "q": ("coordinate",),
     "v": ("velocity",),
     "frames/x": ("body", "axis"),
     "frames/quat": ("body", "quaternion"),
     "links/impulse": ("link", "wrench"),
+    "wrenches/impulse": ("wrench",),
     "contacts/u": ("side",),
     "contacts/impulse": ("side",),
     **dict.fromkeys((f"contacts/{name}" for name in ("point", "normal", "tangent", "couple")), ("axis",)),

@@ -67,7 +67,7 @@ class Recorder:
 
     Notes
     -----
-    `append(step)` reads t, q, v, frames_x, frames_quat, the mapping energy, joints, links and pieces as of
+    `append(step)` reads t, q, v, frames_x, frames_quat, the mapping energy, joints, links, pieces and wrenches as of
     `nsdyn.stepping.state.Step`, and what `STEP` and `CONTACT` of `nsdyn.recording.columns` name, at its path. It keeps
     references to these for a while: the arrays must not be changed afterwards. Of a step whose `untold` is not None
     only that is kept. It has nc, the number of contacts, and methods `steps` and `contacts`, which take the `untold` of
@@ -87,7 +87,7 @@ class Recorder:
         state: State | None = None,
         expected: int = 0,
     ) -> None:
-        columns = rows.begin(first) | rows.none(scene, _left_out({**ADDED_META, **meta}))
+        columns = rows.begin(first) | rows.none(scene, _left_out({**ADDED_META, **meta}), _pushed(meta, scene))
         self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()), expected)
 
     def _begin(
@@ -212,7 +212,8 @@ class Recorder:
         """Put the rows that are complete into arrays."""
         every = self.meta["every"]
         if size := len(self._steps) // every * every:
-            block, *contacts = rows.pack(self._steps[:size], every, self.meta["contacts"], self._carriers)
+            shown, pushed = self.meta["contacts"], _pushed(self.meta, self.scene)
+            block, *contacts = rows.pack(self._steps[:size], every, shown, self._carriers, pushed)
             wall, ends = np.array(self._wall[:size]).reshape(-1, every), dict(self._ends)
             block[0]["wall_time"] = wall.sum(axis=1)
             for name, end in ends.items():
@@ -267,6 +268,11 @@ def _refuse(path: str | Path, found: Any, given: Any, name: str) -> None:
 
 def _short(value: Any) -> str:
     return f"a list of {len(value)}" if isinstance(value, list) else repr(value)
+
+
+def _pushed(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> bool:
+    """Whether there are free bodies that external forces may push."""
+    return bool(meta.get("external_force", False)) and scene["free"] > 0
 
 
 def _left_out(meta: Mapping[str, Any]) -> bool:

@@ -19,9 +19,11 @@ from nsdyn.recording.columns import (
     ON_JOINTS,
     ON_LINKS,
     PIECES,
+    RAGGED,
     STATES,
     STEP,
     WORKS,
+    WRENCHES,
     Columns,
 )
 from nsdyn.recording.kept import Part
@@ -31,7 +33,7 @@ __all__ = ["begin", "keep", "none", "pack"]
 
 _STATE = "t", "q", "v", "frames_x", "frames_quat", "energy"
 _read_state = attrgetter(*_STATE)
-_read_step = attrgetter(*_STATE, "joints", "links", "pieces", *(column.path for column in STEP.values()))
+_read_step = attrgetter(*_STATE, "joints", "links", "pieces", "wrenches", *(column.path for column in STEP.values()))
 _read_contacts = attrgetter(*(column.path for column in CONTACT.values()))
 
 
@@ -57,8 +59,8 @@ def begin(state: Any) -> Columns:
     return _columns(_stacked([_read_state(state)]))
 
 
-def none(scene: Mapping[str, Any], links: bool) -> Columns:
-    """Columns of no steps, of all that is recorded of steps; with what acts on the links, if that is."""
+def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
+    """Columns of no steps, of all that is recorded of steps; with what acts on links and free bodies, if that is."""
     kinds = dict.fromkeys([f"energy/{name}" for name in WORKS], "f8") | {n: c.kind for n, c in STEP.items()}
     out = {name: np.empty(0, kind) for name, kind in kinds.items()}
     for name, c in CONTACT.items():
@@ -69,10 +71,12 @@ def none(scene: Mapping[str, Any], links: bool) -> Columns:
         out |= dict.fromkeys(JOINTS, nothing) | _pieces((), nothing.shape[1]) | {"pieces/offset": np.zeros(1, np.int64)}
         if links:
             out[ON_LINKS] = np.empty((0, len(link_names.joints(scene)), 6))
+    if pushed:
+        out |= _wrenches(()) | {"wrenches/offset": np.zeros(1, np.int64)}
     return out
 
 
-def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | None) -> list[Part]:
+def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | None, pushed: bool) -> list[Part]:
     """Columns of steps but for wall times, with counts in place of offsets.
 
     Parameters
@@ -85,10 +89,14 @@ def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | Non
         Whether they are recorded.
     carriers : ndarray of int, optional
         As of `link_names.carriers`, where what acts on links is recorded.
+    pushed : bool
+        Whether wrenches on free bodies are.
     """
     parts = [_steps(run) for run in _runs(steps)]
     block = parts[0] if len(parts) == 1 else {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
     shown = steps[every - 1 :: every] if contacts else ()
+    if not pushed:
+        block = {name: x for name, x in block.items() if not name.startswith("wrenches/")}
     if every > 1:
         block = _merged(block, every)
     if carriers is None:
@@ -134,22 +142,23 @@ def _stacked(rows: list[tuple[Any, ...]]) -> tuple[Any, ...]:
     out = np.array(t, dtype=float), *(None if of[0] is None else _stack(of) for of in (q, v, x, quaternion)), energy
     if not more:
         return out
-    joints, links, pieces, *values = more
+    joints, links, pieces, wrenches, *values = more
     columns = (np.array(of, dtype=column.kind) for of, column in zip(values, STEP.values(), strict=True))
     if joints[0] is None:
-        return *out, None, None, None, *columns
-    return *out, np.stack(joints, axis=1), np.stack(links), pieces, *columns
+        return *out, None, None, None, wrenches, *columns
+    return *out, np.stack(joints, axis=1), np.stack(links), pieces, wrenches, *columns
 
 
 def _columns(read: tuple[Any, ...]) -> Columns:
-    """Columns of what is read of many steps, or of states alone, by name; counts in place of the offsets of pieces."""
+    """Columns of what is read of many steps, or of states alone, by name; counts in place of offsets."""
     t, q, v, x, quaternion, energy, *more = read
     out: Columns = {"t": t, "q": q, "v": v} | {f"energy/{name}": values for name, values in energy.items()}
     if x is not None:
         out |= {"frames/x": x, "frames/quat": quaternion}
     if more:
-        joints, links, pieces, *values = more
-        out |= dict(zip(STEP, values, strict=True))
+        joints, links, pieces, wrenches, *values = more
+        out |= dict(zip(STEP, values, strict=True)) | _wrenches(wrenches)
+        out["wrenches/offset"] = np.array([w.body.size if w else 0 for w in wrenches])
         if joints is not None:
             out |= dict(zip(JOINTS, joints, strict=True)) | {ON_LINKS: links} | _pieces(pieces, joints.shape[2])
             out["pieces/offset"] = np.array([len(p.duration) if p else 0 for p in pieces])
@@ -167,9 +176,19 @@ def _pieces(pieces: Sequence[Any], nv: int) -> Columns:
     return out
 
 
+def _wrenches(wrenches: Sequence[Any]) -> Columns:
+    """Columns of the external wrenches of steps."""
+    out = {}
+    for name, kind in WRENCHES.items():
+        none = np.empty((0, 6) if name == "impulse" else 0, kind)
+        out[f"wrenches/{name}"] = np.concatenate([none, *(getattr(w, name) for w in wrenches if w)]).astype(kind)
+    return out
+
+
 def _merged(columns: Columns, every: int) -> Columns:
     """Rows of so many steps each, as the layout of the file has them."""
-    rows = {n: x.reshape(-1, every, *x.shape[1:]) for n, x in columns.items() if not n.startswith("pieces/")}
+    ragged = [name for name in (f"{group}/offset" for group in RAGGED) if name in columns]
+    rows = {n: x.reshape(-1, every, *x.shape[1:]) for n, x in columns.items() if n.partition("/")[0] not in RAGGED}
     bad, error = ~np.isin(rows["solver/status"], (Status.CONVERGED, Status.LOOSE)), rows["solver/error"]
     worst = np.where(bad | ~bad.any(axis=1, keepdims=True), error, -np.inf).argmax(axis=1)
     out = {}
@@ -180,9 +199,7 @@ def _merged(columns: Columns, every: int) -> Columns:
         else:
             last = worst if rule == "worst" else -1
             out[name] = x.max(axis=1) if rule == "most" else x[np.arange(len(x)), last]
-    if "pieces/offset" in columns:
-        out["pieces/offset"] = np.zeros(len(out["t"]), np.int64)
-    return out
+    return out | {name: np.zeros(len(out["t"]), np.int64) for name in ragged}
 
 
 def _stack(rows: tuple[Array, ...]) -> Array:

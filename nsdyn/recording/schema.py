@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.recording.columns import RAGGED
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.array_text import from_text
 from nsdyn.tools.datasets import dataset
@@ -185,7 +186,7 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         raise ValueError(f"/frames must have {moving} bodies like /meta/scene")
     if "frames/x" not in columns and moving > free:
         raise ValueError("/frames is missing")
-    _check_contacts(columns, shapes)
+    _check_rows(columns, shapes, free)
     return found
 
 
@@ -204,16 +205,17 @@ def _check_meshes(found: Mapping[str, Any]) -> None:
             raise ValueError(f"/meta/scene meshes[{k}] has triangles whose corners it does not have")
 
 
-def _check_contacts(columns: Mapping[str, NDArray[Any]], shapes: int) -> None:
-    """ValueError for contacts of shapes or steps that are not there."""
-    for group in ("contacts/offset", "pieces/offset"):
-        offset = columns.get(group, np.zeros(1))
+def _check_rows(columns: Mapping[str, NDArray[Any]], shapes: int, free: int) -> None:
+    """ValueError for contacts of shapes or steps that are not there, and wrenches on bodies that are not."""
+    for group in RAGGED:
+        offset = columns.get(f"{group}/offset", np.zeros(1))
         if offset[0] != 0 or (np.diff(offset) < 0).any():
-            raise ValueError(f"/{group} must ascend from 0")
-    for name, most in (("geom1", shapes), ("geom2", shapes), ("status", 4)):
-        values = columns[f"contacts/{name}"]
+            raise ValueError(f"/{group}/offset must ascend from 0")
+    sides = {"contacts/geom1": shapes, "contacts/geom2": shapes, "contacts/status": 4, "wrenches/body": free}
+    for name, most in sides.items():
+        values = columns.get(name, np.empty(0))
         if values.size and not (values.min() >= 0 and values.max() < most):
-            raise ValueError(f"/contacts/{name} must lie between 0 and {most - 1}")
+            raise ValueError(f"/{name} must lie between 0 and {most - 1}")
 
 
 def _fits(value: Any, kind: Any) -> bool:

@@ -62,6 +62,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
     r, h = a.solution.r, half.h
     impulses, own, warm = account(s, a.met, half.forces, velocities, r, h, a.impact, a.couple, mass)
+    impulses = impulses._replace(wrench=half.wrench())
     # What has just closed its gap approaches: where it would become deep in the next move it strikes before.
     sinks = s.dt / half.ahead * a.met.end_gap[: warm.status.size] > s.deep(a.met.contacts)
     arrived = sinks & ~a.met.stays[: sinks.size]

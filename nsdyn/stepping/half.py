@@ -103,6 +103,15 @@ class Half(_Half):
         """Poses of driven bodies at the end, shapes (nd, 3) and (nd, 4)."""
         return self.s.dynamics.surfaces.poses(self.end, self.s.theta)
 
+    def wrench(self) -> Array | None:
+        """Impulses of external wrenches on the free bodies as of `Impulses`."""
+        force, torque = self.forces.force, self.forces.torque
+        if not (force.any() or torque.any()):
+            return None
+        turn = np.einsum("bij,bj->bi", self.middle.placement.R[: len(torque)], torque)
+        out: Array = self.h * np.concatenate((force, turn), axis=1)
+        return out
+
     def known(self, rate: Array, reach: Array, fast: bool, same: bool) -> Half:
         """The same with what has been found."""
         self.__dict__.update(rate=rate, reach=reach, fast=fast, same=same)

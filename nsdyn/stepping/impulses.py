@@ -53,6 +53,9 @@ class Impulses(NamedTuple):
         When the move begins, s after the beginning of the step.
     moves : ndarray of bool, shape (n,), or None
         Coordinates of the island that it is of; None for all.
+    wrench : ndarray, shape (free, 6), or None
+        Impulses of external wrenches on the free bodies: force and moment about the centre of mass, world axes, N·s and
+        N·m·s; None where there are none.
     """
 
     contacts: ContactSet
@@ -70,6 +73,11 @@ class Impulses(NamedTuple):
     duration: float
     begin: float = 0.0
     moves: Bools | None = None
+    wrench: Array | None = None
+
+    def when(self, theta: float) -> float:
+        """When it acted, s after the beginning of the step: as its contacts have it, to the last bit."""
+        return float(self.time[0]) if self.time.size else self.begin + (1.0 - theta) * self.duration
 
     @staticmethod
     def joined(done: list[Impulses]) -> Impulses:

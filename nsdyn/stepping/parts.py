@@ -61,7 +61,7 @@ class Part:
         self.coordinates = np.concatenate([np.empty(0, np.int64), *spans])
         first = np.cumsum([0, *(t.model.njoints - 1 for t in d.trees)])
         spans = [np.arange(first[k], first[k + 1]) for k in self._trees.tolist()]
-        self._links, self._count = np.concatenate([np.empty(0, np.int64), *spans]), d.links
+        self._links, self._count = np.concatenate([np.empty(0, np.int64), *spans]), (d.links, d.free)
         block = d.joints.block
         self._slots = np.flatnonzero(among(block, nodes))
         self._limits = np.flatnonzero(among(block[d.joints.limits], nodes))
@@ -172,9 +172,13 @@ class Part:
 
     def impulses(self, a: Impulses, n: int) -> Impulses:
         """Impulses of the part as those of the whole, of n coordinates."""
-        joints, links, moves = np.zeros((7, n)), np.zeros((self._count, 6)), np.zeros(n, np.bool_)
+        joints, moves, wrench = np.zeros((7, n)), np.zeros(n, np.bool_), a.wrench
+        links, bodies = (np.zeros((count, 6)) for count in self._count)
         joints[:, self.coordinates], links[self._links], moves[self.coordinates] = a.joints, a.links, True
-        return a._replace(contacts=self.contacts(a.contacts), joints=joints, links=links, moves=moves)
+        if wrench is not None:
+            bodies[self._bodies], wrench = wrench, bodies
+        contacts = self.contacts(a.contacts)
+        return a._replace(contacts=contacts, joints=joints, links=links, moves=moves, wrench=wrench)
 
     def fill(self, at: Instant, end: Instant) -> None:
         """Put what is of the nodes of the part where it is in arrays of the whole, but for contacts."""

@@ -23,7 +23,7 @@ from nsdyn.tools.naming import counted
 if TYPE_CHECKING:
     from nsdyn.stepping.untold import Untold
 
-__all__ = ["Pieces", "Start", "State", "Step", "Touch"]
+__all__ = ["Pieces", "Start", "State", "Step", "Touch", "Wrenches"]
 
 
 class State(NamedTuple):
@@ -104,6 +104,36 @@ class Pieces(NamedTuple):
         return Pieces(begin, duration, contacts, moves, np.stack([a.joints[:, first:] for a in done], axis=1))
 
 
+class Wrenches(NamedTuple):
+    """External wrenches on free bodies in the moves of a step, those that are not 0.
+
+    Attributes
+    ----------
+    body : ndarray of int, shape (m,)
+    time, duration : ndarray, shape (m,)
+        s after the beginning of the step; s of the move.
+    impulse : ndarray, shape (m, 6)
+        Force and moment about the centre of mass, world axes, N·s and N·m·s.
+    """
+
+    body: NDArray[np.int64]
+    time: Array
+    duration: Array
+    impulse: Array
+
+    @staticmethod
+    def of(moves: list[tuple[float, float, Array | None]]) -> Wrenches | None:
+        """From when impulses acted, how long moves were, and wrenches as of `Impulses`; None without any."""
+        acted = [
+            (time, h, wrench, np.flatnonzero(wrench.any(axis=1))) for time, h, wrench in moves if wrench is not None
+        ]
+        if not acted:
+            return None
+        time, duration = (np.repeat([a[k] for a in acted], [a[3].size for a in acted]) for k in (0, 1))
+        impulse = np.concatenate([wrench[some] for *_, wrench, some in acted])
+        return Wrenches(np.concatenate([some for *_, some in acted]), time, duration, impulse)
+
+
 class Touch(NamedTuple):
     """The m contacts of two bodies in a step, world axes.
 
@@ -169,6 +199,8 @@ class Step:
         the world's origin, N·s and N m s.
     pieces : Pieces or None
         What the step was cut into; None where it was made in one, and in scenes without articulations.
+    wrenches : Wrenches or None
+        On free bodies; None where there are none.
     created : float
         Energy that impacts created, J, summed over islands of contacts: 0 but for `Newton`'s law with friction or in
         chains, and `Poisson`'s with several restitutions (`nsdyn.stepping.impacts`).
@@ -211,6 +243,7 @@ class Step:
     joints: Array | None
     links: Array
     pieces: Pieces | None
+    wrenches: Wrenches | None
     created: float
     ledger: Ledger
     gauss: gauss.Certificate

@@ -15,7 +15,7 @@ from nsdyn.problem.gauss import Certificate
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.flat import Flat
-from nsdyn.stepping.state import State, Step
+from nsdyn.stepping.state import State, Step, Wrenches
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -86,6 +86,7 @@ class Untold(NamedTuple):
             "frames_x": x,
             "frames_quat": quaternion,
             "pieces": None,
+            "wrenches": self._wrenches(),
             "created": 0.0,
             "gauss": Certificate(*flat.floats[_col.GAP : _col.WENT].tolist()),
             "twists": flat.twists,
@@ -101,6 +102,11 @@ class Untold(NamedTuple):
         out[_col.EXTERNAL : _col.NORM] = own[:-1]  # but for a projection, of which there is none
         out[_col.KINETIC], out[_col.POTENTIAL] = flat.energies
         return out, joints[:, 6 * d.free :], links
+
+    def _wrenches(self) -> Wrenches | None:
+        """What acted on free bodies besides contacts."""
+        motion, ((time,), (duration,)) = self.flat.motion, self._times(1)
+        return None if motion is None else Wrenches.of([(time, duration, motion.half.wrench())])
 
     def _times(self, *shape: int) -> tuple[Array, Array]:
         """When the impulses of as many contacts acted, s after the beginning of the step, and how long it lasts."""
@@ -140,6 +146,7 @@ class Untold(NamedTuple):
             joints=joints,
             links=links,
             pieces=pieces,
+            wrenches=[one._wrenches() for one in some],
             created=nothing,
             ledger=_ledger(before, results, nothing),
             gauss=Certificate(*results[_col.GAP : _col.WENT]),

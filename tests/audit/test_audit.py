@@ -233,13 +233,57 @@ def test_tolerances(trajectory):
         nd.check(trajectory, gap=1.0)
 
 
-def test_external_forces_are_not_recorded():
-    pushed = nd.simulate(scene(), duration=0.01, external_force=lambda t, q, v: {"can": (1.0, 0.0, 0.0)})
+def pushes():
+    """A box that sticks and slips to and fro, and a drone that nothing else touches."""
+    scene, material = nd.Scene(), nd.Material(mu=0.6)
+    scene.add_halfspace("ground", material=material)
+    scene.add_box("box", (0.2, 0.3, 0.1), 1.0, position=(0, 0, 0.05), material=material)
+    scene.add_box("drone", (0.2, 0.3, 0.1), 1.0, position=(0, 2, 1))
+
+    def force(t, q, v):
+        return {
+            "box": (12 * np.cos(7 * t), 3 * np.sin(5 * t), 0),
+            "drone": ((0, 0, 9.0 - v[8]), (0.002, 0.004 - 0.01 * v[10], 0.001)),
+        }
+
+    return nd.simulate(scene, 0.8, 2e-2, external_force=force)
+
+
+def test_external_forces_push_in_every_move_of_a_step():
+    """Where slip turns round a step is cut, and a force that changes is another in each of its moves."""
+    pushed = pushes()
+    c = pushed.columns
+    box = c["wrenches/body"] == 0
+    assert (c["wrenches/duration"][box] < 0.02).any()
     audit = nd.check(pushed)
-    assert audit.passed and audit["momentum"].reason == "external forces act"
+    assert audit.passed and audit.not_audited == UNSEEN, audit
+    assert max(audit["momentum"].worst, audit["spin"].worst) < 1e-13
+
+    def found(group="wrenches", **other):
+        columns = c | {f"{group}/{name}": values for name, values in other.items()}
+        return {f.name for f in nd.check(nd.Trajectory(pushed.meta, pushed.scene, columns)).findings if not f.passed}
+
+    assert "momentum" in found(impulse=np.where(box[:, None], 1.0 + 1e-6, 1.0) * c["wrenches/impulse"])
+    assert {"momentum", "spin"} <= found(body=1 - c["wrenches/body"])
+    first = np.flatnonzero(box & (c["wrenches/duration"] < 0.02))[:2]
+    moved = c["wrenches/impulse"].copy()
+    moved[first, 0] += 1e-4, -1e-4
+    assert {"velocities", "sideways"} <= found(impulse=moved)  # of which the sum is the same
+    assert "contact_works" in found("contacts", work_friction=1.01 * c["contacts/work_friction"])
+    for name in ("time", "duration"):
+        assert "times" in found(**{name: 1.0001 * c[f"wrenches/{name}"]})
+
+
+def test_external_forces_of_older_recordings_are_not_known():
+    pushed = pushes()
+    columns = {name: x for name, x in pushed.columns.items() if not name.startswith("wrenches/")}
+    columns["contacts/duration"] = np.full(len(columns["contacts/time"]), np.nan)
+    old = nd.Trajectory(pushed.meta, pushed.scene, columns)
+    audit = nd.check(old)
+    assert audit["momentum"].reason == "external forces act"
     assert np.isnan(audit["momentum"].worst) and "not audited" in repr(audit)
-    del pushed.meta["external_force"]  # as in older recordings
-    assert "is not recorded" in nd.check(pushed)["spin"].reason
+    del old.meta["external_force"]  # as in still older ones
+    assert "is not recorded" in nd.check(old)["spin"].reason
 
 
 def test_links(tmp_path):
@@ -308,6 +352,23 @@ def test_bodies_that_the_scene_squeezes_are_not_the_motions_overlap():
     assert not finding.passed and finding.step == 2 and finding.amount == pytest.approx(4e-8, rel=1e-6)
 
 
+def test_contacts_of_grains_sink_by_what_the_solver_leaves():
+    """Boxes of 0.1 mm, of which that is more than passes of larger ones; what a recording tells hides no more."""
+    scene, turned = nd.Scene(gravity=(0, 0, -9.81e-3)), np.array((0.5, 0.0, 0.7, 0.5))
+    scene.add_halfspace("ground", material=nd.Material(mu=0.3))
+    for k in range(3):
+        at, turn = np.array((0.1 * k, 0.05 * k, 1 + 1.3 * k)), turned / np.linalg.norm(turned)
+        scene.add_box(f"grain{k}", (1e-4, 7e-5, 6e-5), 1e-6, position=1e-4 * at, quaternion=turn)
+    run = nd.simulate(scene, 0.6, 5e-3)
+    overlap = nd.check(run)["overlap"]
+    assert overlap.passed and 1e-7 * 6e-5 < overlap.amount < 5e-11, overlap
+    run.q[-1, 2] -= 1e-10
+    assert not nd.check(run)["overlap"].passed
+    run.q[-1, 2] -= 1e-7
+    run.meta["solver"] = "Auto(tol=1.0)"
+    assert not nd.check(run)["overlap"].passed
+
+
 @pytest.mark.parametrize("impact", [pytest.param("poisson", marks=pytest.mark.slow), "fremond"])
 def test_friction_of_what_rebounds_opposes_the_slip_of_each_impact(impact):
     """Not that of the end: a ball on another one, both with spin, fall on a plane that is rough."""
@@ -318,6 +379,19 @@ def test_friction_of_what_rebounds_opposes_the_slip_of_each_impact(impact):
         scene.add_sphere(name, 0.05, 1.0, position=at, angular_velocity=turning, material=material)
     audit = nd.check(nd.simulate(scene, 0.3, dt=5e-3, impact=impact))
     assert audit.passed, audit
+
+
+def test_friction_of_fremonds_law_opposes_the_mean_slip_of_what_does_not_rebound_too():
+    """A box that slides is stopped, and more, where a ball strikes it; it does not bounce on the ground."""
+    scene, rough = nd.Scene(), nd.Material(mu=0.9)
+    scene.add_halfspace("ground", material=rough)
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1), linear_velocity=(0.3, 0, -1), material=rough)
+    scene.add_sphere("ball", 0.05, 1.0, position=(0, 0, 0.3), linear_velocity=(0, 0, -3), material=rough)
+    scene.set_pair("box", "ball", restitution=0.6)
+    run = nd.simulate(scene, 0.1, dt=5e-3, impact="fremond")
+    assert nd.check(run).passed, nd.check(run)
+    run.meta["impact"] = "Newton()"  # which has no friction that drives
+    assert not nd.check(run)["friction"].passed
 
 
 def bounces():

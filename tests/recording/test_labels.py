@@ -9,6 +9,7 @@ import pytest
 import nsdyn as nd
 from nsdyn import cli
 from nsdyn.recording import file, labels
+from nsdyn.recording.columns import WRENCHES
 
 NOT_LABELS = (
     "shape",
@@ -99,6 +100,10 @@ def test_labels_of_little(contacts, tmp_path):
 
 def test_units_are_of_what_the_layout_names(recorded):
     """No unit is of a dataset that there is not."""
-    names = {name for name in nd.Trajectory.load(recorded).columns} | {"t_steps", "links/impulse"}
+    names = {name for name in nd.Trajectory.load(recorded).columns} | {
+        "t_steps",
+        "links/impulse",
+        *(f"wrenches/{name}" for name in WRENCHES),
+    }
     for name in labels.UNITS:
         assert name in names or (name.endswith("/") and any(known.startswith(name) for known in names)), name

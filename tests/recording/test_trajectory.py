@@ -116,6 +116,14 @@ def rows(n: int, links: bool = False, seed: int = 0):
             else None,
             joints=rng.normal(size=(7, 1)) if links else None,
             links=rng.normal(size=(int(links), 6)),
+            wrenches=SimpleNamespace(
+                body=np.arange(2),
+                time=np.full(2, DT / 2),
+                duration=np.full(2, DT),
+                impulse=rng.normal(size=(2, 6)),
+            )
+            if k % 2
+            else None,
             untold=None,
         )
 
@@ -166,14 +174,15 @@ def test_what_goes_in_comes_out(n, links, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.h5", "run.h5"]
 
 
-@pytest.mark.parametrize("options", [{}, {"every": 3}, {"contacts": False}])
+@pytest.mark.parametrize("options", [{}, {"every": 3}, {"contacts": False}, {"external_force": True}])
 def test_steps_told_together_are_as_each_alone(options):
     """Quiet steps that nobody asked for anything, of changing numbers of contacts and with others between."""
     scene = sliding_box()
     scene.add_sphere("ball", 0.1, 1.0, position=(1, 0, 0.12), linear_velocity=(0.5, 0, 0))
     meta = META | {"external_force": False} | options
     alone, together = (Recorder(None, meta, scene.describe(), nd.Stepper(scene).start()) for _ in range(2))
-    mine, other = nd.Stepper(scene, dt=2e-3), nd.Stepper(scene, dt=2e-3)
+    force = (lambda t, q, v: {"box": ((0.1 * np.sin(30 * t), 0, 0), (0, 0, 1e-3))}) if meta["external_force"] else None
+    mine, other = (nd.Stepper(scene, dt=2e-3, external_force=force) for _ in range(2))
     names = [name for name in nd.Step.__annotations__ if name != "untold"]
     quiet = set()
     for _ in range(300):
@@ -187,6 +196,7 @@ def test_steps_told_together_are_as_each_alone(options):
         together.append(other.step())
     assert {(True, 4), (True, 5), (False, 5)} <= quiet
     one, many = alone.trajectory(), together.trajectory()
+    assert ("wrenches/impulse" in one.columns) == (force is not None)
     one.columns["solver/time"], many.columns["solver/time"] = np.zeros((2, one.steps))
     assert_same(one, many)
 
@@ -239,6 +249,10 @@ def test_file_is_readable_without_nsdyn(tmp_path):
             ("actuation", "limit", "friction", "external", "shift", "strength", "drive"), (7, 1)
         )
         assert file["links/impulse"].shape == (7, 1, 6)
+        assert file["wrenches/offset"][:].tolist() == [0, 2, 2, 4, 4, 6, 6, 8]
+        assert {name: len(file["wrenches"][name]) for name in ("body", "time", "duration", "impulse")} == dict.fromkeys(
+            ("body", "time", "duration", "impulse"), 8
+        )
         columns = set(file["contacts"]) - {"offset"} - named
         assert columns == {
             "geom1",
