@@ -66,7 +66,8 @@ def test_the_measures_see_what_is_wrong():
     trajectory = truth.nd.simulate(scene, 2e-3, 1e-3)
     trajectory.q[-1, 7:10] = trajectory.q[-1, :3] + (0.099, 0.02, 0)
     assert truth.overlap(scene, trajectory) == pytest.approx(0.01, rel=1e-9)
-    assert truth.nd.check(trajectory)["overlap"].worst == pytest.approx(0.01, rel=1e-9)
+    # Less what the solver's tolerance of 1e-8 m/s lets a contact sink in a step.
+    assert truth.nd.check(trajectory)["overlap"].worst == pytest.approx(0.01 - 1e-8 * 1e-3 / 0.1, rel=1e-9)
     assert truth.created(scene, trajectory) <= 1e-15
     trajectory.q[-1, 2] += 0.01
     assert truth.created(scene, trajectory) > 0.5

@@ -1,0 +1,72 @@
+"""What moves on surfaces that move: belts, turntables, plates that wobble, against exact motions."""
+
+import math
+
+import numpy as np
+import pytest
+
+import nsdyn as nd
+
+
+@pytest.mark.parametrize("dt", [2e-2, 5e-3])
+def test_ball_on_a_belt_that_speeds_up(dt):
+    """Friction that holds gives a solid ball 2/7 of the belt's velocity, and spin for the rest."""
+    radius, end = 0.05, 0.4
+    scene, material = nd.Scene(), nd.Material(0.5)
+    scene.add_halfspace("belt", material=material)
+    scene.set_motion("belt", surface_velocity=lambda t: (0, math.sin(3 * t), 0))
+    scene.add_sphere("ball", radius, 0.5, position=(0, 0, radius), material=material)
+    run = nd.simulate(scene, end, dt)
+    ball, belt = run.body("ball"), math.sin(3 * end)
+    np.testing.assert_allclose(ball.linear_velocity[-1], (0, 2 / 7 * belt, 0), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ball.angular_velocity[-1], (5 / 7 * belt / radius, 0, 0), rtol=0, atol=1e-7)
+    assert np.abs(run.energy.integration).max() < 1e-12
+    assert run.energy.constraint.sum() == pytest.approx(run.energy.kinetic[-1], rel=0.1)  # all is from the belt
+
+
+@pytest.mark.parametrize("kind", ["surface_velocity", "velocity"])
+def test_ball_rolls_in_circles_on_a_turntable(kind):
+    """With 2/7 of the table's rate, whatever its radius, to second order.
+
+    K. Weltner, Stable circular orbits of freely moving balls on rotating discs, American Journal of Physics 47, 1979.
+    """
+    rate, radius, end = 2.0, 0.05, 2.0
+    x, v = np.array([0.3, 0.0, 0.0]), np.array([0.0, 0.3, 0.0])
+    slower = 2 / 7 * rate
+    turned = slower * end
+    there = x[:2] + np.array([math.cos(turned) - 1, math.sin(turned)]) * 0.3 / slower
+    errors = []
+    for dt in (2e-2, 1e-2):
+        scene, material = nd.Scene(), nd.Material(1.0)
+        scene.add_cylinder("table", 2.0, 0.2, fixed=True, position=(0, 0, -0.1), material=material)
+        scene.set_motion("table", **{kind: ((0, 0, 0), (0, 0, rate))})
+        spin = np.cross((0, 0, 1), v - np.cross((0, 0, rate), x)) / radius
+        scene.add_sphere(
+            "ball",
+            radius,
+            0.5,
+            position=(*x[:2], radius),
+            linear_velocity=tuple(v),
+            angular_velocity=tuple(spin),
+            material=material,
+        )
+        errors.append(np.linalg.norm(nd.simulate(scene, end, dt).body("ball").position[-1, :2] - there))
+    assert errors[0] < 1e-4 and errors[0] / errors[1] > 3.8
+
+
+@pytest.mark.parametrize(
+    ("theta", "velocity"),
+    [
+        (0.5, lambda t: ((0, 0, 0), (np.cos(9 * t), np.sin(9 * t), 1.0))),
+        pytest.param(1.0, lambda t: ((0, 0, 0.45 * np.cos(9 * t)), (0, 0, 0)), marks=pytest.mark.slow),
+    ],
+)
+def test_a_driven_floor_is_where_it_is_for_what_meets_it_in_pieces(theta, velocity):
+    """It wobbles about an axis that turns, or is first order: pieces by themselves would bring it elsewhere."""
+    scene, material = nd.Scene(), nd.Material(0.5, 0.5)
+    scene.add_box("plate", (2, 2, 0.2), fixed=True, position=(0, 0, -0.1), material=material)
+    scene.set_motion("plate", velocity=velocity)
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0.5, 0, 0.2), material=material)
+    scene.add_sphere("ball", 0.1, 1.0, position=(-0.5, 0.3, 0.3), material=material)
+    overlap = nd.check(nd.simulate(scene, 0.6, 0.05, theta=theta))["overlap"]
+    assert overlap.worst < 1e-7  # 1e-4 and 6e-3 where each piece brought it on
