@@ -27,6 +27,7 @@ TOLERANCES = {
     "slip": 1e-3,  # friction is against the mean slip of a step, whose direction differs from that at its end by O(h)
     "dissipation": 1e-4,
     "created": 1e-9,
+    "numerics": 0.1,  # as motion; steps that resolve a motion leave a hundredth of it at most
     "gaps": 1e-6,  # ten times what overlaps may be
     "velocities": 1e-5,  # what solvers leave of 1 m/s
     "partings": 1e-3,  # as slip
@@ -81,6 +82,7 @@ MEANING = {
     "slip": "mu r_N |u_T| + r_T·u_T of a contact, 0 where it sticks or rubs against its slip / energy at play",
     "dissipation": "work of impacts, friction and limits in a step, but for what their law creates / energy at play",
     "created": "energy said to be created by a law of impact that creates none / energy at play",
+    "numerics": "energy that numerics, integration and projections, gave or took since the start / energy at play",
     "gaps": "gap of a contact - what its shapes, or its points as they are carried, are apart / smallest extent",
     "velocities": "velocity of a contact that pushes - that after its impulse, beyond what turning changes / speed",
     "partings": "how fast what does not rebound parts where it has pushed, beyond what turning does / speed before",
@@ -132,7 +134,7 @@ UNITS = {
         "rad/s": "rebounds shared_rebounds",
         "N·s": "cone momentum",
         "N·m·s": "spin joint_cone loads wrenches pushes strength",
-        "J": "friction slip dissipation created energy balance joint_slip contact_works works drives",
+        "J": "friction slip dissipation created numerics energy balance joint_slip contact_works works drives",
         "√J": "joint_momentum",
         "√J·s": "lift joint_motion",
     }.items()

@@ -37,6 +37,7 @@ def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> 
     """Findings of works; of scenes without articulations nothing was retraced, and of others why it was not."""
     t = poses.trajectory
     yield from _dissipation(poses)
+    yield _numerics(poses)
     reason = left_out(t) if flight is None else "" if flight.timed else UNTIMED
     if isinstance(found, str):
         reason = reason or found
@@ -60,6 +61,15 @@ def _dissipation(poses: Poses) -> Iterator[Found]:
     lawful = str(t.meta.get("impact", "")).partition("(")[0].lower() in PARADOXICAL
     off = np.where(np.isnan(e.created) | (e.created >= 0.0), told * (not lawful), np.abs(told))
     yield worst_of("created", off / scale, off, steps, _nobody)
+
+
+def _numerics(poses: Poses) -> Found:
+    """What numerics have given or taken until each step: of a motion that is resolved, little."""
+    t, e = poses.trajectory, poses.trajectory.energy
+    if float(t.meta["theta"]) > 0.5:
+        return not_audited("numerics", "theta of more than 1/2 damps by itself")
+    so_far = np.abs(np.cumsum(e.integration + e.projection))
+    return worst_of("numerics", so_far / at_play(poses), so_far, np.arange(1, t.steps + 1), _nobody)
 
 
 def _nobody(_: int) -> tuple[str, ...]:

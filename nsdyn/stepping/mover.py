@@ -133,11 +133,13 @@ class Mover:
         self.numbers[_col.GIVEN] = motion is not None
         self._set(length)
         self._most = max(self._most, begun.nc)
-        new, rooms, work = self._rooms(moves, step)
-        if motion is not None:
-            self._load(motion, work[0])
-        stage, ready, head = _meeting.DONE, False, work[1]
+        code, room = _meeting.MORE, moves
         while True:
+            if code == _meeting.MORE:
+                new, rooms, work = self._rooms(room, step)
+                if motion is not None:
+                    self._load(motion, work[0])
+                stage, ready, head = _meeting.DONE, False, work[1]
             code = _quiet.quiet(
                 self._arrays,
                 detector.searches,
@@ -163,11 +165,7 @@ class Mover:
             if code == _meeting.OTHERWISE:
                 return None
             if code == _meeting.MORE:
-                self._most = max(self._most, int(head[_col.NEEDED]))
-                new, rooms, work = self._rooms(True, step)
-                if motion is not None:
-                    self._load(motion, work[0])
-                stage, ready, head = _meeting.DONE, False, work[1]
+                self._most, room = max(self._most, int(head[_col.NEEDED])), True
                 continue
             if code == _meeting.SOLVE:
                 good = not constrained and self._solve(self._made(new, rooms, work, begun, False))

@@ -221,6 +221,14 @@ def test_contacts_that_create_energy(trajectory):
     failed(trajectory, "dissipation", K)
 
 
+def test_energy_that_numerics_take(trajectory):
+    """Until the step, by no more than a little in each: a ledger that balances may lose a motion all the same."""
+    worst = nd.check(trajectory)["numerics"].worst
+    trajectory.energy.integration[:K] -= trajectory.at_play
+    finding = failed(trajectory, "numerics", K)
+    assert worst < 1e-6 and nd.check(trajectory, numerics=2.0 * finding.worst)["numerics"].passed
+
+
 def test_not_a_number_fails(trajectory):
     trajectory.v[K, 14] = np.nan
     audit = nd.check(trajectory)

@@ -84,7 +84,7 @@ EACH_ANYWHERE = {
 }
 """Each of all other findings, likewise."""
 
-BY_OTHERS = {*UNSEEN, "axes", "dissipation", "lift", "prescribed", "shared_rebounds"}
+BY_OTHERS = {*UNSEEN, "axes", "dissipation", "lift", "numerics", "prescribed", "shared_rebounds"}
 """Findings of other tests."""
 
 ANYWHERE = [(kind, name) for kind, (names, _) in falsified.ANYWHERE.items() for name in names]
