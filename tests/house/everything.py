@@ -11,7 +11,7 @@ from nsdyn import compilation, solvers
 from nsdyn._kernels.stepping.workless import thaw
 from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.collision.detector import Detector
-from nsdyn.problem import gauss, paradox, polished
+from nsdyn.problem import cones, gauss, paradox, polished
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import operator
 from nsdyn.scene import checks, pairs
@@ -106,6 +106,7 @@ def everything() -> None:
     belt.set_motion("belt", surface_velocity=(1.0, 0.0, 0.0))
     Stepper(belt, 5e-3).step()
     before, after = np.ones((2, 6)), np.zeros((2, 6))
+    cones.projection_jacobian(np.ones((2, 3)), np.full(2, 0.5))
     thaw(np.arange(2), np.array([True, False]), np.empty(2, np.bool_), tuple(before), tuple(after))
     lift()
     shapes()
