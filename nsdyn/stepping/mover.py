@@ -162,8 +162,6 @@ class Mover:
                 if constrained and head[_col.MET]:
                     return None
                 return self._made(new, rooms, work, begun, code == _meeting.DONE)
-            if code == _meeting.OTHERWISE:
-                return None
             if code == _meeting.MORE:
                 self._most, room = max(self._most, int(head[_col.NEEDED])), True
                 continue
@@ -177,6 +175,8 @@ class Mover:
 
     def _go_on(self, code: int, motion: Motion | None, floats: Array, work: Array) -> bool:
         """Do what the kernel asks for, but for a solve; whether the move goes on."""
+        if code == _meeting.OTHERWISE:
+            return False
         if code == _meeting.MOVE:
             return motion is not None and self._move(motion, floats, work)
         ahead = code == _meeting.LOOK_AHEAD

@@ -1,7 +1,8 @@
-"""The cone: identities of convex analysis, finite differences, and what an impulse misses."""
+"""The cone: identities of convex analysis, finite differences, and formulas written apart from the package."""
 
 import numpy as np
 import pytest
+from extended import project
 
 from nsdyn._kernels.problem import cones as kernels
 from nsdyn.problem import cones
@@ -59,15 +60,15 @@ def test_jacobian_against_differences(sample):
     assert eigenvalues.min() > -1e-14 and eigenvalues.max() < 1 + 1e-14
 
 
-def test_jacobian_where_the_projection_is_the_point_or_nothing(sample):
+def test_projection_and_jacobian_by_the_eigenvalues_of_the_cone(sample):
+    """Those of `extended`; the Jacobian where there is one, not on the edges of K and of its polar cone."""
     z, mu = sample
-    D, t = cones.projection_jacobian(z, mu), np.hypot(z[:, 1], z[:, 2])
-    inside, polar = (z[:, 0] >= 0.0) & (t <= mu * z[:, 0]), mu * t <= -z[:, 0]
-    assert inside.sum() > 20 and (polar & ~inside).sum() > 20
-    np.testing.assert_array_equal(D[inside], np.broadcast_to(np.eye(3), (inside.sum(), 3, 3)))
-    assert not D[polar & ~inside].any()
-    eigenvalues = np.linalg.eigvalsh(D)
-    assert eigenvalues.min() > -1e-14 and eigenvalues.max() < 1 + 1e-14
+    p, D, t = cones.project(z, mu), cones.projection_jacobian(z, mu), np.hypot(z[:, 1], z[:, 2])
+    for c in range(mu.size):
+        expected, slope = project(z[c].astype(np.longdouble), mu[c])
+        np.testing.assert_allclose(p[c], expected.astype(float), rtol=1e-14, atol=1e-15)
+        if min(abs(t[c] - mu[c] * z[c, 0]), abs(mu[c] * t[c] + z[c, 0])) > 1e-9:
+            np.testing.assert_allclose(D[c], slope.astype(float), rtol=1e-13, atol=1e-14)
 
 
 def test_measures_of_contacts_that_are_open_and_closed(sample, rng):
@@ -75,11 +76,16 @@ def test_measures_of_contacts_that_are_open_and_closed(sample, rng):
     r, mu = sample
     r[::2], u, scales = 0.0, rng.normal(size=r.shape), rng.uniform(0.5, 2.0, mu.size)
     r[1::2] = cones.project(r[1::2], mu[1::2])
+
+    def missing(step):
+        """r - P_K(r - step û), of every contact."""
+        z = (r - step * cones.saxce(u, mu)).astype(np.longdouble)
+        return r - np.array([project(z[c], mu[c])[0] for c in range(mu.size)]).astype(float)
+
     for open_only in (False, True):
         if open_only:
             r[:], u[:, 0] = 0.0, np.abs(u[:, 0])
-        missed = r - cones.project(r - cones.saxce(u, mu), mu)
-        scaled = (r - cones.project(r - cones.saxce(u, mu) / scales[:, None], mu)) * scales[:, None]
+        missed, scaled = missing(1.0), missing(1.0 / scales[:, None]) * scales[:, None]
         error, residual = kernels.measures(scales, u.ravel(), r.ravel(), mu)
         assert error == pytest.approx(np.linalg.norm(missed), rel=1e-13, abs=1e-15)
         assert residual == pytest.approx(np.linalg.norm(scaled, axis=1).max(), rel=1e-13, abs=1e-15)

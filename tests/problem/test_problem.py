@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from extended import project
 
 import nsdyn as nd
 from nsdyn.problem import gauss
@@ -60,8 +61,9 @@ def test_error_is_the_formula(rng):
     u = (problem.W @ r + problem.q).reshape(-1, 3)
     from nsdyn.problem import cones
 
-    z = r.reshape(-1, 3) - cones.saxce(u, problem.mu)
-    expected = np.linalg.norm(r.reshape(-1, 3) - cones.project(z, problem.mu)) / np.linalg.norm(problem.q)
+    z = (r.reshape(-1, 3) - cones.saxce(u, problem.mu)).astype(np.longdouble)
+    projected = np.array([project(z[c], mu)[0] for c, mu in enumerate(problem.mu)]).ravel().astype(float)
+    expected = np.linalg.norm(r - projected) / np.linalg.norm(problem.q)
     assert problem.error(r) == pytest.approx(expected, rel=1e-13)
 
 
