@@ -67,7 +67,7 @@ def loading() -> float:
 
 def clock() -> float:
     """Time in s since some moment, without `loading`."""
-    return time.perf_counter() - loading()
+    return time.perf_counter() - _loading.get()
 
 
 @contextmanager

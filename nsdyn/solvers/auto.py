@@ -26,7 +26,7 @@ class Tuning:
     cost: int = 64
     """Sweeps that count as a factorisation, as they do in a wall."""
 
-    lengths: tuple[int, ...] = (8, 24, 72, 216, 648, 1944)
+    lengths: tuple[int, ...] = (8, 72, 648, 1944)
     """What Newton takes in each round. It goes on where it was, unless another has found better meanwhile."""
 
     sweeps: tuple[int, int] = (20, 60)
@@ -50,7 +50,8 @@ class Tuning:
 
     polish: float = 1e-5
     """Fraction of the tolerance to which Newton goes on where it gains, on larger islands only of tolerances that are
-    no looser: what is left of a sticking contact's velocity is a creep that a long simulation adds up."""
+    no looser: what is left of a sticking contact's velocity is a creep that a long simulation adds up. (No simulation
+    gives W alone.)"""
 
     hopeless: float = 100.0
     """Loose tolerances that are enough where a problem is only to show what it lacks, see `Auto.roughly`."""
@@ -91,7 +92,7 @@ class Search:
     def __init__(self, problem: FC3D, r: Array, tol: float, loose: float, effort: float) -> None:
         self.problem, self.r = problem, r
         self.tol, self.loose, self._effort = MARGIN * tol, MARGIN * max(tol, loose), effort
-        self.sharp = sharp(tol) if tol <= TUNING.polish else self.tol
+        self.sharp = sharp(tol) if tol <= TUNING.polish and problem.blocks is not None else self.tol
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, np.inf
         self._sweeps: Sweeps | None = None
         self._newton: Multipliers | None = None
@@ -168,9 +169,8 @@ class Search:
         _, error, residual, _ = self.problem.solved(self.r, self.tol)
         self._note(max(error, residual), 0, 0)
 
-    def run(self) -> None:
+    def run(self, warm: bool) -> None:
         """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits."""
-        warm = self.r.any()
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
         left = followed = False
@@ -229,7 +229,7 @@ class Auto(Options):
     loose: Positive = 1e-4
     effort: NonNegative = 4.0
 
-    @property
+    @cached_property
     def aims(self) -> tuple[float, float]:
         """What islands of few coordinates are solved to where Newton gets there, and at least; measures in m/s or -."""
         return sharp(self.tol), MARGIN * self.tol
@@ -269,36 +269,32 @@ class Auto(Options):
         r, u = np.zeros(3 * nc) if r0 is None else problem.impulse(r0).copy(), np.empty(3 * nc)
         if not nc:
             return Solution.judge(problem, r, self.tol, 0, clock() - start)
-        given, (enough, good) = (problem.q, problem.mu, problem.scales), self.aims
         if blocks is None:
             most = TUNING.cost * TUNING.sweeps[0]
-            count, error, residual = _start.by_matrix((problem.csr, *given, problem.q_norm), r, u, good, most)
-            left = not max(error, residual) <= self.tol
+            given = problem.csr, problem.q, problem.mu, problem.scales, problem.q_norm
+            count, error, residual = _start.by_matrix(given, r, u, self.aims[1], most)
+            left = not (error <= self.tol and residual <= self.tol)
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))
+            given = problem.q, problem.mu, problem.scales
             found, left, count, error, residual = _start.by_factors(
-                blocks.arrays, *given, r, u, before, label, islands, enough, good, LIMITS
+                blocks.arrays, *given, r, u, before, label, islands, *self.aims, LIMITS
             )
             error /= problem.q_norm
-        if not left:
-            return self._measured(r, u, error, residual, count, start)
-        if blocks is None:
-            label = problem.islands()
-            found = int(label.max()) + 1
-        for k in range(found):
-            if blocks is None or not islands[0, k] == 0.0:
-                i, own = part(problem, label, k)
-                x = r[i]
-                small = own.blocks is not None and own.blocks.n <= DENSE
-                search = Search(own, x, self.tol if small else large, self.loose, self.effort)
-                search.run()
-                r[i], count = x, count + search.count
-        _, error, residual, u = problem.solved(r, self.tol)
-        return self._measured(r, u, error, residual, count, start)
-
-    def _measured(self, r: Array, u: Array, error: float, residual: float, count: int, start: float) -> Solution:
-        """Solution of an impulse of those measures."""
-        otherwise = Status.LOOSE if max(error, residual) <= self.loose else Status.MAX_ITERATIONS
+        if left:
+            if blocks is None:
+                label = problem.islands()
+                found = int(label.max()) + 1
+            for k in range(found):
+                if blocks is None or not islands[0, k] == 0.0:
+                    i, own = part(problem, label, k)
+                    x = r[i]
+                    small = own.blocks is not None and own.blocks.n <= DENSE
+                    search = Search(own, x, self.tol if small else large, self.loose, self.effort)
+                    search.run(r0 is not None and bool(x.any()))
+                    r[i], count = x, count + search.count
+            _, error, residual, u = problem.solved(r, self.tol)
+        otherwise = Status.LOOSE if error <= self.loose and residual <= self.loose else Status.MAX_ITERATIONS
         return Solution.measured(r, u, error, residual, self.tol, count, clock() - start, otherwise)
 
     @staticmethod

@@ -136,14 +136,15 @@ class Linear:
     """
 
     def __init__(self, path: Path, point: Point) -> None:
-        self.A, self.k, self.obeyed = np.empty((path.mu.size, 3, 3)), path.k, path.obeyed
+        self.A, self.kappa, self.mu = np.empty((path.mu.size, 3, 3)), path.kappa, path.mu
         _kernels.stiffness(point.r, point.u, point.slip, path.mu, self.A)
         self.solve = path.W.factor(self.A)
 
     def __call__(self, g: Array) -> Array:
         """The dz of a change g of G: (A + κ) (I + W A)⁻¹ g."""
-        rest = np.where(self.obeyed, g - self.solve((self.A @ g.reshape(-1, 3, 1)).ravel()), 0.0)
-        dz: Array = (self.A * rest.reshape(-1, 1, 3)).sum(axis=2).ravel() + self.k * rest
+        dz = np.empty_like(g)
+        _kernels.product(self.A, np.zeros_like(self.kappa), self.mu, g, dz)
+        _kernels.product(self.A, self.kappa, self.mu, g - self.solve(dz), dz)
         return dz
 
     def tangent(self, rate: Array) -> Array:

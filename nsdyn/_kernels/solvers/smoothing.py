@@ -82,6 +82,18 @@ def stiffness(r, u, slip, mu, A):
 
 
 @in_place
+def product(A, kappa, mu, x, out):
+    """(A + κ) x of every contact, into out (3 nc,); tangents are 0 without friction, as they have no equation there."""
+    for c in range(mu.size):
+        i, B, k = 3 * c, A[c], kappa[c]
+        out[i] = (B[0, 0] + k) * x[i]
+        out[i + 1] = out[i + 2] = 0.0
+        if mu[c] > 0.0:
+            for j in (1, 2):
+                out[i + j] = B[j, 0] * x[i] + B[j, 1] * x[i + 1] + B[j, 2] * x[i + 2] + k * x[i + j]
+
+
+@in_place
 def rate(r, u, slip, mu, kappa, tau, out):
     """dr / dlog τ at constant z, into out (3 nc,)."""
     for c in range(mu.size):
