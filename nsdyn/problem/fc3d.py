@@ -216,6 +216,14 @@ class FC3D:
         u = self.velocity(r) if u is None else u
         return float(_cones.measures(self.scales, u, r, self.mu)[1])
 
+    def round_off(self, r: Any) -> float:
+        """What rounding leaves of `residual`, m/s: 4 ε max over contacts of |q_c| + λ_max(W_cc) |r_c|, about.
+
+        Solvers come to 0.2 to 0.6 of it and no further, on redundant contacts and on others.
+        """
+        sizes = np.abs(self.q).reshape(-1, 3) + self.scales[:, None] * np.abs(self.impulse(r)).reshape(-1, 3)
+        return 4.0 * float(np.finfo(float).eps * sizes.max(initial=0.0))
+
     def gap(self, r: Any) -> float:
         """Duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N): see `gauss`."""
         r = self.impulse(r)

@@ -20,6 +20,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from nsdyn._kernels.compiled import loading, waiting
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -197,7 +199,7 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     Raises
     ------
     ValueError
-        For what is no problem, no solver or no tolerance.
+        For what is no problem, no solver or no tolerance, and for an r0 of another shape or with values not finite.
 
     Examples
     --------
@@ -211,6 +213,8 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     """
     if not isinstance(problem, FC3D):
         raise ValueError(f"problem must be a nsdyn.FC3D, got {type(problem).__name__}")
+    if r0 is not None and not np.isfinite(problem.impulse(r0)).all():
+        raise ValueError("r0 must be finite, got NaN or infinity")
     solver, before = as_solver(solver, tol), loading()
     with waiting():
         solution = solver(problem, r0)

@@ -121,8 +121,8 @@ class Search:
 
     @property
     def over(self) -> bool:
-        """Whether the tolerance is met or the effort spent."""
-        return self.best <= self.tol or self.spent >= self.limit
+        """Whether the tolerance is met, or what rounding allows, or the effort spent."""
+        return self.best <= self.tol or self.spent >= self.limit or self.best <= self.problem.round_off(self.r)
 
     def sweep(self, most: float) -> None:
         """Sweeps with momentum from the best or on from the last, first to the loose tolerance: it bounds the rest."""
@@ -211,8 +211,8 @@ class Auto(Options):
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
-    accepted, with its error on record. What misses `loose` has failed; it is checked for a Slater point, without which
-    no solution is guaranteed, and its status says so.
+    accepted, with its error on record. What misses `loose` has failed: it is STALLED where no more than rounding is
+    left; else it is checked for a Slater point, without which no solution is guaranteed, and its status says so.
 
     Parameters
     ----------
@@ -271,8 +271,8 @@ class Auto(Options):
             return Solution.judge(problem, r, self.tol, 0, clock() - start)
         if blocks is None:
             most = TUNING.cost * TUNING.sweeps[0]
-            given = problem.csr, problem.q, problem.mu, problem.scales, problem.q_norm
-            count, error, residual = _start.by_matrix(given, r, u, self.aims[1], most)
+            whole = problem.csr, problem.q, problem.mu, problem.scales, problem.q_norm
+            count, error, residual = _start.by_matrix(whole, r, u, self.aims[1], most)
             left = not (error <= self.tol and residual <= self.tol)
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))
@@ -294,7 +294,9 @@ class Auto(Options):
                     search.run(r0 is not None and bool(x.any()))
                     r[i], count = x, count + search.count
             _, error, residual, u = problem.solved(r, self.tol)
-        otherwise = Status.LOOSE if error <= self.loose and residual <= self.loose else Status.MAX_ITERATIONS
+        otherwise = Status.LOOSE
+        if (worst := max(error, residual)) > self.loose:
+            otherwise = Status.STALLED if worst <= problem.round_off(r) else Status.MAX_ITERATIONS
         return Solution.measured(r, u, error, residual, self.tol, count, clock() - start, otherwise)
 
     @staticmethod

@@ -53,8 +53,11 @@ def differences(a: Trajectory, b: Trajectory) -> Differences:
     Raises
     ------
     ValueError
-        If they share no moving body, have different coordinates, or no time but the first.
+        If one is no Trajectory, or they share no moving body, have different coordinates, or no time but the first.
     """
+    for run in (a, b):
+        if not isinstance(run, Trajectory):
+            raise ValueError(f"two Trajectories must be compared, got {run!r}; nsdyn.Trajectory.load reads one")
     names = [name for name in a.scene["frames"] if name in b.scene["frames"]]
     if not names:
         raise ValueError(f"the recordings share no moving body: {a.scene['frames']} and {b.scene['frames']}")

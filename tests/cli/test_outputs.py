@@ -324,6 +324,8 @@ def test_comparison_finds_where_runs_part(run):
         nd.compare(fine, nd.simulate(nd.scenes.load("stack")(height=2), 0.01))
     with pytest.raises(ValueError, match="the recordings have 12 and 6 velocities"):
         nd.compare(one, nd.simulate(nd.scenes.load("slide")(), 0.01))
+    with pytest.raises(ValueError, match="two Trajectories must be compared, got 'run"):
+        nd.compare(one, "run.h5")
 
 
 # -- checks ------------------------------------------------------------------------------------------------------------

@@ -96,8 +96,22 @@ def test_what_is_out_of_reach_is_loose_and_accepted():
     assert loose.status is nd.Status.LOOSE and loose.accepted and not loose.converged
     assert max(loose.error, loose.residual) <= 1e-4
     strict = nd.solve(problem, tol=1e-300)
-    assert strict.status is nd.Status.MAX_ITERATIONS and not strict.accepted
+    assert strict.status is nd.Status.STALLED and not strict.accepted
     assert nd.solvers.Auto(tol=1e-3)(problem).converged
+
+
+@pytest.mark.parametrize(("nc", "rank"), [(10, 12), (30, 90), (60, 60)])
+def test_what_rounding_leaves_is_not_worked_on(nc, rank, rng):
+    """Velocities of 1e5 m/s have no residual of 1e-12: what rounding allows is told, and soon."""
+    H = rng.normal(size=(rank, 3 * nc))
+    problem = nd.FC3D(H.T @ H / rank, 1e5 * rng.normal(size=3 * nc), np.full(nc, 0.5))
+    solution = nd.solve(problem, tol=1e-12)
+    assert solution.status is nd.Status.STALLED
+    assert 1e-12 < solution.residual <= problem.round_off(solution.r) < 1e-8
+    assert solution.iterations < 2 * nd.solve(problem, tol=1e-8).iterations + 2000  # 7000 before it gave up
+    for r0 in (np.full(3 * nc, np.nan), [np.inf] * (3 * nc)):
+        with pytest.raises(ValueError, match="r0 must be finite"):
+            nd.solve(problem, r0=r0)
 
 
 @pytest.mark.slow
