@@ -447,6 +447,13 @@ SETTLING = {
 }
 
 
+def test_what_strikes_and_slides_with_theta_1_passes():
+    """The move after an impact acts at the time of that, at another spin."""
+    rod = nd.scenes.load("rod")(angle=20.0, mu=1.0, slip=-1.0, fall=0.5)
+    audit = nd.check(nd.simulate(rod, 0.01, 2e-3, theta=1.0))
+    assert audit.passed, audit
+
+
 @pytest.mark.parametrize(("theta", "e"), [(0.5, 0.2), (0.5, 0.7), pytest.param(0.7, 0.4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", SETTLING)
 def test_what_bounces_rolls_and_settles_passes(kind, theta, e):
