@@ -104,7 +104,7 @@ class Flight:
         arm[met] = c["contacts/point"][row[met]] - at[met]
         # Of older recordings, which have no couples, the angular momentum is not audited.
         moment = np.cross(arm, push) + couple
-        turned, then, turning = _turned(poses, step * free + body, time, moment)
+        turned, then, turning = _turned(poses, step * free + body, (time, length), moment)
         sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
         own = _sides(poses, pushes, (before, forced, begun / h), (at, arm, then, turning))
         _put(poses, sides, geoms, pushes, own)
@@ -200,14 +200,14 @@ def angles(one: Array, other: Array) -> Array:
     return out
 
 
-def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array, Array, Array]:
+def _turned(poses: Poses, row: Index, when: tuple[Array, Array], moment: Array) -> tuple[Array, Array, Array]:
     """How free bodies are turned after each step, (n, free, 4), and when each moment acts, (moments, 4).
 
     Then the angular velocities before and after each, world axes, (2, moments, 3), rad/s. The moments, on body
-    row % free in step row // free, are sorted by row and time. External wrenches that are not recorded act where those
-    of a step in one piece do.
+    row % free in step row // free, are sorted by row, time and length of their move, as `when` has both. External
+    wrenches that are not recorded act where those of a step in one piece do.
     """
-    t, free = poses.trajectory, poses.free
+    t, free, (time, length) = poses.trajectory, poses.free, when
     q, w = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), poses.v[:-1, :, 3:].reshape(-1, 3).copy()
     inertia, now = np.tile(_inertias(poses), (t.steps, 1, 1)), np.zeros(t.steps * free)
     given, order = row.size, np.arange(row.size)
@@ -216,10 +216,12 @@ def _turned(poses: Poses, row: Index, time: Array, moment: Array) -> tuple[Array
         np.subtract.at(rest, row, moment)
         late = (1.0 - float(t.meta["theta"])) * t.dt
         row, time = np.append(row, np.arange(rest.size // 3)), np.append(time, np.full(rest.size // 3, late))
-        order = np.lexsort((time, row))
-        row, time, moment = row[order], time[order], np.concatenate([moment, rest])[order]
-    # Moments of one body at one time together; then of each body the first, the second, ...
-    begin, group = together(row, time)
+        length = np.append(length, np.full(rest.size // 3, t.dt))
+        order = np.lexsort((length, time, row))
+        row, time, length, moment = row[order], time[order], length[order], np.concatenate([moment, rest])[order]
+    # Moments on one body that act together, which with θ = 1 a move does not with the impacts before it at its time;
+    # then of each body the first, the second, ...
+    begin, group = together(row, time, length)
     if begin.size:
         row, time, moment = row[begin], time[begin], np.add.reduceat(moment, begin)
     rank, met = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 10))

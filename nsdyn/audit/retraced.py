@@ -150,6 +150,8 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
         works["friction"] += float(kick.given[2] @ mean)
         works["damping"] += float(kick.stiff[0] @ along)
         works["constraint"] += first.work + last.work
+        if m.driven.size:  # what drives do in a flow is the change of its energy, in doubt as its velocities are
+            doubt += sum(float(np.abs(m.mass(flow.q) @ flow.v) @ flow.doubted[1]) for flow in (first, last))
         if kick.mean is None:
             works["constraint"] += float(kick.reaction @ mean)
         change = np.abs(kick.after - kick.before)

@@ -142,7 +142,7 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
     doubt = nothing if found is None else found.doubt.sum(axis=1)
     step = poses.step
-    stays, left = _stays(poses, step), dict[str, Array]()
+    stays, left = _stays(poses, flight), dict[str, Array]()
     sticks = stays & ~_slid(poses, step)
     twice = _twice(poses, flight) + (0.0 if found is None else found.met_twice)
     for name, lasts in (("normal", stays), ("friction", sticks)):
@@ -183,15 +183,19 @@ def _twice(poses: Poses, flight: Flight) -> Array:
     return out
 
 
-def _stays(poses: Poses, step: Index) -> Bools:
-    """Contacts of shapes that touch where their step begins, or met before: what they do may be booked as numerics."""
+def _stays(poses: Poses, flight: Flight) -> Bools:
+    """Contacts of shapes that touch where their step begins, or met before: what they do may be booked as numerics.
+
+    With theta = 1 a move acts when the impacts before it do.
+    """
     c: Any = poses.trajectory.columns
-    i, j = poses.pair
+    (i, j), step, moves = poses.pair, poses.step, ~flight.instant
     out = apart(poses, i, j, step) <= TOLERANCES["overlap"] * poses.size(i, j)
     when: Array = c["contacts/time"]
-    order = np.lexsort((when, j, i, step))
+    order = np.lexsort((moves, when, j, i, step))
     begin, group = together(step[order], i[order], j[order])
-    out[order] |= when[order] > when[order][begin][group] if begin.size else False
+    for late in (when[order], moves[order]):
+        out[order] |= late > late[begin][group] if begin.size else False
     pair = i * len(poses.names) + j
     code = step * len(poses.names) ** 2 + pair
     last = np.isin(code - len(poses.names) ** 2, code[c["contacts/status"] > 0])

@@ -447,6 +447,24 @@ SETTLING = {
 }
 
 
+def test_a_grain_that_a_heavy_block_pushes_passes():
+    """What pushes a gram is not lost in round-off of what pushes a ton."""
+    scene, material = nd.Scene(), nd.Material(mu=0.5)
+    scene.add_halfspace("ground", material=material)
+    scene.add_box("grain", (1e-3, 1e-3, 1e-3), 1e-3, position=(1.5, 0, 5e-4), material=material)
+    how = {"position": (7, 0, 0.5), "linear_velocity": (-3, 0, 0), "material": material}
+    scene.add_box("block", (10, 2, 1), 1e3, **how)
+    found = nd.check(nd.simulate(scene, 1.2, 1e-2))["spin"]
+    assert found.worst <= 1e-12, found
+
+
+def test_what_strikes_and_slides_with_theta_1_passes():
+    """The move after an impact acts at the time of that, at another spin."""
+    rod = nd.scenes.load("rod")(angle=20.0, mu=1.0, slip=-1.0, fall=0.5)
+    audit = nd.check(nd.simulate(rod, 0.01, 2e-3, theta=1.0))
+    assert audit.passed, audit
+
+
 @pytest.mark.parametrize(("theta", "e"), [(0.5, 0.2), (0.5, 0.7), pytest.param(0.7, 0.4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", SETTLING)
 def test_what_bounces_rolls_and_settles_passes(kind, theta, e):

@@ -256,6 +256,27 @@ def test_a_heavy_payload_passes(kind):
     assert audit.passed and audit.not_audited == UNSEEN, audit
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_driven_arm_that_hits_a_box_passes(restitution):
+    """With θ = 1 the moves after impacts act when these do; drives work in flows of a whole step, to fourth order."""
+    model, parent, place = pin.Model(), 0, at((0, 0, 0))
+    for k in range(3):
+        parent = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}")
+        model.addJointFrame(parent)
+        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.array([0, 0, -0.2]), 0.02 * np.eye(3)), at((0, 0, 0)))
+        place = at((0, 0, -0.4))
+    scene, material = nd.Scene(), nd.Material(mu=0.4, restitution=restitution)
+    scene.add_halfspace("ground", offset=-1.1, material=material)
+    scene.add_box("box", (0.2, 0.2, 0.2), 0.7, position=(-0.85, 0, -1.0), material=material)
+    limb = [(shapes.capsule(0.03, 0.3), at((0, 0, -0.2)))]
+    laws = {"friction": [0.3] * 3, "damping": [0, 0.3, 0.1], "material": material, "self_collisions": False}
+    shape = {f"j{k}": limb for k in range(3)}
+    scene.add_model("arm", model, q=[0.2, 0.5, -0.4], v=[4.2, 0, 0], collisions=shape, **laws)
+    scene.set_motion("arm/j0", velocity=lambda t: 4.2 * np.cos(7.0 * t))
+    audit = nd.check(nd.simulate(scene, 1.0, 1e-2, theta=1.0))
+    assert audit.passed, audit
+
+
 @pytest.mark.slow
 def test_rolling_of_a_boat_creates_nothing():
     """The work of contacts that stay closed is O(h²) of a motion, and in the ledger as numerics."""
