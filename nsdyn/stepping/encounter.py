@@ -284,11 +284,22 @@ class Encounter(NamedTuple):
             slides=None,
             posed=None,
             transport=self.transport[rows] if self.transport.size else NOTHING,
+            quickening=self.quickening[rows] if self.quickening.size else NOTHING,
             stays=self.stays[kept],
             sticks=self.sticks[kept[:nc]],
             was=self.was[kept[:nc]],
             late=self.late[kept],
         )
+
+    @property
+    def begun(self) -> Array:
+        """What `local` is with u⁻ as it is where the move begins, on surfaces that quicken too."""
+        if not self.quickening.size:
+            return self.local
+        out = self.local.copy()
+        out[0] -= self.quickening
+        out[3] += self.quickening
+        return out
 
     def lasting(
         self, pair: Index, warm: Warm, before: tuple[ContactSet, Array], closed: float, h: float, struck: bool
@@ -302,7 +313,7 @@ class Encounter(NamedTuple):
         stays, sticks, was = np.empty(rows, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
         last, begin = (warm.key, warm.pair, warm.status), (contacts.key, contacts.gap, closed, h)
         pressed = NEVER if self.joints is None else (warm.joints[self.joints.slot, 0] > 0.0) & (self.joints.mu == 0.0)
-        names, given = (self.contacts.key, pair), ((limits, pressed), self.local, self.end_gap)
+        names, given = (self.contacts.key, pair), ((limits, pressed), self.begun, self.end_gap)
         some = _persistence.persists(names, last, begin, *given, struck, (stays, sticks, was))
         out = self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(rows))
         return out.otherwise() if some else out

@@ -40,7 +40,7 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) 
     problem : FC3D
     solution : Solution
     """
-    local = _begun(met)
+    local = met.begun
     if (end := endings(met, problem, solution)) is None:
         return 1.0
     begin, _, free, drift, _ = local.reshape(5, -1, 3)[..., 1:]
@@ -74,7 +74,7 @@ def endings(met: Encounter, problem: FC3D, solution: Solution) -> NDArray[np.int
 
     0 for as it was, 1 in a stop, 2 turned round, or held by friction along the slip.
     """
-    local, slid = _begun(met), NONE
+    local, slid = met.begun, NONE
     if met.joints is not None:
         last = met.local[4].reshape(-1, 3)[met.frame.shape[0] :]
         dry = (met.joints.mu > 0.0) & ~met.joints.actuated
@@ -82,12 +82,3 @@ def endings(met: Encounter, problem: FC3D, solution: Solution) -> NDArray[np.int
     out = np.empty(met.mu.size, np.int8)
     shown = solution.r, solution.u, problem.q
     return out if _reversal.ending(*shown, met.mu, local, met.was, slid, out) else None
-
-
-def _begun(met: Encounter) -> Array:
-    """What `Encounter.local` is, with slip as it is where the move begins on surfaces that quicken."""
-    if not met.quickening.size:
-        return met.local
-    local = met.local.copy()
-    local[0] -= met.quickening
-    return local
