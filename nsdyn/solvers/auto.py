@@ -26,7 +26,7 @@ class Tuning:
     cost: int = 64
     """Sweeps that count as a factorisation, as they do in a wall."""
 
-    lengths: tuple[int, ...] = (8, 200, 648, 1944)
+    lengths: tuple[int, ...] = (8, 24, 72, 216, 648, 1944)
     """What Newton takes in each round. It goes on where it was, unless another has found better meanwhile."""
 
     sweeps: tuple[int, int] = (20, 60)

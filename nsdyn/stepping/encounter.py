@@ -298,7 +298,6 @@ class Encounter(NamedTuple):
             return self.local
         out = self.local.copy()
         out[0] -= self.quickening
-        out[3] += self.quickening
         return out
 
     def lasting(

@@ -17,7 +17,6 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.tools.arrays import Array
 
 __all__ = ["endings", "reversal"]
 
