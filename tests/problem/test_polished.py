@@ -88,7 +88,7 @@ def judge(found, least):
 @pytest.mark.slow
 @extended
 def test_bounds_of_random_answers(rng):
-    judge(trials(rng, 6), 35)
+    judge(trials(rng, 7), 35)
 
 
 @extended
