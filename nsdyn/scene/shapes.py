@@ -38,8 +38,8 @@ __all__ = [
     "convex",
     "cylinder",
     "ellipsoid",
-    "from_coal",
     "halfspace",
+    "hull_of_surface",
     "mesh",
     "sphere",
 ]
@@ -361,13 +361,13 @@ def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
     try:
         with np.errstate(over="ignore"):
             surface = surface._replace(vertices=surface.vertices * factor)
-        return _hull_of_surface(surface.vertices, surface.volume, str(path))
+        return hull_of_surface(surface.vertices, surface.volume, str(path))
     except ValueError as failure:
         raise ValueError(f"path: {path} has no hull: {failure}") from None
 
 
-def _hull_of_surface(vertices: Array, volume: float, name: str) -> tuple[Shape, Array]:
-    """Hull of a triangulated surface, with a warning when it is not convex."""
+def hull_of_surface(vertices: Array, volume: float, name: str) -> tuple[Shape, Array]:
+    """Hull of a triangulated surface of vertices (n, 3), m, and volume, m³, as `convex`; warns if it is not convex."""
     shape, centroid = convex(vertices)
     volume = abs(volume)
     if shape.volume > CONCAVE * volume:
@@ -377,47 +377,6 @@ def _hull_of_surface(vertices: Array, volume: float, name: str) -> tuple[Shape, 
             stacklevel=3,
         )
     return shape, centroid
-
-
-def from_coal(geometry: Any) -> tuple[Shape, Array]:
-    """The Shape of a Coal geometry, as loaders of robot models return it.
-
-    Parameters
-    ----------
-    geometry : coal.CollisionGeometry
-        A primitive, a convex polytope or a triangulated mesh; of the latter the hull is taken, as in `mesh`.
-
-    Returns
-    -------
-    Shape
-    shift : ndarray, shape (3,)
-        Origin of the shape in the frame of `geometry`, m.
-
-    Raises
-    ------
-    ValueError
-        For any other geometry.
-    """
-    g, origin = geometry, np.zeros(3)
-    match type(geometry).__name__:
-        case "Halfspace":
-            return halfspace(g.n, g.d), origin
-        case "Box":
-            return box(2.0 * g.halfSide), origin
-        case "Sphere":
-            return sphere(g.radius), origin
-        case "Capsule":
-            return capsule(g.radius, 2.0 * g.halfLength), origin
-        case "Cylinder":
-            return cylinder(g.radius, 2.0 * g.halfLength), origin
-        case "Ellipsoid":
-            return ellipsoid(g.radii), origin
-        case "Convex" | "ConvexBase":
-            return convex(np.array(g.points()))
-        case name if name.startswith("BVHModel"):
-            return _hull_of_surface(np.array(g.vertices()), g.computeVolume(), "the mesh")
-        case name:
-            raise ValueError(f"geometry must be a primitive, a convex polytope or a mesh of Coal, got {name}")
 
 
 def _settle_boxes() -> None:

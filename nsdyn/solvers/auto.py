@@ -122,7 +122,7 @@ class Search:
     @property
     def over(self) -> bool:
         """Whether the tolerance is met, or what rounding allows, or the effort spent."""
-        return self.best <= self.tol or self.spent >= self.limit or self.best <= self.problem.round_off(self.r)
+        return self.spent >= self.limit or self.best <= self.tol or self.best <= self.problem.round_off(self.r)
 
     def sweep(self, most: float) -> None:
         """Sweeps with momentum from the best or on from the last, first to the loose tolerance: it bounds the rest."""

@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull
 
 from nsdyn._kernels.collision import kinds
 from nsdyn.scene import shapes
+from nsdyn.scene.robot_files.model import from_coal
 
 M = 2.5  # kg
 
@@ -137,7 +138,7 @@ def test_hollow_mesh_warns(tmp_path):
     ids=["halfspace", "box", "sphere", "capsule", "cylinder", "ellipsoid", "convex"],
 )
 def test_round_trip_through_coal(shape):
-    again, shift = shapes.from_coal(shape.geometry)
+    again, shift = from_coal(shape.geometry)
     assert again.kind == shape.kind
     np.testing.assert_allclose(again.size, shape.size, rtol=1e-15)
     np.testing.assert_allclose(shift, 0.0, rtol=0, atol=1e-15)
@@ -149,14 +150,14 @@ def test_round_trip_through_coal(shape):
 
 def test_mesh_of_coal_becomes_its_hull(tmp_path):
     file = write_obj(tmp_path / "cube.obj", *prism([(0, 0), (1, 0), (1, 1), (0, 1)]))
-    shape, shift = shapes.from_coal(coal.MeshLoader().load(str(file), np.ones(3)))
+    shape, shift = from_coal(coal.MeshLoader().load(str(file), np.ones(3)))
     assert shape.volume == pytest.approx(1.0, rel=1e-12)
     np.testing.assert_allclose(shift, 0.5, rtol=1e-12)
 
 
 def test_unsupported_geometry():
     with pytest.raises(ValueError, match="Cone"):
-        shapes.from_coal(coal.Cone(1.0, 2.0))
+        from_coal(coal.Cone(1.0, 2.0))
 
 
 def test_describe_is_plain_data():

@@ -15,8 +15,10 @@ from nsdyn.scene.gears import following
 from nsdyn.scene.robot_files.inertias import check_mass
 from nsdyn.scene.robot_files.mimics import unfolded
 from nsdyn.scene.robot_files.xml import Notes
+from nsdyn.scene.shapes import Shape
+from nsdyn.tools.arrays import Array
 
-__all__ = ["links_of", "read_model"]
+__all__ = ["from_coal", "links_of", "read_model"]
 
 
 def read_model(name: str, model: Any, geometry: Any | None) -> Description:
@@ -72,8 +74,49 @@ def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> tuple[list[L
     for g in objects:
         joint = int(g.parentJoint)
         with dropped.of_warnings(g.name):
-            shape, shift = shapes.from_coal(g.geometry)
+            shape, shift = from_coal(g.geometry)
         links.append(Link(g.name, joint, g.placement * pin.SE3(np.eye(3), shift), shape))
         # Objects made by hand often name no frame: then the joint stands for the body.
         bodies.append(model.frames[g.parentFrame].name if g.parentFrame < model.nframes else model.names[joint])
     return links, bodies
+
+
+def from_coal(geometry: Any) -> tuple[Shape, Array]:
+    """The Shape of a Coal geometry, as loaders of robot models return it.
+
+    Parameters
+    ----------
+    geometry : coal.CollisionGeometry
+        A primitive, a convex polytope or a triangulated mesh; of the latter the hull is taken, as in `shapes.mesh`.
+
+    Returns
+    -------
+    Shape
+    shift : ndarray, shape (3,)
+        Origin of the shape in the frame of `geometry`, m.
+
+    Raises
+    ------
+    ValueError
+        For any other geometry.
+    """
+    g, origin = geometry, np.zeros(3)
+    match type(geometry).__name__:
+        case "Halfspace":
+            return shapes.halfspace(g.n, g.d), origin
+        case "Box":
+            return shapes.box(2.0 * g.halfSide), origin
+        case "Sphere":
+            return shapes.sphere(g.radius), origin
+        case "Capsule":
+            return shapes.capsule(g.radius, 2.0 * g.halfLength), origin
+        case "Cylinder":
+            return shapes.cylinder(g.radius, 2.0 * g.halfLength), origin
+        case "Ellipsoid":
+            return shapes.ellipsoid(g.radii), origin
+        case "Convex" | "ConvexBase":
+            return shapes.convex(np.array(g.points()))
+        case name if name.startswith("BVHModel"):
+            return shapes.hull_of_surface(np.array(g.vertices()), g.computeVolume(), "the mesh")
+        case name:
+            raise ValueError(f"geometry must be a primitive, a convex polytope or a mesh of Coal, got {name}")
