@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.reductions import copy
-from nsdyn._kernels.stepping.law import offsets
+from nsdyn._kernels.stepping.law import NO_SLIP, offsets
 from nsdyn._kernels.stepping.touching import last_status, places
 from nsdyn._kernels.vectors import along, dot, put, row, square, times, to_local
 
@@ -37,10 +37,11 @@ def persists(names, warm, begin, limits, local, end_gap, struck, out):
 
     What pressed in the last move, by warm = (keys, pairs, status), or was closed where this one begins, by begin =
     (keys, gaps, what counts as closed, h), and did not approach, stays, as do joint limits, of which `limits` has
-    (gaps, whether they pressed), (rows - nc,) each; what stuck, or did not slip there, sticks. Not what is squeezed, so
-    that it overlaps, strikes or parts: an approach in h s faster than `JOLT` drifts of the rows is one of the bodies,
-    and no error. Gaps that count as closed, of rows that do not turn, are set to 0. Returns whether others are left of
-    what stays. What contacts were in the last move goes into was (nc,). names = (keys, pairs).
+    (gaps, whether they pressed), (rows - nc,) each. Not what is squeezed, so that it overlaps, strikes or parts: an
+    approach in h s faster than `JOLT` drifts of the rows is one of the bodies, and no error. What stuck sticks however
+    it approaches, for its slip is an error, as does what stays and did not slip there. Gaps that count as closed, of
+    rows that do not turn, are set to 0. Returns whether others are left of what stays. What contacts were in the last
+    move goes into was (nc,), slip if they were closed without pressing, and slip now. names = (keys, pairs).
     """
     (key, pair), (begin_key, begin_gap, closed, h), (stays, sticks, was) = names, begin, out
     some = False
@@ -68,7 +69,9 @@ def persists(names, warm, begin, limits, local, end_gap, struck, out):
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
         if c < nc:
             slip = math.sqrt(square(u_begin[i + 1]) + square(u_begin[i + 2]))
-            sticks[c] = stays[c] and (old == 1 or (old == 0 and slip <= still))
+            sticks[c] = old == 1 or (stays[c] and old == 0 and slip <= still)
+            if old == 0 and slip > max(still, NO_SLIP):
+                was[c] = 2
         if stays[c] and abs(end_gap[c]) <= closed and abs(drift[i]) * h <= STILL * closed:
             end_gap[c] = 0.0
         some = some or (stays[c] and end_gap[c] != 0.0)
