@@ -17,6 +17,7 @@ from nsdyn.collision.distances import SHRINK, Batch, empty_model, split
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.shapes import HALFSPACE, ROUND
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.options import is_number
 
 __all__ = ["MARGIN", "TOLERANCE", "Candidates"]
 
@@ -57,8 +58,8 @@ class Candidates:
         excluded: Collection[tuple[int, int]] = (),
         max_points: int = 8,
     ) -> None:
-        if max_points < 4:
-            raise ValueError(f"max_points must be at least 4, got {max_points}")
+        if not is_number(max_points, int) or max_points < 4:
+            raise ValueError(f"max_points must be a whole number, at least 4, got {max_points!r}")
         for g in geoms:
             if g.shape.kind == HALFSPACE and g.frame >= 0:
                 raise ValueError(f"halfspace {g.name!r} must be fixed, not on a moving frame")

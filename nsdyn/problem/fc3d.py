@@ -17,7 +17,7 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.problem import given as _given
 from nsdyn.problem.blocks import Blocks
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Index, numbers
 
 __all__ = ["FC3D"]
 
@@ -25,7 +25,7 @@ __all__ = ["FC3D"]
 def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
     """W in 3 x 3 blocks as `FC3D.csr`; ValueError when it is not square, finite or a multiple of 3."""
     if not sp.issparse(W):
-        W = np.asarray(W, dtype=float)
+        W = numbers(W, "square with 3 rows per contact", "W")
     if W.ndim != 2 or W.shape[0] != W.shape[1] or W.shape[0] % 3:
         raise ValueError(f"W must be square with 3 rows per contact, got shape {W.shape}")
     nc = W.shape[0] // 3
@@ -127,8 +127,8 @@ class FC3D:
 
     def _set(self, q: Any, mu: Any) -> None:
         """Take q and μ; ValueError for values that are not what they have to be."""
-        self.q: Array = np.ascontiguousarray(q, dtype=float)
-        self.mu: Array = np.ascontiguousarray(mu, dtype=float)
+        self.q: Array = np.ascontiguousarray(numbers(q, "3 numbers per contact", "q"))
+        self.mu: Array = np.ascontiguousarray(numbers(mu, "a number per contact", "mu"))
         if self.mu.ndim != 1 or self.q.shape != (3 * self.mu.size,):
             raise ValueError(f"q must have 3 entries per entry of mu, got {self.q.shape} and {self.mu.shape}")
         q_norm, good = _blocks.size_of(self.q, self.mu)
@@ -232,7 +232,7 @@ class FC3D:
 
     def impulse(self, r: Any) -> Array:
         """The array r (3 nc,) that is meant; ValueError if its shape does not fit."""
-        out: Array = np.ascontiguousarray(r, dtype=float)
+        out: Array = np.ascontiguousarray(numbers(r, "3 numbers per contact", "r"))
         if out.shape != self.q.shape:
             raise ValueError(f"r must have shape {self.q.shape} like q, got {out.shape}")
         return out

@@ -49,7 +49,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     check_size(name, description.model)
     model, limits = description.model.copy(), o["limits"]
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
-    if description.flaws and choice(o["inertias"], ("check", "trust"), f"inertias of {name!r}") == "check":
+    if choice(o["inertias"], ("check", "trust"), f"inertias of {name!r}") == "check" and description.flaws:
         raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
 
     of_joints = partial(_of_joints, name, free)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from nsdyn.scene import checks
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, numbers
 from nsdyn.tools.naming import check_known
 
 __all__ = ["Body", "BodyOptions", "Geom", "make_body"]
@@ -127,6 +127,8 @@ def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions)
     centre = checks.vector(given["com"], 3, f"com of {name!r}")
     v = checks.vector(given["linear_velocity"], 3, f"linear_velocity of {name!r}")
     w = checks.vector(given["angular_velocity"], 3, f"angular_velocity of {name!r}")
+    if not isinstance(given["fixed"], (bool, np.bool_)):
+        raise ValueError(f"fixed of {name!r} must be True or False, got {given['fixed']!r}")
     if given["fixed"]:
         if v.any() or w.any():
             raise ValueError(f"{name!r} is fixed, so its velocity must be zero, got {v.tolist()}, {w.tolist()}")
@@ -167,8 +169,8 @@ def _material(material: Material | None, name: str) -> Material:
 def _colour(colour: ArrayLike | None, name: str) -> tuple[float, float, float, float] | None:
     if colour is None:
         return None
-    rgba = np.array(colour, dtype=float)
+    rgba = numbers(colour, words := "3 or 4 numbers in [0, 1]", f"colour of {name!r}")
     if rgba.shape not in ((3,), (4,)) or not ((rgba >= 0) & (rgba <= 1)).all():
-        raise ValueError(f"colour of {name!r} must be 3 or 4 numbers in [0, 1], got {colour!r}")
+        raise ValueError(f"colour of {name!r} must be {words}, got {colour!r}")
     r, g, b, *a = rgba.tolist()
     return (r, g, b, a[0] if a else 1.0)

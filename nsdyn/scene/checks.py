@@ -11,9 +11,20 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, numbers
 
-__all__ = ["folders", "inertia", "lengths", "number", "path", "positive", "quaternion", "rotation", "vector"]
+__all__ = [
+    "folders",
+    "inertia",
+    "lengths",
+    "number",
+    "path",
+    "positive",
+    "quaternion",
+    "rotation",
+    "text",
+    "vector",
+]
 
 
 LARGEST, SMALLEST = 1e50, 1e-50
@@ -46,6 +57,13 @@ def number(value: Any, what: str) -> float:
     return out
 
 
+def text(value: Any, what: str) -> str:
+    """A text that a recording can hold."""
+    if not isinstance(value, str) or "\0" in value or value.encode(errors="ignore").decode() != value:
+        raise ValueError(f"{what} must be a text of Unicode without NUL, got {value!r}")
+    return value
+
+
 def path(value: Any, what: str) -> Path:
     """A path."""
     if not isinstance(value, (str, os.PathLike)):
@@ -62,10 +80,7 @@ def folders(value: Any, what: str) -> list[Path]:
 
 def vector(value: ArrayLike, size: int, what: str) -> Array:
     """`size` finite numbers."""
-    try:
-        out = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{what} must be {size} numbers, got {value!r}") from None
+    out = numbers(value, f"{size} numbers", what).copy()
     if out.shape != (size,):
         raise ValueError(f"{what} must be {size} numbers, got shape {out.shape}")
     if not (np.abs(out) <= LARGEST).all():
@@ -106,9 +121,9 @@ def lengths(value: ArrayLike, what: str) -> Array:
 
 def inertia(value: ArrayLike, what: str) -> Array:
     """A physical inertia: symmetric, positive, and no principal moment larger than the sum of the others."""
-    matrix = np.array(value, dtype=float)
+    matrix = numbers(value, words := "a finite 3 x 3 matrix", what)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise ValueError(f"{what} must be a finite 3 x 3 matrix, got {value!r}")
+        raise ValueError(f"{what} must be {words}, got {value!r}")
     if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
         raise ValueError(f"{what} must be symmetric, got {matrix.tolist()}")
     moments = np.linalg.eigvalsh(matrix)

@@ -83,6 +83,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         self.gravity = checks.vector(self.gravity, 3, "gravity")
+        checks.text(self.name, "name")
         for argument in ("friction_rule", "restitution_rule"):
             choice(getattr(self, argument), COMBINATION_RULES, argument)
 
@@ -210,7 +211,7 @@ class Scene:
         self.bodies[name] = make_body(name, shape, mass, keywords)
 
     def _check_name(self, name: str) -> None:
-        if not isinstance(name, str) or not name or "/" in name:
+        if not checks.text(name, "name") or "/" in name:
             raise ValueError(f"name must be a non-empty string without '/', got {name!r}")
         if name in self.bodies or name in self.articulations:
             raise ValueError(f"name must be unique in the scene, {name!r} is taken")
@@ -409,7 +410,7 @@ class Scene:
         """
         if (velocity is None) == (surface_velocity is None):
             raise ValueError(f"motion of {name!r} needs either velocity or surface_velocity")
-        owner, _, joint = name.partition("/")
+        owner, _, joint = checks.text(name, "name").partition("/")
         if name not in self.bodies and owner in self.articulations:
             a = self.articulations[owner]
             choice(name, [f"{owner}/{one}" for one in list(a.model.names)[1:]], "joint")

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks, hulls, meshes
 from nsdyn.tools import noise
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Index, numbers
 
 __all__ = [
     "CAPSULE",
@@ -354,10 +354,11 @@ def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
     UserWarning
         When the hull has more than 1.02 times the volume of the mesh: its hollows are filled.
     """
-    factor = np.full(3, checks.positive(scale, "scale")) if np.ndim(scale) == 0 else np.array(scale, dtype=float)
+    words = "a number or 3 numbers other than 0"
+    factor = np.full(3, checks.positive(scale, "scale")) if np.ndim(scale) == 0 else numbers(scale, words, "scale")
     if factor.shape != (3,) or not (np.isfinite(factor).all() and factor.all()):
-        raise ValueError(f"scale must be a number or 3 numbers other than 0, got {scale!r}")
-    surface = meshes.read(Path(path))
+        raise ValueError(f"scale must be {words}, got {scale!r}")
+    surface = meshes.read(checks.path(path, "path"))
     try:
         with np.errstate(over="ignore"):
             surface = surface._replace(vertices=surface.vertices * factor)

@@ -12,6 +12,7 @@ from nsdyn.problem import cones
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
 from nsdyn.recording import fclib
+from nsdyn.scene import checks
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import take
 from nsdyn.stepping.state import State
@@ -53,7 +54,8 @@ class Failures:
         choice(on_fail, ON_FAIL, "on_fail")
         if folder is None and on_fail == "dump":
             folder = DUMPS
-        self.on_fail, self.folder, self.names = on_fail, None if folder is None else Path(folder), names
+        self.on_fail, self.names = on_fail, names
+        self.folder = None if folder is None else checks.path(folder, "dump_on_fail")
         if self.folder is not None:
             try:
                 check_folder(self.folder)

@@ -16,6 +16,7 @@ from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import RunOptions, simulate
 from nsdyn.study.comparison import differences
 from nsdyn.tools import notebook
+from nsdyn.tools.arrays import numbers
 from nsdyn.tools.naming import check_known
 
 __all__ = ["Refinement", "Row", "order", "refine"]
@@ -159,9 +160,10 @@ def refine(
     2.0
     """
     check_known(options, RunOptions.__optional_keys__)
-    chosen = sorted({float(dt) for dt in dts}, reverse=True)
+    given = numbers(dts, words := "at least two different positive numbers of seconds", "dts")
+    chosen = sorted(set(given.ravel().tolist()), reverse=True)
     if len(chosen) < 2 or not chosen[-1] > 0.0 or not math.isfinite(chosen[0]):
-        raise ValueError(f"dts must be at least two different positive numbers of seconds, got {list(dts)}")
+        raise ValueError(f"dts must be {words}, got {dts!r}")
     for dt in chosen:
         if abs(duration / dt - round(duration / dt)) > 1e-9 * duration / dt or duration < 0.5 * dt:
             raise ValueError(f"duration must be a whole number of every dt, got {duration:g} s and dt = {dt:g} s")

@@ -370,8 +370,10 @@ def test_no_geoms_and_one_geom():
 
 
 def test_misuse():
-    with pytest.raises(ValueError, match="max_points must be at least 4, got 3"):
+    with pytest.raises(ValueError, match="max_points must be a whole number, at least 4, got 3"):
         detector(BOX, max_points=3)
+    with pytest.raises(ValueError, match="max_points must be a whole number, at least 4, got 'many'"):
+        detector(BOX, max_points="many")
     moving = Geom("slope", "slope", GROUND, 0, np.eye(3), np.zeros(3), Material())
     with pytest.raises(ValueError, match="halfspace 'slope' must be fixed"):
         Detector([moving], rule)

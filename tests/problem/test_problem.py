@@ -143,6 +143,9 @@ def test_blocks_against_dense(rng):
     [
         ({"W": np.eye(6)[:, :5]}, "W must be square"),
         ({"W": np.eye(5)}, "W must be square"),
+        ({"W": {}}, r"W must be square with 3 rows per contact, got \{\}"),
+        ({"q": "fast"}, "q must be 3 numbers per contact, got 'fast'"),
+        ({"mu": [None, "x"]}, r"mu must be a number per contact, got \[None, 'x'\]"),
         ({"W": np.full((6, 6), np.nan)}, "W must be finite"),
         ({"W": np.zeros((6, 6))}, "diagonal block"),
         ({"W": np.eye(3)}, "W must have 6 rows"),

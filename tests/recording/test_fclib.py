@@ -431,6 +431,8 @@ def test_dump_folder_must_not_be_a_file(tmp_path):
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(ValueError, match="dump_on_fail must be a folder"):
             nd.Stepper(nd.scenes.load("slide")(), dump_on_fail=folder)
+    with pytest.raises(ValueError, match="dump_on_fail must be a path, got 3"):
+        nd.Stepper(nd.scenes.load("slide")(), dump_on_fail=3)
 
 
 @pytest.mark.slow

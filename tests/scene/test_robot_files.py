@@ -125,6 +125,8 @@ def test_inertias_can_be_trusted(tmp_path):
     assert scene.articulations["r"].model.inertias[1].inertia[2, 2] == 5.0
     with pytest.raises(ValueError, match=r"inertias of 'r' must be one of check, trust; got 'trsut'"):
         nd.Scene().add_urdf("r", path, inertias="trsut")
+    with pytest.raises(ValueError, match=r"inertias of 'm' must be one of check, trust; got 'chekc'"):
+        nd.Scene().add_model("m", pin.buildSampleModelManipulator(), inertias="chekc")
 
 
 def test_thin_and_rounded_inertias_are_sound(tmp_path):

@@ -31,8 +31,11 @@ GOOD = {"size": (0.2, 0.2, 0.2), "mass": 1.0}
         ({"inertia": np.diag([1.0, 1.0, 3.0])}, "triangle inequality"),
         ({"inertia": np.diag([1.0, 1.0, -1.0])}, "positive definite"),
         ({"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, "symmetric"),
+        ({"inertia": {"xx": 1.0}}, r"inertia of 'b' must be a finite 3 x 3 matrix, got \{'xx': 1.0\}"),
+        ({"fixed": "no"}, "fixed of 'b' must be True or False, got 'no'"),
         ({"fixed": True, "linear_velocity": (1, 0, 0)}, "'b' is fixed"),
         ({"colour": (2, 0, 0)}, "colour of 'b'"),
+        ({"colour": "red"}, r"colour of 'b' must be 3 or 4 numbers in \[0, 1\], got 'red'"),
         ({"friction": 0.5}, "keyword must be one of .*; got 'friction'"),
     ],
 )
@@ -76,6 +79,11 @@ def test_bad_scene():
         nd.Scene(gravity=(0, 9.81))
     with pytest.raises(ValueError, match="friction_rule must be one of"):
         nd.Scene(friction_rule="product")
+    for name in (3, "a\0b", "\ud800"):  # which no recording can be saved with, and loaded
+        with pytest.raises(ValueError, match="name must be a text of Unicode without NUL"):
+            nd.Scene(name=name)
+        with pytest.raises(ValueError, match="name must be a text of Unicode without NUL"):
+            nd.Scene().add_sphere(name, 0.1, 1.0)
     scene = nd.Scene()
     scene.add_box("b", **GOOD)
     with pytest.raises(ValueError, match="name must be unique"):
@@ -89,6 +97,10 @@ def test_bad_scene():
     with pytest.raises(ValueError, match="the pair of 'b' and 'b' needs mu or restitution"):
         scene.set_pair("b", "b")
     assert not scene.pairs
+    with pytest.raises(ValueError, match="name must be a text of Unicode without NUL, got None"):
+        scene.set_motion(None, velocity=(0, 0, 1))
+    with pytest.raises(ValueError, match="path must be a path, got 3"):
+        scene.add_mesh("m", 3, 1.0)
     with pytest.raises(ValueError, match="must be a file in URDF"):
         scene.add_urdf("arm", "nowhere.urdf")
 

@@ -410,3 +410,9 @@ def test_a_named_scene_comes_with_what_drives_it():
     assert np.abs(alone.v[-1]).max() > 0.01
     still = nd.simulate(setup.scene, 0.1, **setup.options(dt=0.01, external_force=None))
     assert np.abs(still.v[-1]).max() < 1e-8
+
+
+@pytest.mark.parametrize("dts", [1e-2, "fine", ["fine", 1e-2], [1e-2, float("nan")], [1e-2, 1e-2]])
+def test_a_refinement_needs_two_steps(dts):
+    with pytest.raises(ValueError, match="dts must be at least two different positive numbers of seconds, got"):
+        nd.refine("slide", dts, 0.04)
