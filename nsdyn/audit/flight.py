@@ -168,15 +168,22 @@ def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, o
 
 
 def _wander(poses: Poses) -> Array:
-    """How fast each contact comes from where its key was last, or goes to where it is next, (contacts,), m/s."""
-    c = poses.contacts
+    """How fast each contact comes from where it was last, or goes to where it is next, (contacts,), m/s.
+
+    By its key, and by its pair if of that it pushes alone: what goes far, as around the rim of a coin, has other keys.
+    """
+    c, (i, j) = poses.contacts, poses.pair
     when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
-    order = np.lexsort((when, c["key"]))
-    way = np.linalg.norm(np.diff(c["point"][order], axis=0), axis=1)
-    took = np.where(np.diff(c["key"][order]) == 0, np.diff(when[order]), 0.0)
-    speed = np.where(took > 0.0, way / np.where(took > 0.0, took, 1.0), 0.0)
-    out[order[1:]] = speed
-    out[order[:-1]] = np.maximum(out[order[:-1]], speed)
+    pair, pushes = i * len(poses.names) + j, c["impulse"][:, 0] > 0.0
+    group = np.unique(np.stack([pair, when]), axis=1, return_inverse=True)[1].ravel()
+    alone = pushes & (np.bincount(group, pushes)[group] == 1.0)
+    for name in (c["key"], np.where(alone, pair, -1 - np.arange(pair.size))):
+        order = np.lexsort((when, name))
+        way = np.linalg.norm(np.diff(c["point"][order], axis=0), axis=1)
+        took = np.where(np.diff(name[order]) == 0, np.diff(when[order]), 0.0)
+        speed = np.where(took > 0.0, way / np.where(took > 0.0, took, 1.0), 0.0)
+        np.maximum.at(out, order[1:], speed)
+        np.maximum.at(out, order[:-1], speed)
     return out
 
 

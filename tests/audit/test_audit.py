@@ -465,6 +465,18 @@ def test_what_strikes_and_slides_with_theta_1_passes():
     assert audit.passed, audit
 
 
+def test_a_thin_coin_that_wobbles_passes():
+    """Its contact goes around the rim so far in a step that it has another key."""
+    scene, material, tilt, r, h = nd.Scene(), nd.Material(mu=1.0), np.radians(20.0), 0.15, 1.5e-4
+    scene.add_halfspace("ground", material=material)
+    how = {"quaternion": Rotation.from_euler("x", tilt).as_quat(), "material": material}
+    how |= {"position": (0, 0, r * np.sin(tilt) + 0.5 * h * np.cos(tilt)), "angular_velocity": (0, 9.46, 0)}
+    scene.add_cylinder("coin", r, h, 1.0, **how)
+    run = nd.simulate(scene, 0.06, 4e-3)
+    assert np.unique(run.columns["contacts/key"]).size > 2
+    assert nd.check(run)["velocities"].passed
+
+
 @pytest.mark.parametrize(("theta", "e"), [(0.5, 0.2), (0.5, 0.7), pytest.param(0.7, 0.4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", SETTLING)
 def test_what_bounces_rolls_and_settles_passes(kind, theta, e):
