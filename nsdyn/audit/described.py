@@ -18,6 +18,9 @@ __all__ = ["described", "touched", "unseen"]
 Row = tuple[float, str]
 """(off as a fraction, of what)."""
 
+ROUNDED = 2e-6
+"""Of the extent of a hull, twice what its faces may be from planes: corners of float32 meshes are rounded."""
+
 SIZES = {"halfspace": 3, "box": 3, "convex": 0, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 """How many numbers a shape is made of."""
 
@@ -64,12 +67,14 @@ def _geom(geom: Mapping[str, Any]) -> Iterator[Row]:
         told = (np.array(list(np.ndindex(2, 2, 2))) - 0.5) * size
         yield float(np.abs(corners - told).max()) / extent if corners.shape == told.shape else np.inf, name
     reach = max(float(np.linalg.norm(corners, axis=1).max()), 1e-300)
+    rounded = ROUNDED * float(np.linalg.norm(np.ptp(corners, axis=0)))
     for loop in geom.get("faces", ()):
         face = corners[loop]
         n = np.linalg.svd(face - face.mean(axis=0))[2][2]
         apart = (corners - face.mean(axis=0)) @ n
         # All others are on one side of a face, whose own are in its plane.
-        yield max(float(np.abs(apart[loop]).max()), min(float(apart.max()), float(-apart.min()))) / reach, name
+        off = max(float(np.abs(apart[loop]).max()), min(float(apart.max()), float(-apart.min())))
+        yield max(0.0, off - rounded) / reach, name
 
 
 def _skew(placement: Any) -> float:

@@ -465,6 +465,16 @@ def test_what_strikes_and_slides_with_theta_1_passes():
     assert audit.passed, audit
 
 
+def test_a_hull_of_rounded_corners_passes():
+    """Corners of float32 meshes are off the planes of their faces by 1e-8 of their size."""
+    scene, corners = nd.Scene(), 0.2 * np.array(list(np.ndindex(2, 2, 2)))
+    scene.add_convex("hull", Rotation.from_euler("xyz", (0.3, 0.5, 0.7)).apply(corners).astype(np.float32), 1.0)
+    run = nd.simulate(scene, 0.02, 1e-2)
+    assert [len(face) for face in run.scene["geoms"][0]["faces"]] == [4] * 6
+    found = nd.check(run)["scene"]
+    assert found.passed, found
+
+
 def test_a_thin_coin_that_wobbles_passes():
     """Its contact goes around the rim so far in a step that it has another key."""
     scene, material, tilt, r, h = nd.Scene(), nd.Material(mu=1.0), np.radians(20.0), 0.15, 1.5e-4
