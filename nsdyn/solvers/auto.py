@@ -12,7 +12,7 @@ from nsdyn._kernels.solvers import start as _start
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator, operator
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.solvers.continuation import continuation
+from nsdyn.solvers.continuation import Following
 from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import DENSE, MARGIN, PENALTY, Multipliers, part
 from nsdyn.tools.arrays import Array
@@ -26,15 +26,12 @@ class Tuning:
     cost: int = 64
     """Sweeps that count as a factorisation, as they do in a wall."""
 
-    lengths: tuple[int, ...] = (8, 24, 72, 216, 648, 1944)
-    """What Newton takes in each round. It goes on where it was, unless another has found better meanwhile."""
+    lengths: tuple[int, ...] = (8, 72, 216, 648, 1944)
+    """What Newton takes in each round, and after the first the path of smoothed laws. Newton goes on where it was,
+    unless another has found better meanwhile; the path always does."""
 
     sweeps: tuple[int, int] = (20, 60)
     """What sweeps with momentum take in a round, and in one after a warm start that was left."""
-
-    path: tuple[int, int] = (40, 500)
-    """What the path of smoothed laws takes at least, unless it is not begun, and at most: once, after the second
-    round."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -96,6 +93,7 @@ class Search:
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, np.inf
         self._sweeps: Sweeps | None = None
         self._newton: Multipliers | None = None
+        self._path: Following | None = None
         self._kept = np.inf, self.r
         _, error, residual, _ = problem.solved(r, tol)
         self._note(max(error, residual), 0, 0)
@@ -147,13 +145,14 @@ class Search:
         used = run.count - before
         self._note(run.best, used, used, run.r)
 
-    def follow(self) -> None:
-        """The path of smoothed laws, which begins from nothing, where there is enough for it."""
-        x, (least, most) = np.zeros_like(self.r), TUNING.path
-        most = int(self._most(most))
-        if most >= least:
-            used, best = continuation(self.problem, self.W, x, self.tol, most)
-            self._note(best, used, used, x)
+    def follow(self, most: float) -> None:
+        """The path of smoothed laws, from nothing or on from the last."""
+        if self._path is None:
+            self._path = Following(self.problem, self.W, self.tol)
+        before = self._path.count
+        self._path.run(int(np.ceil(self._most(most))))
+        used = self._path.count - before
+        self._note(self._path.best, used, used, self._path.r)
 
     def converge(self, tol: float) -> None:
         """Newton as long as it gains, at least to a tolerance."""
@@ -173,7 +172,7 @@ class Search:
         """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits."""
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
-        left = followed = False
+        left = False
         for k, length in enumerate(TUNING.lengths):
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
                 self.sweep(TUNING.sweeps[left])
@@ -184,9 +183,8 @@ class Search:
             if k == 0 and warm and self.best > self.loose:
                 self.begin_anew()
                 left = True
-            elif k > 0 and not followed:
-                self.follow()
-                followed = True
+            elif k > 0:
+                self.follow(length)
         if self._kept[0] < self.best:
             self.best, self.r[:] = self._kept
         if self.best <= self.tol:
@@ -205,9 +203,10 @@ class Auto(Options):
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
     step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
-    the first misses the loose tolerance is left, and all begins from nothing. The path of smoothed laws follows the
-    second. Sweeps and Newton go on where they were, or begin anew where another has found better. A problem given by W
-    alone, which need not be symmetric, has the sweeps of the first round in one kernel call, and the same means after.
+    the first misses the loose tolerance is left, and all begins from nothing. From the second on the path of smoothed
+    laws follows for as long as Newton had. All go on where they were; sweeps and Newton begin anew where another has
+    found better. A problem given by W alone, which need not be symmetric, has the sweeps of the first round in one
+    kernel call, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -13,11 +14,11 @@ from nsdyn._kernels.solvers import smoothing as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator
 from nsdyn.problem.solution import Solution
-from nsdyn.solvers.newton import PENALTY, by_islands, newton
+from nsdyn.solvers.newton import PENALTY, Multipliers, by_islands
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive
 
-__all__ = ["Continuation", "continuation"]
+__all__ = ["Continuation", "Following", "continuation"]
 
 STRETCH = 40.0
 """κ λ_max(W_cc) of the normal map z = r - κ u."""
@@ -37,8 +38,8 @@ ATTEMPT, ATTEMPTS, FLOOR = 1e-7, 1e-2, 1e-14
 """τ / (max r_N² λ_max) from which on Newton's method for the law itself is tried, by which this falls between attempts,
 and below which the matrices are those of round-off, as steps of that length are."""
 
-STEPS, LAST = 5, 60
-"""Newton steps of such an attempt, and of the last."""
+STEPS = 5
+"""Newton steps of such an attempt."""
 
 
 class Point(NamedTuple):
@@ -186,15 +187,22 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
     return None, tangent, count
 
 
-def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
-    """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure).
-
-    Where no point has a finite measure r stays what it is.
+class Following:
+    """The way along the path from nothing, which may be interrupted; the best impulse is in r.
 
     The smoothed law of `_kernels.smoothing` has a solution for every z, and with τ from large to 0 it describes a path
     to a solution of Coulomb's law, which turns back in τ where much slides: there the methods stall that lower τ. Here
     steps go along the tangent, in z and t = log τ alike, and Newton's method leads back to the path in the plane normal
     to it (pseudo-arclength). On the way, where τ is small, Newton's method for Coulomb's law itself is tried.
+
+    Attributes
+    ----------
+    r : ndarray, shape (3 nc,)
+        N·s; 0 until a point has a finite measure.
+    count : int
+        Factorisations so far.
+    best : float
+        Measure of r.
 
     References
     ----------
@@ -202,56 +210,81 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) ->
     bifurcation and nonlinear eigenvalue problems, 1977. S. Robinson, Normal maps induced by linear transformations,
     Math. Oper. Res. 17, 1992.
     """
-    path = Path(problem, W)
-    here, scale = path.start, float(path.scales.mean())
-    count, best, length, attempt = 1, np.inf, 1.0, ATTEMPT
 
-    def smoothing() -> float:
-        return float(np.exp(here.x[-1])) / (scale * float(here.r[0::3].max()) ** 2)
+    def __init__(self, problem: FC3D, W: Operator, tol: float) -> None:
+        self.problem, self.W, self.tol = problem, W, tol
+        self.r, self.count, self.best = np.zeros_like(problem.q), 0, np.inf
+        self._steps = self._taken()
 
-    def keep(x: Array, measure: float) -> None:
-        nonlocal best
-        if measure < best:
-            best = measure
-            r[:] = x
+    def run(self, most: int) -> None:
+        """Go on to the tolerance or for so many factorisations, and what the last step takes."""
+        end = self.count + most
+        while self.best > self.tol and self.count < end and next(self._steps, None) is not None:
+            pass
 
-    def attempt_from_here(steps: int) -> None:
-        nonlocal count
-        x = here.r.copy()
-        used, measure = newton(problem, W, x, tol, PENALTY, steps)
-        count += used
-        keep(x, measure)
+    def _keep(self, x: Array, measure: float) -> None:
+        if measure < self.best:
+            self.best = measure
+            self.r[:] = x
 
-    try:
-        direction = -_unit(Linear(path, here).tangent(path.rate(here)), path.metric(here.x[-1]))
-    except RuntimeError:
-        return count, best
-    while best > tol and count < most:
-        there, ahead, used = _corrected(path, here.x + length * direction, path.metric(here.x[-1]) * direction)
-        count += used
-        cosine = 0.0
-        if there is not None:
-            metric = path.metric(there.x[-1])
-            new = _unit(ahead, metric)
-            cosine = float(metric * new @ _unit(direction, metric))
-        if there is None or not abs(cosine) >= SHARP:
-            length *= SHRINKAGE
-        else:
-            here, direction = there, new if cosine > 0.0 else -new
-            keep(here.r, path.measure(here))
-            if used == 1 and abs(cosine) > STRAIGHT:
-                length *= GROWTH
-            elif used > 2:
+    def _attempt(self, r: Array, most: float) -> Iterator[bool]:
+        """Newton's method for the law itself from r, to its own end or for so many factorisations."""
+        run = Multipliers(self.problem, self.W, r.copy(), PENALTY)
+        while not run.ended and run.count < most:
+            before = run.count
+            run.run(self.tol, STEPS)
+            self.count += run.count - before
+            self._keep(run.r, run.best)
+            yield True
+
+    def _taken(self) -> Iterator[bool]:
+        """The steps of the path, then those of Newton's method from its end."""
+        path = Path(self.problem, self.W)
+        here, scale = path.start, float(path.scales.mean())
+        length, attempt = 1.0, ATTEMPT
+        self.count += 1
+        try:
+            direction = -_unit(Linear(path, here).tangent(path.rate(here)), path.metric(here.x[-1]))
+        except RuntimeError:
+            return
+        while True:
+            yield True
+            there, ahead, used = _corrected(path, here.x + length * direction, path.metric(here.x[-1]) * direction)
+            self.count += used
+            cosine = 0.0
+            if there is not None:
+                metric = path.metric(there.x[-1])
+                new = _unit(ahead, metric)
+                cosine = float(metric * new @ _unit(direction, metric))
+            if there is None or not abs(cosine) >= SHARP:
                 length *= SHRINKAGE
-        small = smoothing()
-        if length < FLOOR or small < FLOOR:
-            if small < ATTEMPT:
-                attempt_from_here(LAST)
-            break
-        if small < attempt:
-            attempt *= ATTEMPTS
-            attempt_from_here(STEPS)
-    return count, best
+            else:
+                here, direction = there, new if cosine > 0.0 else -new
+                self._keep(here.r, path.measure(here))
+                if used == 1 and abs(cosine) > STRAIGHT:
+                    length *= GROWTH
+                elif used > 2:
+                    length *= SHRINKAGE
+            small = float(np.exp(here.x[-1])) / (scale * float(here.r[0::3].max()) ** 2)
+            if length < FLOOR or small < FLOOR:
+                if small < ATTEMPT:
+                    yield from self._attempt(here.r, np.inf)
+                return
+            if small < attempt:
+                attempt *= ATTEMPTS
+                yield from self._attempt(here.r, STEPS)
+
+
+def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
+    """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure).
+
+    Where no point has a finite measure r stays what it is.
+    """
+    way = Following(problem, W, tol)
+    way.run(most)
+    if way.best < np.inf:
+        r[:] = way.r
+    return way.count, way.best
 
 
 @dataclass(frozen=True)

@@ -72,9 +72,9 @@ class Multipliers:
         W, penalty, q, mu, scales = self.W, self._penalty, self.problem.q, self.problem.mu, self.problem.scales
         given = mu, scales, self.problem.q_norm
         P, A, estimate = np.empty_like(self.r), np.empty((mu.size, 3, 3)), self.r.copy()
-        y = kept = W.change(estimate)
-        u = W.relative(y) + q
-        own, inner, before = u.copy(), 0, np.inf
+        y = W.change(estimate)
+        own, y = W.relative(y) + q, np.zeros_like(y)
+        u, kept, inner, before = own.copy(), y, 0, np.inf
         self.best = float(_cones.measure_at(scales, u, estimate, mu, given[2]))
         yield True
         while penalty > _kernels.LEAST:
@@ -83,19 +83,19 @@ class Multipliers:
                 _kernels.projected(u, estimate, rho, mu, P)
             _kernels.stiffness(u, estimate, rho, mu, A)
             try:
-                y = y + W.towards(A, P, y)
+                y = y + W.towards(A, P - estimate, y)
             except RuntimeError:
                 break
             self.count += 1
-            u = W.relative(y) + q
+            u = W.relative(y) + own
             _kernels.projected(u, estimate, rho, mu, P)
-            vectors = u, W.product(P) + q, own, P, estimate, self.r
+            step, vectors = P - estimate, (u, W.product(P) + q, own, P, estimate, self.r)
             verdict, so_far = _kernels.judge(given, vectors, (penalty, inner + 1, before, self.best))
             penalty, inner, before, self.best = so_far
             if verdict == _kernels.SETTLED:
-                kept = y
+                y = kept = y - W.change(step)
             elif verdict == _kernels.FAILED:
-                y, u = kept, W.relative(kept) + q
+                y, u = kept, W.relative(kept) + own
             yield True
         self.ended = True
 

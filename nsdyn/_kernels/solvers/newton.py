@@ -1,11 +1,13 @@
 """Semismooth Newton on the augmented Lagrangian of the velocity problem.
 
-For an impulse estimate r and penalties rho, the unknown is the velocity change y with u = Hᵀ y + q:
+For an impulse estimate r and penalties rho, the unknown is the velocity change y from that of the estimate:
 
-    F(y) = M y - H P(y) = 0,
+    F(y) = M y - H (P(y) - r) = 0,  u = Hᵀ y + W r + q,
     P_N  = max(0, r_N - rho u_N),   P_T = projection of r_T - rho u_T on the disk of radius mu P_N,
     F'   = M + Σ_c H_c A_c H_cᵀ,    A_c = -dP_c/du_c.
 
+Where a contact sticks y and u become small, and round-off with them: rho times that of whole velocities would be left
+in P, 1e-7 m/s of a tall column, where penalties have to be large since bending is so much softer than a contact.
 M is definite, so a rank-deficient W is no obstacle. A_c = rho I where a contact sticks and 0 where it is open, so
 that F' is symmetric unless a contact slips.
 """
@@ -15,7 +17,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, velocity
+from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, velocity, velocity_change
 from nsdyn._kernels.problem.cones import measure_at, measures
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.problem.sparse import assemble, dense_pattern
@@ -24,6 +26,7 @@ from nsdyn._kernels.vectors import square
 
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
 SHRINKAGE, LEAST = 0.3, 1e-3  # what is left of such a penalty, and at which no more is tried
+GROWTH, LARGEST = 4.0, 1e10  # of a penalty with which it settled in two steps, and at most: factors lose digits by it
 PART = 1e-2  # of the square of the multiplier step that the square of the defect is where F has settled
 
 GOES_ON, SETTLED, FAILED = range(3)
@@ -69,7 +72,7 @@ def stiffness(u, r, rho, mu, A):
 
 @in_place
 def defect(blocks, y, P, F, work):
-    """F = M y - H P, into F (n,)."""
+    """F = M y - H P of a change P of impulses, into F (n,)."""
     offset, _, _, _, m_start, m, _ = blocks
     momentum(blocks, P, F)
     block_product(offset, m_start, m, y, work)
@@ -128,7 +131,7 @@ def settled(scales, u, shown, own, P, estimate):
 def judge(given, vectors, so_far):
     """The verdict on a Newton step: (`GOES_ON`, `SETTLED` or `FAILED`, and what goes on from `so_far`).
 
-    Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps. Where it does not
+    Where F has settled the estimate moves to P, and the penalty grows if it did so in two steps. Where it does not
     settle, or diverges, the penalty is too large. The best P is kept in r. `given` are (mu, scales, q_norm) of the
     problem, `vectors` (u, shown, own, P, estimate, r), the first as of `settled`, `so_far` (penalty, Newton steps with
     it, square of the defect before, least measure).
@@ -142,7 +145,7 @@ def judge(given, vectors, so_far):
     if done:
         copy(P, estimate)
         copy(shown, own)
-        return SETTLED, (min(2.0 * penalty, 1e8) if inner <= 2 else penalty, 0, np.inf, best)
+        return SETTLED, (min(GROWTH * penalty, LARGEST) if inner <= 2 else penalty, 0, np.inf, best)
     if inner >= PATIENCE or not left <= DIVERGED * before:
         return FAILED, (SHRINKAGE * penalty, 0, np.inf, best)
     return GOES_ON, (penalty, inner, left, best)
@@ -153,27 +156,27 @@ def dense(problem, r, tol, penalty, most):
     """Solve (blocks, q, mu, scales, q_norm) by dense factorisations, in place of r; (factorisations, measure of r).
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and after each
-    what `judge` says; a failure goes back to where F had settled last. The penalty is `penalty` / lambda_max(W_cc). The
-    loop is that of `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes
-    35 and 60.
+    what `judge` says. Where F settles y is from then on that of the new estimate; a failure goes back to it. The
+    penalty is `penalty` / lambda_max(W_cc). The loop is that of `nsdyn.solvers.newton`, compiled: 2 us a step for one
+    body, and 25 for ten bodies, where that takes 35 and 60.
     """
     blocks, q, mu, scales, q_norm = problem
     n, nr = blocks[0][-1], q.size
-    y, kept, F, work, own_y = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    u, own, shown, P = np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr)
+    y, kept, F, work, dy = np.zeros(n), np.zeros(n), np.empty(n), np.empty(n), np.empty(n)
+    u, own, shown, P, step = np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr), np.empty(nr)
     (indptr, slot, diagonal), A, K = dense_pattern(*blocks[:2]), np.empty((mu.size, 3, 3)), np.empty((n, n))
     pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    velocity(blocks, q, r, y, u, work)
-    best = measure_at(scales, u, r, mu, q_norm)
+    velocity(blocks, q, r, dy, own, work)
+    best = measure_at(scales, own, r, mu, q_norm)
     estimate = r.copy()
-    copy(y, kept)
-    copy(u, own)
+    copy(own, u)
     count, inner, before = 0, 0, np.inf
     while best > tol and count < most and penalty > LEAST:
         if inner == 0:
             rho = penalty / scales
             projected(u, estimate, rho, mu, P)
-        defect(blocks, y, P, F, work)
+            step[:] = P - estimate
+        defect(blocks, y, step, F, work)
         stiffness(u, estimate, rho, mu, A)
         assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
         if not factorise(K, pivot, low, end):
@@ -182,18 +185,21 @@ def dense(problem, r, tol, penalty, most):
         y -= F
         count += 1
         relative_velocity(blocks, y, u)
-        u += q
+        u += own
         projected(u, estimate, rho, mu, P)
-        velocity(blocks, q, P, own_y, shown, work)
+        step[:] = P - estimate
+        velocity(blocks, q, P, dy, shown, work)
         so_far = penalty, inner + 1, before, best
         verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)
         penalty, inner, before, best = so_far
         if verdict == SETTLED:
+            velocity_change(blocks, step, dy)
+            y -= dy
             copy(y, kept)
         elif verdict == FAILED:
             copy(kept, y)
             relative_velocity(blocks, y, u)
-            u += q
+            u += own
     return count, best
 
 

@@ -12,7 +12,7 @@ from nsdyn._kernels.solvers import nesterov, newton
 from nsdyn._kernels.vectors import square
 
 POLISHED = 0.5
-"""Measure after a step over that before, from which on it is round-off, as it is of a heap before it is `enough`."""
+"""Measure after a few steps over that before, from which on it is round-off, as of a heap before it is `enough`."""
 
 MORE = 7
 """Newton steps of the last attempt over those before."""
@@ -32,11 +32,10 @@ def small(problem, r, measure, aims, limits):
     """Solve one island of few coordinates by `newton.dense` in place of r, of that measure; (factorisations, measure).
 
     It is to be `enough` or at least `good`, the aims. A few steps from a warm start; if they are not good, or from
-    nothing, many, and `MORE` times as many to what is good only, which redundant contacts may take; then, as long as it
-    gains, step by step with a new penalty: the one that has grown on the way would lose the last digits. What nearly
-    was `enough` only comes close to that. At rest it missed what velocities an imbalance of the impulses, far smaller,
-    has added up to in many steps; impulses that take these back in one give the next as much of the other sign, and so
-    its start misses.
+    nothing, many, and `MORE` times as many to what is good only, which redundant contacts may take; then a few more as
+    long as they gain. What nearly was `enough` only comes close to that. At rest it missed what velocities an imbalance
+    of the impulses, far smaller, has added up to in many steps; impulses that take these back in one give the next as
+    much of the other sign, and so its start misses.
     """
     (enough, good), (_, penalty, max_iter, few) = aims, limits
     start, missed, count = r.copy(), measure, 0
@@ -44,11 +43,11 @@ def small(problem, r, measure, aims, limits):
         if measure > good and most > 0:
             used, measure = newton.dense(problem, r, tol, penalty, most)
             count += used
-    before, steps = np.inf, 0
-    while enough < measure <= good and measure <= POLISHED * before and steps < few:
+    before = np.inf
+    while enough < measure <= good and measure <= POLISHED * before:
         before = measure
-        used, measure = newton.dense(problem, r, enough, penalty, 1)
-        steps += used
+        used, measure = newton.dense(problem, r, enough, penalty, few)
+        count += used
     if measure <= enough < missed <= NEARLY * enough:
         blocks, q, mu, scales, q_norm = problem
         closer = start + (1.0 - CLOSE * enough / missed) * (r - start)
@@ -57,7 +56,7 @@ def small(problem, r, measure, aims, limits):
         if now <= enough:
             copy(closer, r)
             measure = now
-    return count + steps, measure
+    return count, measure
 
 
 @in_place
