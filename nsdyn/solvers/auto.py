@@ -27,11 +27,13 @@ class Tuning:
     """Sweeps that count as a factorisation, as they do in a wall."""
 
     lengths: tuple[int, ...] = (8, 72, 216, 648, 1944)
-    """What Newton takes in each round, and after the first the path of smoothed laws. Newton goes on where it was,
-    unless another has found better meanwhile; the path always does."""
+    """What Newton takes in each round, and from the third on the path of smoothed laws before it."""
 
     sweeps: tuple[int, int] = (20, 60)
     """What sweeps with momentum take in a round, and in one after a warm start that was left."""
+
+    path: int = 40
+    """What has to be left where the path is begun."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -146,11 +148,14 @@ class Search:
         self._note(run.best, used, used, run.r)
 
     def follow(self, most: float) -> None:
-        """The path of smoothed laws, from nothing or on from the last."""
+        """The path of smoothed laws, from nothing where there is enough for it, or on from the last."""
+        most = self._most(most)
         if self._path is None:
+            if most < TUNING.path:
+                return
             self._path = Following(self.problem, self.W, self.tol)
         before = self._path.count
-        self._path.run(int(np.ceil(self._most(most))))
+        self._path.run(int(np.ceil(most)))
         used = self._path.count - before
         self._note(self._path.best, used, used, self._path.r)
 
@@ -176,6 +181,8 @@ class Search:
         for k, length in enumerate(TUNING.lengths):
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
                 self.sweep(TUNING.sweeps[left])
+            if not self.over and k > 1:
+                self.follow(length)
             if not self.over:
                 self.newton(length, self.tol)
             if self.over:
@@ -183,8 +190,6 @@ class Search:
             if k == 0 and warm and self.best > self.loose:
                 self.begin_anew()
                 left = True
-            elif k > 0:
-                self.follow(length)
         if self._kept[0] < self.best:
             self.best, self.r[:] = self._kept
         if self.best <= self.tol:
@@ -203,10 +208,10 @@ class Auto(Options):
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
     step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
-    the first misses the loose tolerance is left, and all begins from nothing. From the second on the path of smoothed
-    laws follows for as long as Newton had. All go on where they were; sweeps and Newton begin anew where another has
-    found better. A problem given by W alone, which need not be symmetric, has the sweeps of the first round in one
-    kernel call, and the same means after.
+    the first misses the loose tolerance is left, and all begins from nothing. From the third on the path of smoothed
+    laws is followed between them, for as long as Newton gets. All go on where they were; sweeps and Newton begin anew
+    where another has found better. A problem given by W alone, which need not be symmetric, has the sweeps of the first
+    round in one kernel call, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:

@@ -7,7 +7,7 @@ from test_auto import given, kicked_stack
 import nsdyn as nd
 from nsdyn._kernels.solvers import smoothing as smooth
 from nsdyn.problem.operators import operator
-from nsdyn.solvers.continuation import continuation
+from nsdyn.solvers.continuation import Following, continuation
 from nsdyn.solvers.nesterov import Nesterov
 
 
@@ -37,6 +37,19 @@ def test_continuation_ends_by_the_effort_allowed():
     problem = given(kicked_stack(height=8))
     used, _ = continuation(problem, operator(problem), np.empty_like(problem.q), 0.0, 20)
     assert 20 <= used < 40
+
+
+def test_a_path_goes_on_where_it_was():
+    """Ten factorisations at a time end where one run ends, to the last bit, and so does Newton's method after it."""
+    problem = kicked_stack(height=8, ratio=30.0)
+    once, often = (Following(problem, operator(problem), 1e-8) for _ in range(2))
+    once.run(400)
+    while often.best > 1e-8 and often.count < 400:
+        before = often.count
+        often.run(10)
+        assert 0 < often.count - before < 30
+    assert 10 < once.count == often.count < 400
+    np.testing.assert_array_equal(once.r, often.r)
 
 
 @pytest.mark.parametrize("tau", [1e-12, 1e-3, 10.0])

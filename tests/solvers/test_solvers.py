@@ -13,6 +13,8 @@ from nsdyn._kernels.problem import sparse as matrix
 from nsdyn.literature._kernels import anderson
 from nsdyn.literature._kernels import pgs as sweeps
 from nsdyn.problem import operators
+from nsdyn.solvers.nesterov import Sweeps
+from nsdyn.solvers.newton import PENALTY, newton
 
 FILES = Path(__file__).resolve().parents[3] / "shared" / "fc3d"
 
@@ -85,6 +87,19 @@ def test_warm_newton_is_quick():
     problem = corner_box()[0]
     guess = np.tile([0.25, 0.0, 0.0], 4) + 1e-3
     assert nd.solve(problem, "newton", r0=guess).iterations <= 6
+
+
+def test_newton_keeps_its_digits_with_large_penalties():
+    """A column of 100 boxes bends 1e8 times softer than a contact: Newton needs penalties as large, and solves it.
+
+    Whole velocities, of 0.1 m/s, would be rounded by 1e-17 and leave that times the penalties: 1e-9 m/s at the best.
+    """
+    problem = nd.Stepper(nd.scenes.load("stack")(height=100), 1e-2).step().problem
+    r = np.zeros_like(problem.q)
+    Sweeps(problem, r).run(1e-8, 1280, 1280)
+    used, measure = newton(problem, operators.operator(problem), r, 1e-12, PENALTY, 72)
+    assert measure <= 1e-12 and used < 72
+    assert problem.solved(r, 1e-12)[0]
 
 
 def test_sweep_against_its_definition(rng):

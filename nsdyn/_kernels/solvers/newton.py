@@ -26,7 +26,7 @@ from nsdyn._kernels.vectors import square
 
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
 SHRINKAGE, LEAST = 0.3, 1e-3  # what is left of such a penalty, and at which no more is tried
-GROWTH, LARGEST = 4.0, 1e10  # of a penalty with which it settled in two steps, and at most: factors lose digits by it
+GROWTH, LARGEST = 3.0, 1e10  # of a penalty with which it settled in two steps, and at most: factors lose digits by it
 PART = 1e-2  # of the square of the multiplier step that the square of the defect is where F has settled
 
 GOES_ON, SETTLED, FAILED = range(3)
