@@ -10,6 +10,7 @@ import numpy as np
 from nsdyn.audit.findings import Found, not_audited, worst_of
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.touching import tested
+from nsdyn.audit.true_shapes import SIZES
 from nsdyn.recording.retrace import Contradiction
 from nsdyn.tools.arrays import Array
 
@@ -20,9 +21,6 @@ Row = tuple[float, str]
 
 ROUNDED = 2e-6
 """Of the extent of a hull, twice what its faces may be from planes: corners of float32 meshes are rounded."""
-
-SIZES = {"halfspace": 3, "box": 3, "convex": 0, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
-"""How many numbers a shape is made of."""
 
 
 def described(poses: Poses, built: object) -> Found:

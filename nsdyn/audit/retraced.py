@@ -120,11 +120,13 @@ def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     )
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
     doubt = doubt if m.loops else np.minimum(doubt, COARSE * speed * np.array([h, 1.0]))
+    # Weights that cancel, of what hangs still, leave the rounding of each.
+    rounded = 4.0 * np.finfo(float).eps * h * m.falling
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
     # What is left of the gaps of loops is looked at by itself.
     off = size(displacement(m.model, way.q, close(m, q)))
     for pair, amount, scale in (
-        (out.momentum, size(way.v - v) - doubt[1], speed),
+        (out.momentum, size(way.v - v) - doubt[1] - rounded, speed),
         (out.motion, off - doubt[0] - h * doubt[1], span),
         (out.lift, sum(size(kick.shift) for kick in way.kicks), span),
     ):

@@ -68,10 +68,8 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
     out[met] -= _travel(poses, flight, c, who, met)
     above = np.flatnonzero(gap > nearest)
     # Round shapes have one contact, whose gap is theirs.
-    round_ = np.array([solid.kind in ("sphere", "ellipsoid", "halfspace") for solid in poses.solids], np.bool_)[
-        poses.kind
-    ]
-    several = ~(round_[i[above]] & round_[j[above]])
+    flat = np.array([len(solid.normals) + len(solid.edges) > 0 for solid in poses.solids], np.bool_)[poses.kind]
+    several = flat[i[above]] | flat[j[above]]
     more = gap[above] - nearest[above] - several * _travel(poses, flight, c, who, above)
     out[above] = np.maximum(out[above], more)
     return out

@@ -1,6 +1,7 @@
 """What the audit knows of each kind of shape, by code that shares nothing with the detection of contacts.
 
-A kind that is no hull of balls answers here: extents, `support`, `curvature` and how far points are `beyond` it.
+A kind that is no hull of balls answers here: its `SIZES`, what `Solid.described` finds of them (extents, normals of
+flat faces, axes of straight sides), `rounding`, `support`, `curvature` and how far points are `beyond` it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,10 @@ import numpy as np
 
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Solid"]
+__all__ = ["SIZES", "Solid"]
+
+SIZES = {"halfspace": 3, "box": 3, "convex": 0, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
+"""How many numbers each kind is made of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ class Solid:
     @property
     def smooth(self) -> bool:
         """Whether it is no hull of balls."""
-        return self.kind in ("cylinder", "ellipsoid")
+        return not len(self.corners) and self.kind != "halfspace"
 
     @property
     def rounding(self) -> float:
@@ -96,9 +100,7 @@ class Solid:
     @property
     def half(self) -> Array:
         """Half extents along the axes, shape (3,), m."""
-        if self.smooth:
-            return self.size[[0, 0, 1]] if self.kind == "cylinder" else self.size
-        out: Array = 0.5 * np.ptp(self.corners, axis=0) + self.radius
+        out: Array = 0.5 * (self.support(np.eye(3)) + self.support(-np.eye(3)))
         return out
 
     def support(self, n: Array) -> Array:

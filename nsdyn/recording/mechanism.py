@@ -78,6 +78,8 @@ class Mechanism:
     ----------
     friction, damping, stiffness, rest, lower, upper : ndarray, shape (nv,)
         Laws of the joints, infinite where there is no limit.
+    falling : float
+        ‖g‖ √Σm, the most that weights change velocities, in the norm of the mass matrix, √J/s.
     driven : ndarray of int
         Coordinates that move as prescribed.
     winding : bool
@@ -126,6 +128,7 @@ class Mechanism:
             np.array([body.lever for body in bodies]).reshape(-1, 3),
             np.array([body.inertia for body in bodies]).reshape(-1, 3, 3),
         )
+        self.falling = float(np.linalg.norm(gravity) * np.sqrt(np.abs(self._bodies[0]).sum()))
         self.nv = self.model.nv
         self.driven: Index = np.array(sorted(self.speeds), dtype=np.int64)
         self.loops = len(self._loops) + len(self._gears)

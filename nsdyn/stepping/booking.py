@@ -132,7 +132,6 @@ def tree_works(
     left : ndarray of bool, optional
         Nodes; trees that are not among them are passed over.
     """
-    external, normal, friction, damping, constraint, integration, projection = own
     energies, (joints, links), link = [], acted, 0
     of_trees = zip(s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, before, strict=True)
     for node, (t, there, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
@@ -147,9 +146,14 @@ def tree_works(
         if t.driven:
             joints[6, k] = t.speeding(there.begin_v, free.loads.rates)
         energies.append((w.kinetic, w.potential))
-        external, damping, constraint = external + w.actuation, damping + w.damping, constraint + w.constraint
-        integration, projection = integration + w.integration, projection + w.projection
-    return Works(external, normal, friction, damping, constraint, integration, projection), tuple(energies)
+        own = own._replace(
+            external=own.external + w.actuation,
+            damping=own.damping + w.damping,
+            constraint=own.constraint + w.constraint,
+            integration=own.integration + w.integration,
+            projection=own.projection + w.projection,
+        )
+    return own, tuple(energies)
 
 
 def _struck(s: System, half: Half, a: Response, impact: Impact, impulse: Array) -> Works:

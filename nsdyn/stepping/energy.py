@@ -19,7 +19,7 @@ __all__ = ["Ledger", "Works"]
 
 
 class Works(NamedTuple):
-    """Works of a part of a step, J."""
+    """Works of a part of a step, J; the first six are those of the kernel of moves, in its order."""
 
     external: float = 0.0
     """Of external forces and joint actuation."""

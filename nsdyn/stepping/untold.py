@@ -99,7 +99,7 @@ class Untold(NamedTuple):
         if flat.motion is None or not d.trees:
             return out, d.no_impulses[1], d.no_push
         own, joints, links = flat.motion.told(self.before.of_trees, Works(*out[_col.EXTERNAL : _col.NORM]))
-        out[_col.EXTERNAL : _col.NORM] = own[:-1]  # but for a projection, of which there is none
+        out[_col.EXTERNAL : _col.NORM] = own[: _col.NORM - _col.EXTERNAL]  # of others, as a projection, there are none
         out[_col.KINETIC], out[_col.POTENTIAL] = flat.energies
         return out, joints[:, 6 * d.free :], links
 
@@ -169,7 +169,8 @@ class Untold(NamedTuple):
 
 def _ledger(before: Any, results: Any, nothing: Any) -> Ledger:
     """Ledger of a step, or of many as arrays, from the energies before it and from its results."""
-    works = Works._make([*results[_col.EXTERNAL : _col.NORM], nothing])
+    told = results[_col.EXTERNAL : _col.NORM]
+    works = Works(*told, *[nothing] * (len(Works._fields) - len(told)))
     return Ledger.of(before, results[: _col.EXTERNAL], works)
 
 

@@ -278,6 +278,18 @@ def test_a_driven_arm_that_hits_a_box_passes(restitution):
 
 
 @pytest.mark.slow
+def test_what_hangs_still_passes():
+    """Its weight has no part along the joint but round-off, which nothing else is of the size of."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.1, 0.0, -0.3]), 0.02 * np.eye(3)), pin.SE3.Identity())
+    scene = nd.Scene()
+    scene.add_model("a", model, q=[np.arctan2(0.1, 0.3)])
+    t = nd.simulate(scene, 0.5, dt=5e-3)
+    assert 0.0 < np.abs(t.v).max() < 1e-14
+    assert nd.check(t).passed
+
+
 def test_rolling_of_a_boat_creates_nothing():
     """The work of contacts that stay closed is O(h²) of a motion, and in the ledger as numerics."""
     model = pin.Model()

@@ -6,7 +6,7 @@ from scipy.optimize import elementwise
 from scipy.spatial.transform import Rotation
 
 from nsdyn.audit.overlap import overlap, separation
-from nsdyn.audit.true_shapes import Solid
+from nsdyn.audit.true_shapes import SIZES, Solid
 from nsdyn.scene import shapes
 
 SHAPES = {
@@ -79,6 +79,13 @@ def test_halfspace(name):
         assert depth(GROUND, shape, x, R, G) == pytest.approx(1e-7, rel=1e-6)
     with pytest.raises(ValueError, match="two halfspaces"):
         depth(GROUND, GROUND, (0, 0, 0))
+
+
+def test_every_kind_of_shape_is_tried_and_has_as_many_sizes_as_the_audit_says():
+    kinds = {name for name, _ in shapes.CURVED.values()} | {"halfspace", "box", "convex"}
+    made = [GROUND, *SHAPES.values()]
+    assert set(SIZES) == {shape.name for shape in made} == kinds
+    assert not any(shape.size[SIZES[shape.name] :].any() for shape in made)
 
 
 def test_edges_across():

@@ -109,6 +109,8 @@ def test_extending():
     np.testing.assert_allclose(names["ours"].u, names["theirs"].u, rtol=0, atol=1e-7)
     assert set(names["slide"].solver.status_names) == {"CONVERGED"}
     assert names["ramp"].bodies["ramp"].shape.volume == pytest.approx(0.2)
+    assert names["swing"].energy.kinetic[0] == pytest.approx(0.5 * (0.5**2 + 0.4 * 0.1**2) * (1.0 + 2.0**2), rel=1e-12)
+    assert all(nd.check(names[run]).passed for run in ("fall", "calm", "slide", "swing"))
 
 
 def test_coming_from_other_engines():

@@ -1,8 +1,8 @@
 """What each kind of shape answers to those who look for contacts; elsewhere only half-spaces and balls have lanes.
 
 To add a kind: its outermost point (`support`) and the `curvature` there are enough if it is smooth everywhere. What
-has flat faces answers `face_count`, `face_normal`, `face_level`, `disk_radius` and `incident` (what of it lies over a
-face of another shape); what has straight lines `segment`, `has_ends`, `has_rim` and `other_feature`; what is all
+has two flat disks across z, at the height of its second size, answers `disk_radius` and `incident` (what of it lies
+over a face of another shape); what has straight lines `segment`, `has_ends`, `has_rim` and `other_feature`; what is all
 within a radius of a line `is_round`. The geoms are `Placed`.
 """
 
@@ -90,37 +90,36 @@ def curvature(geometry, g, n, a, b):
     return 0.0
 
 
+@in_place(forceinline=True)
+def disk_radius(geometry, g):
+    """Radius of the two faces of geom g across its z axis, m; 0 where it has none, or polygons or a plane."""
+    return geometry.size[g, 0] if geometry.kind[g] == CYLINDER else 0.0
+
+
 @in_place
 def face_count(geometry, g):
-    """Number of faces: those of a polytope, the caps of a cylinder."""
-    return 2 if geometry.kind[g] == CYLINDER else geometry.face_ptr[g + 1] - geometry.face_ptr[g]
+    """Number of faces: those of a polytope, two disks."""
+    return 2 if disk_radius(geometry, g) > 0.0 else geometry.face_ptr[g + 1] - geometry.face_ptr[g]
 
 
 @in_place(forceinline=True)
 def face_normal(geometry, g, face):
-    """Outward normal of a face in the shape frame: of a polytope, of a cylinder (0 above, 1 below), of a half-space."""
-    kind = geometry.kind[g]
-    if kind == CYLINDER:
+    """Outward normal of a face in the shape frame: of a polytope, a disk (0 above, 1 below), a half-space."""
+    if disk_radius(geometry, g) > 0.0:
         return 0.0, 0.0, 1.0 - 2.0 * face
-    if kind == HALFSPACE:
+    if geometry.kind[g] == HALFSPACE:
         return row(geometry.size, g)
     return row(geometry.face_normals, geometry.face_ptr[g] + face)
 
 
 @in_place(forceinline=True)
 def face_level(geometry, g, face):
-    """Height of a face over the origin of geom g, along its normal, m."""
-    if geometry.kind[g] == CYLINDER:
+    """Height of a face over the origin of geom g, along its normal, m; of disks it is the second size."""
+    if disk_radius(geometry, g) > 0.0:
         return geometry.size[g, 1]
     if geometry.kind[g] == POLYTOPE:
         return geometry.face_offsets[geometry.face_ptr[g] + face]
     return geometry.offset[g]
-
-
-@in_place(forceinline=True)
-def disk_radius(geometry, g):
-    """Radius of the faces of geom g about its z axis, m; 0 where these are polygons or a plane."""
-    return geometry.size[g, 0] if geometry.kind[g] == CYLINDER else 0.0
 
 
 @in_place(forceinline=True)
