@@ -9,8 +9,9 @@ from nsdyn.audit import audit
 from nsdyn.audit.audit import Audit
 from nsdyn.audit.inspection import ROBOTS, Inspection, inspect_robot, inspect_scene
 from nsdyn.recording.trajectory import Trajectory
-from nsdyn.scene import checks, named
+from nsdyn.scene import named
 from nsdyn.scene.scene import Scene
+from nsdyn.tools.files import as_path
 
 __all__ = ["RECORDINGS", "check"]
 
@@ -65,7 +66,7 @@ def check(what: Trajectory | Scene | str | Path, **options: Any) -> Audit | Insp
         if options:
             raise ValueError(f"check of a scene takes no options, got {', '.join(options)}")
         return inspect_scene(what)
-    path = checks.path(what, "what to check, if it is no Trajectory and no Scene,")
+    path = as_path(what, "what to check, if it is no Trajectory and no Scene,")
     ending = path.suffix.lower()
     if ending in RECORDINGS:
         return audit.check(Trajectory.load(path), **options)

@@ -18,6 +18,7 @@ from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.scene import Scene
+from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import counted
 
 __all__ = ["ROBOTS", "Inspection", "Joint", "Mass", "inspect_robot", "inspect_scene"]
@@ -213,7 +214,7 @@ def inspect_robot(path: str | Path, **options: Any) -> Inspection:
     ValueError
         For what cannot be read or simulated at all, and options that are not for such a file, naming it.
     """
-    path, scene = Path(path), Scene()
+    path, scene = as_path(path), Scene()
     ending = path.suffix.lower()
     for option in options:
         if ending not in ONLY.get(option, ROBOTS):

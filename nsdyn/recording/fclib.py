@@ -108,9 +108,9 @@ def read_guesses(path: str | Path) -> list[Stored]:
 @contextmanager
 def _open(path: str | Path) -> Iterator[Any]:
     """Open a file to read; every error becomes a ValueError that names it."""
-    if not files.is_file(path):
+    if not files.is_file(path := files.as_path(path)):
         raise ValueError(f"no such file: {path}")
-    check_heaps(Path(path))
+    check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
             yield file
@@ -327,7 +327,7 @@ def write_solution(path: str | Path, source: str | Path, solution: Solution, *, 
 @contextmanager
 def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
     """Create a file that takes its place when the block succeeds; else nothing is left."""
-    if Path(path).exists() and not overwrite:
+    if files.as_path(path).exists() and not overwrite:
         raise ValueError(f"cannot write {path}: it exists")
     with files.writing(path, files.PROBLEM) as part, created(part) as file:
         yield file

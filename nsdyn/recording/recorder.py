@@ -145,7 +145,7 @@ class Recorder:
         ValueError
             If the file is no recording, has no state, is of another scene or of other options, naming one, or longer.
         """
-        found, described, columns, saved = recording.read_state(Path(path))
+        found, described, columns, saved = recording.read_state(files.as_path(path))
         if saved is None:
             raise ValueError(f"{path} cannot be resumed: it holds no state of its run")
         given, begun = _full(meta, scene), rows.begin(first)

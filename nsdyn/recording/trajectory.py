@@ -247,7 +247,7 @@ class Trajectory:
         ValueError
             If the file is no recording, naming the file and what is missing.
         """
-        return cls(*recording.read(Path(path)))
+        return cls(*recording.read(files.as_path(path)))
 
     def to_html(self, path: str | Path, **options: Unpack[PageOptions]) -> None:
         """Write a self-contained page that plays the recording; options as in `nsdyn.view.viewer.html`."""

@@ -32,6 +32,7 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import HALFSPACE, Shape, halfspace
 from nsdyn.scene.visuals import Colour
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import choice
 
 __all__ = ["assemble", "close_loop", "put_gear"]
@@ -65,7 +66,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     links, loops = _moved(model, q0, links, description.loops, at)
     excluded, unused = set(description.excluded), list(description.unused)
     if o["srdf"] is not None:
-        excluded |= exclusions.disabled_pairs(name, checks.path(o["srdf"], f"srdf of {name!r}"), model, unused)
+        excluded |= exclusions.disabled_pairs(name, as_path(o["srdf"], f"srdf of {name!r}"), model, unused)
     in_joints = _in_joints(name, model, description, o, of_joints)
     model.armature = in_joints["armature"]
     Material(restitution=o["restitution"])

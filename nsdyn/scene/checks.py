@@ -12,13 +12,13 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from nsdyn.tools.arrays import Array, numbers
+from nsdyn.tools.files import as_path
 
 __all__ = [
     "folders",
     "inertia",
     "lengths",
     "number",
-    "path",
     "positive",
     "quaternion",
     "rotation",
@@ -64,18 +64,11 @@ def text(value: Any, what: str) -> str:
     return value
 
 
-def path(value: Any, what: str) -> Path:
-    """A path."""
-    if not isinstance(value, (str, os.PathLike)):
-        raise ValueError(f"{what} must be a path, got {value!r}")
-    return Path(value)
-
-
 def folders(value: Any, what: str) -> list[Path]:
     """A sequence of paths; one path alone is a mistake, since a text is a sequence of letters."""
     if isinstance(value, (str, os.PathLike)) or not isinstance(value, Iterable):
         raise ValueError(f"{what} must be a sequence of folders, got {value!r}")
-    return [path(folder, what) for folder in value]
+    return [as_path(folder, what) for folder in value]
 
 
 def vector(value: ArrayLike, size: int, what: str) -> Array:

@@ -23,6 +23,7 @@ from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import check_known, choice, counted, unknown
 
 __all__ = ["Scene"]
@@ -290,7 +291,7 @@ class Scene:
             Where ``package://`` meshes are looked up, besides the file's own folder.
         """
         folders = checks.folders(package_dirs, f"package_dirs of {name!r}")
-        description = robot_files.read_urdf(name, checks.path(path, f"path of {name!r}"), base, folders)
+        description = robot_files.read_urdf(name, as_path(path, f"path of {name!r}"), base, folders)
         self._add_articulation(name, description, keywords)
 
     def add_mjcf(
@@ -307,7 +308,7 @@ class Scene:
         keyframe : str, optional
             Name of the one to start from.
         """
-        description = robot_files.read_mjcf(name, checks.path(path, f"path of {name!r}"), keyframe)
+        description = robot_files.read_mjcf(name, as_path(path, f"path of {name!r}"), keyframe)
         self._add_articulation(name, description, keywords)
 
     def add_sdf(
@@ -328,7 +329,7 @@ class Scene:
             Where ``model://`` meshes are looked up, besides the file's own folder.
         """
         folders = checks.folders(package_dirs, f"package_dirs of {name!r}")
-        description = robot_files.read_sdf(name, checks.path(path, f"path of {name!r}"), folders)
+        description = robot_files.read_sdf(name, as_path(path, f"path of {name!r}"), folders)
         self._add_articulation(name, description, keywords)
 
     def add_loop(

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from nsdyn.scene import checks, hulls, meshes
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array, Index, numbers
+from nsdyn.tools.files import as_path
 
 __all__ = [
     "CAPSULE",
@@ -358,7 +359,7 @@ def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
     factor = np.full(3, checks.positive(scale, "scale")) if np.ndim(scale) == 0 else numbers(scale, words, "scale")
     if factor.shape != (3,) or not (np.isfinite(factor).all() and factor.all()):
         raise ValueError(f"scale must be {words}, got {scale!r}")
-    surface = meshes.read(checks.path(path, "path"))
+    surface = meshes.read(as_path(path, "path"))
     try:
         with np.errstate(over="ignore"):
             surface = surface._replace(vertices=surface.vertices * factor)

@@ -3,8 +3,8 @@
 To add one:
 
 1. a file here, or in `nsdyn.literature` for a method that is kept to compare: a frozen dataclass of `Options`, with
-   `tol` and those of the method, annotated with what they may be, whose docstring has its equations, its source, and
-   where it fails;
+   `tol`, `max_iter` and those of the method, annotated with what they may be (`nsdyn.tools.options`), whose docstring
+   has its equations, its source, and where it fails;
 2. ``__call__(problem, r0=None)`` that returns ``Solution.judge(problem, r, tol, iterations, seconds)``: what the solver
    believes is not asked, and what is not finite is told by the status;
 3. its name and its home in `HOMES`, for type checkers also among the imports above it;

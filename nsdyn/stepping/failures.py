@@ -12,12 +12,11 @@ from nsdyn.problem import cones
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
 from nsdyn.recording import fclib
-from nsdyn.scene import checks
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import take
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.files import check_folder
+from nsdyn.tools.files import as_path, check_folder
 from nsdyn.tools.naming import choice
 
 __all__ = ["Failures", "worst"]
@@ -55,7 +54,7 @@ class Failures:
         if folder is None and on_fail == "dump":
             folder = DUMPS
         self.on_fail, self.names = on_fail, names
-        self.folder = None if folder is None else checks.path(folder, "dump_on_fail")
+        self.folder = None if folder is None else as_path(folder, "dump_on_fail")
         if self.folder is not None:
             try:
                 check_folder(self.folder)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nsdyn.recording.recorder import Recorder
 from nsdyn.recording.trajectory import Trajectory
-from nsdyn.scene import checks, settings
+from nsdyn.scene import settings
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Solver
 from nsdyn.stepping import checkpoint
@@ -23,6 +23,7 @@ from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.state import State
 from nsdyn.stepping.stepper import Stepper
 from nsdyn.stepping.system import check_flags, check_seconds
+from nsdyn.tools.files import as_path
 from nsdyn.tools.options import is_number
 
 __all__ = ["Options", "RunOptions", "command", "simulate"]
@@ -152,7 +153,7 @@ def simulate(
         raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
     for name, file in (("record", record), ("resume", resume)):
         if file is not None:
-            checks.path(file, name)
+            as_path(file, name)
     if resume is not None and record is not None:
         raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
     steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))

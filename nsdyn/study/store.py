@@ -38,7 +38,7 @@ class Store:
     """
 
     def __init__(self, path: str | Path, sweep: Mapping[str, Any]) -> None:
-        self.path = Path(path)
+        self.path = files.as_path(path, "store")
         files.check_writable(self.path, files.STORE)
         if files.is_special(self.path):
             raise ValueError(f"cannot store a sweep in {path}: it is no regular file, which lines could be added to")

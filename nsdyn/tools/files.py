@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 __all__ = [
     "FILM",
@@ -25,6 +26,7 @@ __all__ = [
     "STORE",
     "TABLE",
     "Kind",
+    "as_path",
     "check_folder",
     "check_writable",
     "is_file",
@@ -62,6 +64,13 @@ STDOUT = Path("-")
 """Stands for standard output."""
 
 
+def as_path(value: Any, what: str = "path") -> Path:
+    """The path that is meant; ValueError naming `what` for what is none."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise ValueError(f"{what} must be a path, got {value!r}")
+    return Path(value)
+
+
 def resolved(path: str | Path) -> Path:
     """Absolute path with links followed; ValueError naming it where they lead in a circle."""
     out = Path(os.path.realpath(path))
@@ -80,7 +89,7 @@ def is_file(path: str | Path) -> bool:
 
 def is_special(path: str | Path) -> bool:
     """Whether a path cannot be replaced, only written: standard output, a FIFO, a device."""
-    path = Path(path)
+    path = as_path(path)
     if path == STDOUT:
         return True
     # /dev/stdout may lead to a regular file, which the shell has open and would lose.
@@ -90,7 +99,7 @@ def is_special(path: str | Path) -> bool:
 
 def check_writable(path: str | Path, kind: Kind) -> None:
     """Raise a ValueError that names a path `writing` could not write, as far as one can tell before."""
-    if (path := Path(path)) == STDOUT:
+    if (path := as_path(path)) == STDOUT:
         return
     try:
         _check_writable(path)
@@ -167,7 +176,7 @@ def writing(path: str | Path, kind: Kind) -> Iterator[Path]:
     ValueError
         Naming the path, when it cannot be written, its ending is of another kind, or what is there.
     """
-    path = Path(path)
+    path = as_path(path)
     check_writable(path, kind)
     try:
         if is_special(path):

@@ -59,7 +59,11 @@ class Options:
 def _annotations(made: type) -> dict[str, Any]:
     """The annotations of the class of `Options` that a class is or derives from; their texts are evaluated once."""
     line = made.__mro__
-    return get_type_hints(line[line.index(Options) - 1], include_extras=True)
+    out = get_type_hints(line[line.index(Options) - 1], include_extras=True)
+    for name, annotation in out.items():
+        if not get_args(annotation):
+            raise TypeError(f"{made.__name__}.{name} must be a Literal or say what is Allowed, got {annotation}")
+    return out
 
 
 def is_number(value: Any, kind: type = float) -> bool:

@@ -212,3 +212,20 @@ def test_neither_does_python(kinds, tmp_path):
     Path(recording).write_bytes(Path(recording).read_bytes()[:3000])
     trajectory.save(recording)
     assert nd.Trajectory.load(recording).steps == trajectory.steps
+
+
+def test_what_is_no_path_is_told():
+    slide = nd.scenes.load("slide")()
+    run, problem = nd.simulate(slide, 0.01, 1e-2), nd.FC3D(np.eye(3), [-1.0, 0.0, 0.0], [0.5])
+    given = (
+        nd.Trajectory.load,
+        run.save,
+        run.to_html,
+        run.table("bodies").to_csv,
+        nd.fclib.read,
+        lambda path: nd.fclib.write(path, problem),
+        lambda path: nd.sweep("slide", {}, 0.01, dt=1e-2, keep=str, store=path),
+    )
+    for takes in given:
+        with pytest.raises(ValueError, match=r"(path|store) must be a path, got 3"):
+            takes(3)

@@ -15,6 +15,7 @@ from nsdyn.literature._kernels import pgs as sweeps
 from nsdyn.problem import operators
 from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import PENALTY, newton
+from nsdyn.tools.options import Options
 
 FILES = Path(__file__).resolve().parents[3] / "shared" / "fc3d"
 
@@ -249,6 +250,15 @@ def test_a_solver_derived_from_another_has_options_of_its_own():
     assert Counted(tol=1e-6).calls == []
     with pytest.raises(ValueError, match="tol must be positive and finite, got -1"):
         Counted(tol=-1)
+
+
+def test_options_say_what_they_may_be():
+    @dataclass(frozen=True)
+    class Plain(Options):
+        tol: float = 1e-8
+
+    with pytest.raises(TypeError, match=r"Plain\.tol must be a Literal or say what is Allowed, got <class 'float'>"):
+        Plain()
 
 
 def test_options_of_solvers_are_numbers_of_python():
