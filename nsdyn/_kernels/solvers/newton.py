@@ -26,7 +26,7 @@ from nsdyn._kernels.vectors import square
 
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
 SHRINKAGE, LEAST = 0.3, 1e-3  # what is left of such a penalty, and at which no more is tried
-GROWTH, LARGEST = 3.0, 1e10  # of a penalty with which it settled in two steps, and at most: factors lose digits by it
+GROWTH, LARGEST = 2.0, 1e10  # of a penalty with which it settled in two steps, and at most: factors lose digits by it
 PART = 1e-2  # of the square of the multiplier step that the square of the defect is where F has settled
 
 GOES_ON, SETTLED, FAILED = range(3)
@@ -131,7 +131,7 @@ def settled(scales, u, shown, own, P, estimate):
 def judge(given, vectors, so_far):
     """The verdict on a Newton step: (`GOES_ON`, `SETTLED` or `FAILED`, and what goes on from `so_far`).
 
-    Where F has settled the estimate moves to P, and the penalty grows if it did so in two steps. Where it does not
+    Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps. Where it does not
     settle, or diverges, the penalty is too large. The best P is kept in r. `given` are (mu, scales, q_norm) of the
     problem, `vectors` (u, shown, own, P, estimate, r), the first as of `settled`, `so_far` (penalty, Newton steps with
     it, square of the defect before, least measure).
