@@ -71,7 +71,7 @@ class Multipliers:
         """The steps, after the measure of the first impulse: `_kernels.dense` for any W."""
         W, penalty, q, mu, scales = self.W, self._penalty, self.problem.q, self.problem.mu, self.problem.scales
         given = mu, scales, self.problem.q_norm
-        P, A, estimate = np.empty_like(self.r), np.empty((mu.size, 3, 3)), self.r.copy()
+        (P, step), A, estimate = np.empty((2, self.r.size)), np.empty((mu.size, 3, 3)), self.r.copy()
         y = W.change(estimate)
         own, y = W.relative(y) + q, np.zeros_like(y)
         u, kept, inner, before = own.copy(), y, 0, np.inf
@@ -80,16 +80,16 @@ class Multipliers:
         while penalty > _kernels.LEAST:
             if inner == 0:
                 rho = penalty / scales
-                _kernels.projected(u, estimate, rho, mu, P)
+                _kernels.projected(u, estimate, rho, mu, P, step)
             _kernels.stiffness(u, estimate, rho, mu, A)
             try:
-                y = y + W.towards(A, P - estimate, y)
+                y = y + W.towards(A, step, y)
             except RuntimeError:
                 break
             self.count += 1
             u = W.relative(y) + own
-            _kernels.projected(u, estimate, rho, mu, P)
-            step, vectors = P - estimate, (u, W.product(P) + q, own, P, estimate, self.r)
+            _kernels.projected(u, estimate, rho, mu, P, step)
+            vectors = u, W.product(P) + q, own, P, estimate, self.r
             verdict, so_far = _kernels.judge(given, vectors, (penalty, inner + 1, before, self.best))
             penalty, inner, before, self.best = so_far
             if verdict == _kernels.SETTLED:

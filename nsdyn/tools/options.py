@@ -39,6 +39,8 @@ class Options:
     ------
     ValueError
         Naming the option, what it must be and what was given.
+    TypeError
+        Of a class whose annotation says nothing of what the option may be.
     """
 
     def __post_init__(self) -> None:

@@ -277,7 +277,6 @@ def test_a_driven_arm_that_hits_a_box_passes(restitution):
     assert audit.passed, audit
 
 
-@pytest.mark.slow
 def test_what_hangs_still_passes():
     """Its weight has no part along the joint but round-off, which nothing else is of the size of."""
     model = pin.Model()
@@ -290,6 +289,7 @@ def test_what_hangs_still_passes():
     assert nd.check(t).passed
 
 
+@pytest.mark.slow
 def test_rolling_of_a_boat_creates_nothing():
     """The work of contacts that stay closed is O(h²) of a motion, and in the ledger as numerics."""
     model = pin.Model()

@@ -34,18 +34,20 @@ GOES_ON, SETTLED, FAILED = range(3)
 
 
 @in_place
-def projected(u, r, rho, mu, P):
-    """P(u) of every contact, into P (3 nc,)."""
+def projected(u, r, rho, mu, P, step):
+    """P(u) of every contact, into P (3 nc,), and P - r, into step (3 nc,)."""
     for c in range(mu.size):
         i = 3 * c
         a = r[i] - rho[c] * u[i]
         if a <= 0.0:
             P[i] = P[i + 1] = P[i + 2] = 0.0
-            continue
-        z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
-        t = math.sqrt(z1 * z1 + z2 * z2)
-        s = mu[c] * a / t if t > mu[c] * a else 1.0
-        P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
+        else:
+            z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
+            t = math.sqrt(z1 * z1 + z2 * z2)
+            s = mu[c] * a / t if t > mu[c] * a else 1.0
+            P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
+        for j in range(i, i + 3):
+            step[j] = P[j] - r[j]
 
 
 @in_place
@@ -174,8 +176,7 @@ def dense(problem, r, tol, penalty, most):
     while best > tol and count < most and penalty > LEAST:
         if inner == 0:
             rho = penalty / scales
-            projected(u, estimate, rho, mu, P)
-            step[:] = P - estimate
+            projected(u, estimate, rho, mu, P, step)
         defect(blocks, y, step, F, work)
         stiffness(u, estimate, rho, mu, A)
         assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
@@ -186,8 +187,7 @@ def dense(problem, r, tol, penalty, most):
         count += 1
         relative_velocity(blocks, y, u)
         u += own
-        projected(u, estimate, rho, mu, P)
-        step[:] = P - estimate
+        projected(u, estimate, rho, mu, P, step)
         velocity(blocks, q, P, dy, shown, work)
         so_far = penalty, inner + 1, before, best
         verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)
