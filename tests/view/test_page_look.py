@@ -292,8 +292,9 @@ def test_of_many_bodies_those_that_move_most_have_names(opened, falling_row):
     page = opened(falling_row)
     press(page, "motion")
     rows = page.run("nsdyn.panes[0].plot.values('motion', 0.1).map(row => row.slice(0, 2))")
-    first = {f"domino{k}" for k in range(8)}  # those that fall so far
-    assert len(rows) == 7 and {name for name, _ in rows[:6]} <= first and rows[6][0] == "and 14 others"
+    names = {name for name, _ in rows[:6]}
+    assert names > {f"domino{k}" for k in range(5)}  # that fall so far; the sixth moves by round-off, as 14 others do
+    assert len(rows) == 7 and rows[6][0] == "and 14 others"
     for lane in page.run("nsdyn.panes[0].chart.lanes.map(lane => lane.lines.map(line => line.colour))"):
         light = [colour == rows[6][1] for colour in lane]
         assert light == sorted(light, reverse=True) and set(lane) <= {colour for _, colour in rows}  # behind the others
