@@ -133,13 +133,14 @@ def settled(scales, u, shown, own, P, estimate):
 def judge(given, vectors, so_far):
     """The verdict on a Newton step: (`GOES_ON`, `SETTLED` or `FAILED`, and what goes on from `so_far`).
 
-    Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps. Where it does not
-    settle, or diverges, the penalty is too large. The best P is kept in r. `given` are (mu, scales, q_norm) of the
-    problem, `vectors` (u, shown, own, P, estimate, r), the first as of `settled`, `so_far` (penalty, Newton steps with
-    it, square of the defect before, least measure).
+    Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps, twice where nothing
+    was gained. Where it does not settle, or diverges, the penalty is too large. The best P is kept in r. `given` are
+    (mu, scales, q_norm) of the problem, `vectors` (u, shown, own, P, estimate, r), the first as of `settled`, `so_far`
+    (penalty, Newton steps with it, square of the defect before, least measure).
     """
     (mu, scales, q_norm), (u, shown, own, P, estimate, r), (penalty, inner, before, best) = given, vectors, so_far
     measure = measure_at(scales, shown, P, mu, q_norm)
+    growth = GROWTH if measure < best else GROWTH * GROWTH
     if measure < best:
         best = measure
         copy(P, r)
@@ -147,7 +148,7 @@ def judge(given, vectors, so_far):
     if done:
         copy(P, estimate)
         copy(shown, own)
-        return SETTLED, (min(GROWTH * penalty, LARGEST) if inner <= 2 else penalty, 0, np.inf, best)
+        return SETTLED, (min(growth * penalty, LARGEST) if inner <= 2 else penalty, 0, np.inf, best)
     if inner >= PATIENCE or not left <= DIVERGED * before:
         return FAILED, (SHRINKAGE * penalty, 0, np.inf, best)
     return GOES_ON, (penalty, inner, left, best)
