@@ -151,10 +151,7 @@ class Mover:
                 direction,
                 barred,
                 work,
-                stage,
-                ready,
-                detector.asks,
-                step,
+                (stage, ready, detector.asks, step),
             )
             if code in (_meeting.DONE, _meeting.EVENT):
                 if code == _meeting.EVENT:  # whose values are views of it
@@ -252,7 +249,7 @@ class Mover:
         found, detector = tuple(begun), self._detector
         given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
         work = self._rooms(False, False)[2]
-        Mover.ready = is_ready(_quiet.quiet, *given, work, 0, False, detector.asks, False)
+        Mover.ready = is_ready(_quiet.quiet, *given, work, (_meeting.DONE, False, detector.asks, False))
         return Mover.ready
 
     def _rooms(self, moves: bool, step: bool) -> tuple[Acted, Rooms, tuple[Array, Index, Bools]]:

@@ -338,7 +338,7 @@ def test_what_bounces_on_free_bodies_comes_to_rest(make, dt, steps, monkeypatch)
 
     def counted_quietly(*args):
         """What the kernel of a step solves itself, whether or not the step is then one of these."""
-        results, stage = args[4][0], args[10]
+        results, stage = args[4][0], args[10][0]
         if stage == DONE:
             results[columns.TIME] = 0.0
         before, out = results[columns.TIME], quiet(*args)

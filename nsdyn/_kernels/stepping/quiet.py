@@ -279,7 +279,7 @@ def told(s, rows, contacts, begun, flags, status, head, room):
 
 
 @in_place
-def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred, work, stage, ready, asks, step):
+def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred, work, call):
     """A move, or a whole step that is to meet no event, or as far as it goes without Python.
 
     Parameters
@@ -303,14 +303,10 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         Pairs of shapes that are left alone where they are open, as of `nsdyn.stepping.move.trial`.
     work : tuple
         Room: floats, integers, flags (FLAGS, nc).
-    stage : int
-        `DONE` to begin with, then how the last call ended.
-    ready : bool
-        Whether Python has placed the geoms, and asked Coal of the pairs.
-    asks : bool
-        Whether Coal is asked of any pair.
-    step : bool
-        Whether it is a step, whose works and certificate are told. Of a move it is left to see what it runs into.
+    call : tuple
+        Of an int and bools: `DONE` to begin with, then how the last call ended; whether Python has placed the geoms,
+        and asked Coal of the pairs; whether Coal is asked of any pair; and whether it is a step, whose works and
+        certificate are told. Of a move it is left to see what it runs into.
 
     Returns
     -------
@@ -318,6 +314,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD`, `MORE`, `MOVE` or `EVENT`.
     """
     s, (out, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = opened(system), new, old, work
+    stage, ready, asks, step = call
     (num, size), masses = s[0], s[5]
     n, room, was, head, wide = size[0], states.size, status_old.size, whole[: col.HEAD], col.ROWS + int(num[col.WIDE])
     last = col.RESULTS + col.FRAME * n + col.COORDINATE * size[1]
