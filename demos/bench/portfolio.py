@@ -98,13 +98,12 @@ def others() -> Iterator[tuple[str, list[tuple[Any, str, Any]]]]:
     for field in fields(auto.TUNING):
         given = getattr(auto.TUNING, field.name)
         values = given if isinstance(given, tuple) else (given,)
-        for k in range(1 if field.name == "lengths" else len(values)):
+        for k in range(len(values)):
             for factor in (0.5, 2.0):
-                whole = field.name == "lengths"
-                new = tuple(type(v)(factor * v) if whole or i == k else v for i, v in enumerate(values))
+                new = tuple(type(v)(factor * v) if i == k else v for i, v in enumerate(values))
                 tuning = replace(auto.TUNING, **{field.name: new if isinstance(given, tuple) else new[0]})
                 changes = [(auto, "TUNING", tuning), (auto, "LIMITS", (auto.DENSE, *tuning.small))]
-                yield f"{field.name}{[k] if len(values) > 1 and not whole else ''} x {factor}", changes
+                yield f"{field.name}{[k] if len(values) > 1 else ''} x {factor}", changes
 
 
 def ablation(folders: list[Path], tol: float) -> None:

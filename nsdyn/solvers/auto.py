@@ -26,14 +26,15 @@ class Tuning:
     cost: int = 64
     """Sweeps that count as a factorisation, as they do in a wall."""
 
-    lengths: tuple[int, ...] = (8, 72, 216, 648, 1944)
-    """What Newton takes in each round, and from the third on the path of smoothed laws before it."""
+    length: int = 8
+    """What Newton takes in the first round, and in the next so many times what it took in the last, as does the path of
+    smoothed laws from the third on."""
 
-    sweeps: tuple[int, int] = (20, 60)
-    """What sweeps with momentum take in a round, and in one after a warm start that was left."""
+    rounds: int = 4
+    """So many at most."""
 
-    path: int = 40
-    """What has to be left where the path is begun."""
+    sweeps: int = 20
+    """What sweeps with momentum take in a round."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -148,14 +149,11 @@ class Search:
         self._note(run.best, used, used, run.r)
 
     def follow(self, most: float) -> None:
-        """The path of smoothed laws, from nothing where there is enough for it, or on from the last."""
-        most = self._most(most)
+        """The path of smoothed laws, from nothing or on from the last."""
         if self._path is None:
-            if most < TUNING.path:
-                return
             self._path = Following(self.problem, self.W, self.tol)
         before = self._path.count
-        self._path.run(int(np.ceil(most)))
+        self._path.run(int(np.ceil(self._most(most))))
         used = self._path.count - before
         self._note(self._path.best, used, used, self._path.r)
 
@@ -177,10 +175,10 @@ class Search:
         """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits."""
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
-        left = False
-        for k, length in enumerate(TUNING.lengths):
+        for k in range(TUNING.rounds):
+            length = TUNING.length ** (k + 1)
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
-                self.sweep(TUNING.sweeps[left])
+                self.sweep(TUNING.sweeps)
             if not self.over and k > 1:
                 self.follow(length)
             if not self.over:
@@ -189,7 +187,6 @@ class Search:
                 break
             if k == 0 and warm and self.best > self.loose:
                 self.begin_anew()
-                left = True
         if self._kept[0] < self.best:
             self.best, self.r[:] = self._kept
         if self.best <= self.tol:
@@ -274,7 +271,7 @@ class Auto(Options):
         if not nc:
             return Solution.judge(problem, r, self.tol, 0, clock() - start)
         if blocks is None:
-            most = TUNING.cost * TUNING.sweeps[0]
+            most = TUNING.cost * TUNING.sweeps
             whole = problem.csr, problem.q, problem.mu, problem.scales, problem.q_norm
             count, error, residual = _start.by_matrix(whole, r, u, self.aims[1], most)
             left = not (error <= self.tol and residual <= self.tol)
