@@ -193,7 +193,13 @@ class FC3D:
             u = np.empty_like(self.q)
             _given.velocity(self.csr, self.q, r, u)
             return u
-        return self.blocks.relative_velocity(self.blocks.velocity_change(r)) + self.q
+        return self.product(r) + self.q
+
+    def product(self, r: Array) -> Array:
+        """W r, shape (3 nc,), m/s: `velocity` less q would have the round-off of q."""
+        if self.blocks is None:
+            return self.with_velocity(np.zeros_like(self.q)).velocity(r)
+        return self.blocks.relative_velocity(self.blocks.velocity_change(r))
 
     def error(self, r: Any, u: Array | None = None) -> float:
         """Error of the literature, ‖r - P_K(r - û)‖₂ / ‖q‖₂ (ρ = 1 in the given units).
