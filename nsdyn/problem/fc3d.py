@@ -61,7 +61,8 @@ class FC3D:
     Raises
     ------
     ValueError
-        For wrong shapes, values that are not finite, μ < 0, or a diagonal block of W that is zero.
+        For wrong shapes, values that are not finite, a q whose square is not, μ < 0, or a diagonal block of W that is
+        zero.
 
     Examples
     --------
@@ -140,6 +141,7 @@ class FC3D:
             raise ValueError("q must be finite, got NaN or infinity")
         if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
             raise ValueError("mu must be finite and not negative")
+        raise ValueError(f"q must have a norm whose square is finite, got {np.abs(self.q).max():g} m/s")
 
     def _check_scales(self) -> None:
         """ValueError for sizes of diagonal blocks that are not what they have to be."""
