@@ -70,8 +70,12 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
     # Round shapes have one contact, whose gap is theirs.
     flat = np.array([len(solid.normals) + len(solid.edges) > 0 for solid in poses.solids], np.bool_)[poses.kind]
     several = flat[i[above]] | flat[j[above]]
-    more = gap[above] - nearest[above] - several * _travel(poses, flight, c, who, above)
-    out[above] = np.maximum(out[above], more)
+    far = _travel(poses, flight, c, who, above)
+    # Where edges are almost parallel their crossing slides far as they turn, but to no more than others are apart.
+    widest = np.zeros(gap.size)
+    np.maximum.at(widest, pair[above], far)
+    far = np.where(c["impulse"][above, 0] > 0.0, far, widest[pair[above]])
+    out[above] = np.maximum(out[above], gap[above] - nearest[above] - several * far)
     return out
 
 

@@ -61,7 +61,8 @@ class FC3D:
     Raises
     ------
     ValueError
-        For wrong shapes, values that are not finite, μ < 0, or a diagonal block of W that is zero.
+        For wrong shapes, values that are not finite, a q whose square is not, μ < 0, or a diagonal block of W that is
+        zero.
 
     Examples
     --------
@@ -140,6 +141,7 @@ class FC3D:
             raise ValueError("q must be finite, got NaN or infinity")
         if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
             raise ValueError("mu must be finite and not negative")
+        raise ValueError(f"q must have a norm whose square is finite, got {np.abs(self.q).max():g} m/s")
 
     def _check_scales(self) -> None:
         """ValueError for sizes of diagonal blocks that are not what they have to be."""
@@ -193,7 +195,13 @@ class FC3D:
             u = np.empty_like(self.q)
             _given.velocity(self.csr, self.q, r, u)
             return u
-        return self.blocks.relative_velocity(self.blocks.velocity_change(r)) + self.q
+        return self.product(r) + self.q
+
+    def product(self, r: Array) -> Array:
+        """W r, shape (3 nc,), m/s: `velocity` less q would have the round-off of q."""
+        if self.blocks is None:
+            return self.with_velocity(np.zeros_like(self.q)).velocity(r)
+        return self.blocks.relative_velocity(self.blocks.velocity_change(r))
 
     def error(self, r: Any, u: Array | None = None) -> float:
         """Error of the literature, ‖r - P_K(r - û)‖₂ / ‖q‖₂ (ρ = 1 in the given units).

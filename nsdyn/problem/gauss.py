@@ -177,7 +177,7 @@ def along(problem: FC3D, d: Array) -> tuple[Array, float]:
     """(Hᵀ d, ‖d‖²_M) of `Opening.d`; zeros, which open nothing, where it is of other coordinates."""
     o, b = np.zeros_like(problem.q), problem.blocks
     if b is None and d.size == o.size:
-        o = problem.velocity(d) - problem.q
+        o = problem.product(d)
         return o, float(d @ o)
     if b is not None and d.size == b.n:
         return o, float(_kernels.along_blocks(b.arrays, d, o))

@@ -78,7 +78,7 @@ def _instead(problem: FC3D, r: Array, u: Array, c: int) -> Iterator[Array]:
     W = np.empty((3, 3))
     for k in range(3):
         one[3 * c + k] = 1.0
-        W[:, k] = (problem.velocity(one) - problem.q)[rows]
+        W[:, k] = problem.product(one)[rows]
         one[3 * c + k] = 0.0
     W = 0.5 * (W + W.T)
     if np.linalg.cond(W) > 1e12:  # moves in a plane only
@@ -93,7 +93,7 @@ def _apart(problem: FC3D, r: Array, other: Array) -> bool:
     """Whether two impulses give two velocities."""
 
     def size(x: Array) -> float:
-        return math.sqrt(max(0.0, float(x @ (problem.velocity(x) - problem.q))))
+        return math.sqrt(max(0.0, float(x @ problem.product(x))))
 
     return size(r - other) > APART * max(size(r), size(other))
 

@@ -175,5 +175,5 @@ def _distance(problem: FC3D, r: Array, other: Array) -> float:
         p = problem.blocks.momentum(change)
         return math.sqrt(max(0.0, float(p @ problem.blocks.velocity_change(change)))) + size
     # What cancels in W r leaves the root of its round-off.
-    square = float(change @ (problem.velocity(change) - problem.q))
+    square = float(change @ problem.product(change))
     return math.sqrt(max(0.0, square) + size * size / (ROUND_OFF))

@@ -82,8 +82,10 @@ class Scene:
     motions: dict[str, Motion] = field(default_factory=dict, init=False)
     parameters: dict[str, Any] = field(default_factory=dict, init=False)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, checks.vector(value, 3, name) if name == "gravity" else value)
+
     def __post_init__(self) -> None:
-        self.gravity = checks.vector(self.gravity, 3, "gravity")
         checks.text(self.name, "name")
         for argument in ("friction_rule", "restitution_rule"):
             choice(getattr(self, argument), COMBINATION_RULES, argument)

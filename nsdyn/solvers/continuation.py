@@ -239,13 +239,13 @@ class Following:
 
     def _taken(self) -> Iterator[bool]:
         """The steps of the path, then those of Newton's method from its end."""
-        path = Path(self.problem, self.W)
-        here, scale = path.start, float(path.scales.mean())
         length, attempt = 1.0, ATTEMPT
         self.count += 1
         try:
+            path = Path(self.problem, self.W)
+            here, scale = path.start, float(path.scales.mean())
             direction = -_unit(Linear(path, here).tangent(path.rate(here)), path.metric(here.x[-1]))
-        except RuntimeError:
+        except (ZeroDivisionError, RuntimeError):  # no point of floating point, no inverse
             return
         while True:
             yield True

@@ -113,6 +113,18 @@ def test_steps_of_scenes(name, parameters, rng):
     assert sharp <= 0.1 * plain
 
 
+@extended
+@pytest.mark.parametrize("factors", [False, True])
+def test_impulses_that_hardly_change_a_large_velocity(rng, factors):
+    """Points that part, v* = 0: all of the answer is error, of which q in u = W r + q would round digits off."""
+    for _ in range(50):
+        H, mu = np.round(rng.normal(size=(3, 3)) * 4096) / 4096, np.array([0.5])
+        q = np.array([rng.uniform(10, 20), *rng.normal(size=2)])
+        r = 1e-6 * np.array([1.0, *rng.uniform(-0.3, 0.3, 2)])
+        problem = of_factors(H, q, mu) if factors else nd.FC3D(H.T @ H, q, mu)
+        assert polished.certify(problem, r)[0].bound >= distance(H, r, np.zeros(3))
+
+
 def test_defect_in_coulombs_law():
     """One contact that slides: with the shift s frozen u_N = 0, and s = μ u_T once it is updated; known by hand."""
     W, mu = np.diag([2.0, 1.0, 1.0]), 0.5

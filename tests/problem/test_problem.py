@@ -151,6 +151,7 @@ def test_blocks_against_dense(rng):
         ({"W": np.eye(3)}, "W must have 6 rows"),
         ({"q": np.zeros(5)}, "q must have 3 entries"),
         ({"q": np.array([np.inf, 0, 0, 0, 0, 0])}, "q must be finite"),
+        ({"q": np.array([-1e160, 0, 0, 0, 0, 0])}, "q must have a norm whose square is finite, got 1e"),
         ({"mu": np.array([-0.1, 0.5])}, "mu must be finite and not negative"),
         ({"mu": np.array([np.nan, 0.5])}, "mu must be finite and not negative"),
     ],

@@ -77,6 +77,12 @@ def test_arguments_say_what_was_meant():
 def test_bad_scene():
     with pytest.raises(ValueError, match="gravity must be 3 numbers"):
         nd.Scene(gravity=(0, 9.81))
+    scene = nd.Scene()
+    for wrong in ((0, 9.81), (0, 0, np.nan), "down"):
+        with pytest.raises(ValueError, match="gravity must be"):
+            scene.gravity = wrong
+    scene.gravity = (0, 0, -1)
+    assert scene.describe()["gravity"] == [0, 0, -1]
     with pytest.raises(ValueError, match="friction_rule must be one of"):
         nd.Scene(friction_rule="product")
     for name in (3, "a\0b", "\ud800"):  # which no recording can be saved with, and loaded

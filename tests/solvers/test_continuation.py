@@ -39,6 +39,12 @@ def test_continuation_ends_by_the_effort_allowed():
     assert 20 <= used < 40
 
 
+def test_no_path_where_floating_point_has_none():
+    """The smoothing at which it would begin, 1e-240 J, divides by zero."""
+    problem = nd.FC3D(np.eye(3), [-1e-120, 1e-120, 0.0], [0.5])
+    assert nd.solve(problem, solver="continuation").status is nd.Status.MAX_ITERATIONS
+
+
 def test_a_path_goes_on_where_it_was():
     """Ten factorisations at a time end where one run ends, to the last bit, and so does Newton's method after it."""
     problem = kicked_stack(height=8, ratio=30.0)
