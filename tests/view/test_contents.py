@@ -8,6 +8,8 @@ from recordings import recording
 from test_viewer import contents
 
 import nsdyn as nd
+from nsdyn.dynamics.ledger import LAYERS, NUMERICS, PHYSICS
+from nsdyn.recording.columns import ENERGIES
 from nsdyn.view import contact_points, curves, keyframes, marks, payload, titles, viewer
 from nsdyn.view import contents as packing
 from nsdyn.view.contents import packed
@@ -231,8 +233,9 @@ def test_curves_are_the_ledger(bouncing, monkeypatch):
     monkeypatch.setattr(curves, "MAX_POINTS", 14)
     found = curves.ledger(bouncing)
     assert found["t"].tolist() == bouncing.t[::100].tolist()
-    sums = sum(found[name] for name in ("put_in", "drives", "normal", "friction", "damping"))
-    sums = sums + found["integration"] + found["projection"] + found["defect"]
+    took = LAYERS.keys() - set(ENERGIES)
+    assert took - {"drives"} | {"external", "constraint"} == set(PHYSICS)
+    sums = sum(found[name] for name in ("put_in", *took, *NUMERICS))
     # Of 9.81 J.
     np.testing.assert_allclose(found["kinetic"] + found["potential"] - sums, found["potential"][0], rtol=1e-12)
     assert found["potential"].min() >= 0.0
