@@ -6,7 +6,8 @@ All are functions of values, which keep nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from operator import is_
+from functools import reduce
+from operator import add, is_
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,7 @@ class Dynamics(Kinematics):
             Last impulses of the joint rows.
         """
         loads, applied = wrenches or (NOTHING, NOTHING)
-        load = sum(loads.values(), self.no_load)
+        load = reduce(add, loads.values()) if loads else self.no_load
         out = np.empty(self.n)
         if self.free:
             _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, *load, h, middle.v, out)
@@ -122,7 +123,7 @@ class Dynamics(Kinematics):
         They are given by the name of a free body, as a force (3,) at its centre of mass [N], or (force, torque [N m]);
         world axes. On a body of an articulation, "articulation/body", the force acts at the origin of its frame.
         """
-        force, torque = load = np.zeros_like(self.no_load)
+        force, torque = load = np.zeros((2, self.free, 3))
         applied: dict[int, tuple[Array, Array]] = {}
         for name, wrench in _mapping(given, "external_force").items():
             try:

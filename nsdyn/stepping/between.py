@@ -99,9 +99,11 @@ class Motion:
 
         From the energies of the trees where it begins.
         """
-        s, joints, links = self._s, np.zeros((7, self.v.size)), np.zeros((self._s.dynamics.links, 6))
+        s, d, own = self._s, self._s.dynamics, self.half.booked(own, self.half.middle.v, self.v)
+        if not d.trees:
+            return own, d.no_impulses[1], d.no_push
+        joints, links = np.zeros((7, d.n)), np.zeros((d.links, 6))
         acted = self.v, self.ends, self.impulse
-        own = self.half.booked(own, self.half.middle.v, self.v)
         own, self.energies = tree_works(s, before, self.half, *acted, self.position, (joints, links), own)
         return own, joints, links
 

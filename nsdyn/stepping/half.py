@@ -109,11 +109,12 @@ class Half(_Half):
         if self.given[0] is None:
             return own
         free = self.forces.load.shape[1]
-        mean = 0.5 * (v0 + v1)[: 6 * free].reshape(free, 2, 3).swapaxes(0, 1)
+        along = (0.5 * self.h * (v0 + v1))[: 6 * free].reshape(free, 2, 3).swapaxes(0, 1)
         if left is not None:
-            mean = left[:free, None] * mean
-        loads = self.given[0][0].items()
-        return Works.total([own, Works(**{name: self.h * float((load * mean).sum()) for name, load in loads})])
+            along = left[:free, None] * along
+        for name, load in self.given[0][0].items():
+            own = own._replace(**{name: getattr(own, name) + float(np.vdot(load, along))})
+        return own
 
     def wrench(self, left: Bools | None = None) -> Array | None:
         """Impulses of the loads on the free bodies as of `Impulses`; of the nodes `left`, if not of all."""

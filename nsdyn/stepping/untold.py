@@ -132,8 +132,8 @@ class Untold(NamedTuple):
             q, v = (a.reshape(m, -1) for a in d.pinocchio_state(first.position.moved(*columns), v))
         works = Works(*np.array([works for works, *_ in booked]).T)
         before: Any = np.array([one.before.energies for one in some]).T
-        after: Any = np.array([one.flat.energies for one in some]).T
         results: Any = np.array([one.flat.floats[: _col.RESULTS] for one in some]).T
+        after: Any = np.array([one.flat.energies for one in some]).T if d.trees else results[: _col.EXTERNAL]
         error, residual, count, time = results[_col.ERROR : _col.CERTIFIED]
         good = np.maximum(error, residual) <= some[0].scheme[1]
         status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)
