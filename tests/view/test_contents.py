@@ -247,7 +247,7 @@ def test_a_page_is_told_what_its_ledger_shows(sliding):
     """The stack from below, in words and colours; every layer has its curve."""
     values, arrays = payload.unpack(packed(sliding, None, False, 2000, None))
     shown = {layer["name"]: (layer["label"], layer["colour"], layer["sign"]) for layer in values["layers"]}
-    assert list(shown) == ["kinetic", "potential", "friction", "normal", "damping", "drives"]
+    assert list(shown) == list(LAYERS)
     assert shown["potential"] == ("potential", "#b9cfe4", 1) and shown["normal"] == ("impacts took", "#b5405e", -1)
     assert {f"ledger/{name}" for name in (*shown, *values["numerics"], "put_in")} <= arrays.keys()
 
