@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from nsdyn.audit.meetings import Side
 from nsdyn.audit.poses import Poses
+from nsdyn.dynamics.ledger import PHYSICS
 from nsdyn.recording.courses import close
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Kick, Trees, Way, trees
@@ -71,7 +72,7 @@ def retraced(poses: Poses) -> Retraced | str:
         return found if isinstance(found, str) else found.missing
     n, count, rows = t.steps, len(found.mechanisms), len(t.columns["contacts/geom1"])
     momentum, motion, lift = ((np.zeros((n, count)), np.zeros((n, count))) for _ in range(3))
-    works = {name: np.zeros((n, count)) for name in ("external", "normal", "friction", "damping", "constraint")}
+    works = {name: np.zeros((n, count)) for name in PHYSICS}
     out = Retraced(
         found,
         momentum,

@@ -6,7 +6,8 @@ All are functions of values, which keep nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from operator import is_
+from functools import reduce
+from operator import add, is_
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,9 @@ from nsdyn.tools.naming import choice, unknown
 __all__ = ["Controls", "Dynamics", "Wrenches"]
 
 NOTHING: Mapping[Any, Any] = {}
-Wrenches = tuple[Array, Array, Mapping[int, tuple[Array, Array]]]
+Wrenches = tuple[Mapping[str, Array], Mapping[int, tuple[Array, Array]]]
+"""Loads (2, nf, 3) on the free bodies, as of `Forces`, by the column of the ledger that has their work; of trees by
+their index as of `Tree.pushed`."""
 Controls = Mapping[int, Control]
 NONE = np.empty(0)
 
@@ -60,24 +63,25 @@ class Dynamics(Kinematics):
         middle : Middle
         t, h : float
             Time at the end of the step, and step, s.
-        wrenches : (ndarray, ndarray, dict), optional
+        wrenches : (mapping, mapping), optional
             As `wrenches` makes them.
         control : mapping
             As `controls` makes it.
         last : ndarray, shape (slots, 3), optional
             Last impulses of the joint rows.
         """
-        force, torque, applied = wrenches or (self.no_load, self.no_load, NOTHING)
+        loads, applied = wrenches or (NOTHING, NOTHING)
+        load = reduce(add, loads.values()) if loads else self.no_load
         out = np.empty(self.n)
         if self.free:
-            _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, force, torque, h, middle.v, out)
+            _motion.accelerate(self._inverse_mass, self.inverse_J, self.gravity, *load, h, middle.v, out)
         if not self.trees:
-            return Forces(out, out, force, torque, self._m, self._minv, ())
+            return Forces(out, out, load, self._m, self._minv, ())
         motions = []
         for k, tree in enumerate(self.trees):
             before = None if last is None else last[self._slots[k]]
             motions.append(tree.free_motion(middle.trees[k], t, control.get(k), applied.get(k), before))
-        return self._with_trees(out, force, torque, motions)
+        return self._with_trees(out, load, motions)
 
     def within_limits(self, middle: Middle, forces: Forces, v: Array) -> Forces:
         """The same where actuators that the velocity v (n,) after the forces brings beyond their limits have rows.
@@ -90,18 +94,18 @@ class Dynamics(Kinematics):
         ]
         if all(map(is_, motions, forces.trees)):
             return forces
-        return self._with_trees(forces.v.copy(), forces.force, forces.torque, motions)
+        return self._with_trees(forces.v.copy(), forces.load, motions)
 
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position, where no forces act: what impacts meet."""
         motions = [t.inertia(q, v[t.coordinates]) for t, q in zip(self.trees, position.trees, strict=True)]
-        return self._with_trees(v.copy(), self.no_load, self.no_load, motions)
+        return self._with_trees(v.copy(), self.no_load, motions)
 
-    def _with_trees(self, v: Array, force: Array, torque: Array, motions: list[FreeMotion]) -> Forces:
-        """Forces of the trees, whose velocities go into v (n,), beside those on the free bodies."""
+    def _with_trees(self, v: Array, load: Array, motions: list[FreeMotion]) -> Forces:
+        """Forces of the trees, whose velocities go into v (n,), beside the load on the free bodies."""
         if self._lone:
             only = motions[0]
-            return Forces(only.v, only.foreseen, force, torque, only.m.ravel(), only.minv.ravel(), (only,))
+            return Forces(only.v, only.foreseen, load, only.m.ravel(), only.minv.ravel(), (only,))
         for tree, motion in zip(self.trees, motions, strict=True):
             v[tree.coordinates] = motion.v
         foreseen = v
@@ -111,15 +115,15 @@ class Dynamics(Kinematics):
                 foreseen[tree.coordinates] = motion.foreseen
         m = np.concatenate([self._m, *[motion.m.ravel() for motion in motions]])
         minv = np.concatenate([self._minv, *[motion.minv.ravel() for motion in motions]])
-        return Forces(v, foreseen, force, torque, m, minv, tuple(motions))
+        return Forces(v, foreseen, load, m, minv, tuple(motions))
 
     def wrenches(self, middle: Position, given: Mapping[str, Any]) -> Wrenches:
-        """What external wrenches are: forces and torques on the free bodies; of trees by their index as `Tree.pushed`.
+        """What external wrenches are, as loads.
 
         They are given by the name of a free body, as a force (3,) at its centre of mass [N], or (force, torque [N m]);
         world axes. On a body of an articulation, "articulation/body", the force acts at the origin of its frame.
         """
-        force, torque = np.zeros((self.free, 3)), np.zeros((self.free, 3))
+        force, torque = load = np.zeros((2, self.free, 3))
         applied: dict[int, tuple[Array, Array]] = {}
         for name, wrench in _mapping(given, "external_force").items():
             try:
@@ -139,7 +143,7 @@ class Dynamics(Kinematics):
                 applied[k] = before[0] + push, before[1] + wrenches
             else:
                 raise ValueError(unknown(name, [*self.names, *self._bodies], "body of external_force"))
-        return force, torque, applied
+        return {"external": load}, applied
 
     def controls(self, given: Mapping[str, Any]) -> Controls:
         """Laws of the joints by the index of the tree, from what a controller gives to articulations by name."""

@@ -134,7 +134,7 @@ class Layout:
             start, first = start + t.model.nv, first + len(t.joints)
         self.frames = first + self._driven
         self.nowhere = np.zeros(self.frames)
-        self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((self.free, 3))
+        self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((2, self.free, 3))
         # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene. That
         # spares a fifth of a step.
         self._lone = len(trees) == 1 and not self.free and not self._driven

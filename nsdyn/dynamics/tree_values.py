@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "TreeLoads", "TreeWorks"]
+__all__ = ["Constraints", "Flow", "FreeMotion", "Halfway", "Links", "TreeLoads"]
 
 
 class Links(NamedTuple):
@@ -155,28 +155,3 @@ class FreeMotion(NamedTuple):
     m: Array
     minv: Array
     constraints: Constraints | None
-
-
-class TreeWorks(NamedTuple):
-    """Energies of a tree at the end of a step and works during it, J.
-
-    Attributes
-    ----------
-    kinetic, potential : float
-        At the end; of gravity, 0 at the world's origin, and of joint springs.
-    actuation, damping, constraint : float
-        Works of joint forces, of viscous damping, of loops and driven joints.
-    integration : float
-        Error of the motion: the rest of the change but for the work of the impulses, O(h⁵) of a free motion under
-        constant joint forces, O(h³) else.
-    projection : float
-        Of the position projection.
-    """
-
-    kinetic: float
-    potential: float
-    actuation: float
-    damping: float
-    constraint: float
-    integration: float
-    projection: float

@@ -7,11 +7,12 @@ import pinocchio as pin
 
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.actuators import Control, left_to_rows
+from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.linkages import Linkage
 from nsdyn.dynamics.loops import factored, indefinite
 from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
-from nsdyn.dynamics.tree_values import Flow, FreeMotion, Halfway, TreeLoads, TreeWorks
+from nsdyn.dynamics.tree_values import Flow, FreeMotion, Halfway, TreeLoads
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools
@@ -202,8 +203,8 @@ class Tree(Linkage):
         impulse: Array,
         before: tuple[float, float],
         joints: Array,
-    ) -> TreeWorks:
-        """The tree's part in the ledger of a step.
+    ) -> tuple[Works, tuple[float, float]]:
+        """The tree's part in the ledger of a step, and its (kinetic, potential) energy at the end, J.
 
         Parameters
         ----------
@@ -236,11 +237,11 @@ class Tree(Linkage):
                 reaction = P.T @ (halfway.M @ (v - halfway.v) - h * force - impulse)
                 constraint += float((B @ end.mean) @ reaction)
         after = self.energies(end.q, end.v)
-        kinetic, potential = after if lifted is end.q else self.energies(lifted, end.v)
+        last = after if lifted is end.q else self.energies(lifted, end.v)
         # In the order of the ledger, whose round-off then is that of the changes, not of the energies.
-        projection = (kinetic - after[0]) + (potential - after[1])
+        projection = (last[0] - after[0]) + (last[1] - after[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
-        return TreeWorks(kinetic, potential, actuation, damping, constraint, integration, projection)
+        return Works(actuation, 0.0, 0.0, damping, constraint, integration, projection), last
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J, potential of gravity and of joint springs."""

@@ -104,8 +104,8 @@ class Forces(NamedTuple):
         Velocity after the step without impulses, v⁻ + M̃⁻¹ h f̃.
     foreseen : ndarray, shape (n,)
         The same with actuators that have rows at their limits.
-    force, torque : ndarray, shape (nf, 3)
-        Applied to free bodies; force in world axes [N], torque about the centre of mass in body axes [N m].
+    load : ndarray, shape (2, nf, 3)
+        On free bodies: forces in world axes [N], torques about the centres of mass in body axes [N m].
     m, minv : ndarray
         M̃ and its inverse in the layout of `Blocks`.
     trees : tuple of FreeMotion
@@ -113,8 +113,7 @@ class Forces(NamedTuple):
 
     v: Array
     foreseen: Array
-    force: Array
-    torque: Array
+    load: Array
     m: Array
     minv: Array
     trees: tuple[FreeMotion, ...]

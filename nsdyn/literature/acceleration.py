@@ -117,9 +117,9 @@ def _drift(along: Callable[[float], Array], step: float, frame: Array, keep: Ind
 
 def _applied(d: Dynamics, middle: Middle, forces: Forces, v: Array) -> Array:
     """Forces on all coordinates, gravity and gyroscopic terms with them, shape (n,)."""
-    omega = v[: 6 * d.free].reshape(-1, 6)[:, 3:]
-    torque = forces.torque - np.cross(omega, np.einsum("bij,bj->bi", d.J, omega))
-    parts = [np.hstack((forces.force + d.mass[:, None] * d.gravity, torque)).ravel()]
+    omega, (force, torque) = v[: 6 * d.free].reshape(-1, 6)[:, 3:], forces.load
+    torque = torque - np.cross(omega, np.einsum("bij,bj->bi", d.J, omega))
+    parts = [np.hstack((force + d.mass[:, None] * d.gravity, torque)).ravel()]
     for tree, half, free in zip(d.trees, middle.trees, forces.trees, strict=True):
         parts.append(tree.forces(half, free, half.v).sum(axis=0) - tree.bias(half.q, half.v))
     return np.concatenate(parts)

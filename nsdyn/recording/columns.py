@@ -88,6 +88,8 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from nsdyn.dynamics.ledger import WORKS
+
 __all__ = [
     "ADDED",
     "ADDED_META",
@@ -102,14 +104,12 @@ __all__ = [
     "LINKS",
     "ON_JOINTS",
     "ON_LINKS",
-    "PHYSICS",
     "PIECES",
     "RAGGED",
     "SOLVER",
     "STATES",
     "STEP",
     "STEPS",
-    "WORKS",
     "WRENCHES",
     "Columns",
     "ContactColumn",
@@ -123,8 +123,6 @@ CONTACT_STATES = "open", "stick", "slip", "jam"
 """Words for `contacts/status`."""
 
 ENERGIES = ("kinetic", "potential")
-PHYSICS = ("external", "normal", "friction", "damping", "constraint")
-WORKS = (*PHYSICS, "integration", "projection", "defect")
 
 
 class StepColumn(NamedTuple):

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsdyn.dynamics.ledger import WORKS
 from nsdyn.problem.solution import Status
 from nsdyn.recording import link_names
 from nsdyn.recording.columns import (
@@ -22,7 +23,6 @@ from nsdyn.recording.columns import (
     RAGGED,
     STATES,
     STEP,
-    WORKS,
     WRENCHES,
     Columns,
 )

@@ -10,8 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn.dynamics.ledger import WORKS
 from nsdyn.recording import shares
-from nsdyn.recording.columns import CONTACT_STATES, ENERGIES, WORKS
+from nsdyn.recording.columns import CONTACT_STATES, ENERGIES
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import counted
 from nsdyn.tools.table import Table

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from nsdyn.dynamics.ledger import PHYSICS, WORKS
 from nsdyn.recording import body_motion, breakdown, joint_tables, tables
 from nsdyn.recording import file as recording
-from nsdyn.recording.columns import CONTACT, GAUSS, PHYSICS, SOLVER, WORKS, Columns
+from nsdyn.recording.columns import CONTACT, GAUSS, SOLVER, Columns
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog
 from nsdyn.recording.tabulated import tabulated
 from nsdyn.tools import files, notebook

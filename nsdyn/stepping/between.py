@@ -9,10 +9,10 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn.collision.contacts import Looked
+from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.stepping.booking import tree_works
-from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Callbacks, Half, corrected
 from nsdyn.stepping.instant import Instant
 from nsdyn.tools.arrays import Array
@@ -36,7 +36,8 @@ class Motion:
         Where it begins.
     position : Position
     placement : Placement
-    impulse : ndarray, shape (n,)
+    v, impulse : ndarray, shape (n,)
+        What the forces leave, with the impulses, and H r of these.
     ends : tuple of Flow
         Where the last `end` was, and what led there.
     """
@@ -44,7 +45,7 @@ class Motion:
     def __init__(self, begin: Instant, half: Half) -> None:
         self._s, self._begin, self.half = half.s, begin, half
         self.begun = begin.placement.links
-        self._v = self.impulse = np.empty(0)
+        self.v = self.impulse = np.empty(0)
         self.ends: tuple[Flow, ...] = ()
         self.position, self.placement = begin.position, begin.placement
 
@@ -66,7 +67,7 @@ class Motion:
         d, half = self._s.dynamics, self.half
         if d.within_limits(half.middle, half.forces, v) is not half.forces:
             return None
-        self._v, self.impulse = v, impulse
+        self.impulse = impulse
         position, v_end, place, self.ends = d.end(half.middle, half.forces, v, impulse, half.ahead, half.driven)
         speed = _few.largest(v_end)
         if not speed * speed < math.inf:
@@ -74,9 +75,9 @@ class Motion:
         self.position, self.placement = position, place
         return position, v_end, place, d.twists(place, v_end)
 
-    def corrected(self, v: Array, callbacks: Callbacks) -> Motion | None:
+    def corrected(self, callbacks: Callbacks) -> Motion | None:
         """The motion with what callbacks say at the mean velocity of this one, v⁺ = v; None where that is the same."""
-        again = corrected(self._s, self._begin, self.half, v, callbacks)
+        again = corrected(self._s, self._begin, self.half, self.v, callbacks)
         return None if again is self.half else Motion(self._begin, again)
 
     def ended(self, v: Array, where: Looked) -> Instant | None:
@@ -94,12 +95,15 @@ class Motion:
         return Instant(self.position, v, self.placement, *found, warm, begin.twists, ())
 
     def told(self, before: Energies, own: Works) -> tuple[Works, Array, Array]:
-        """Works of the trees and `own` ones, J, and `joints` and `links` as of `Impulses`.
+        """Works of the trees, of loads and `own` ones, J, and `joints` and `links` as of `Impulses`.
 
         From the energies of the trees where it begins.
         """
-        s, joints, links = self._s, np.zeros((7, self._v.size)), np.zeros((self._s.dynamics.links, 6))
-        acted = self._v, self.ends, self.impulse
+        s, d, own = self._s, self._s.dynamics, self.half.booked(own, self.half.middle.v, self.v)
+        if not d.trees:
+            return own, d.no_impulses[1], d.no_push
+        joints, links = np.zeros((7, d.n)), np.zeros((d.links, 6))
+        acted = self.v, self.ends, self.impulse
         own, self.energies = tree_works(s, before, self.half, *acted, self.position, (joints, links), own)
         return own, joints, links
 

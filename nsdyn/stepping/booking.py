@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import Instant, System
@@ -61,8 +61,8 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
     velocities = v, v if a.impact is None else v + a.kick, a.v
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
     r, h = a.solution.r, half.h
-    impulses, own, warm = account(s, a.met, half.forces, velocities, r, h, a.impact, a.couple, mass)
-    impulses = impulses._replace(wrench=half.wrench())
+    impulses, own, warm = account(s, a.met, velocities, r, h, a.impact, a.couple, mass)
+    impulses, own = impulses._replace(wrench=half.wrench(left)), half.booked(own, *velocities[1:], left)
     # What has just closed its gap approaches: where it would become deep in the next move it strikes before.
     sinks = s.dt / half.ahead * a.met.end_gap[: warm.status.size] > s.deep(a.met.contacts)
     arrived = sinks & ~a.met.stays[: sinks.size]
@@ -132,7 +132,7 @@ def tree_works(
     left : ndarray of bool, optional
         Nodes; trees that are not among them are passed over.
     """
-    energies, (joints, links), link = [], acted, 0
+    works, energies, (joints, links), link = [own], [], acted, 0
     of_trees = zip(s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, before, strict=True)
     for node, (t, there, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
         k, first = t.coordinates, link
@@ -140,20 +140,14 @@ def tree_works(
         if left is not None and not left[node]:
             energies.append(energy)
             continue
-        w = t.works(there, free, v[k], end, q, impulse[k], energy, joints)
+        work, energy = t.works(there, free, v[k], end, q, impulse[k], energy, joints)
         if free.loads.wrenches is not None:
             links[first:link] = half.h * free.loads.wrenches
         if t.driven:
             joints[6, k] = t.speeding(there.begin_v, free.loads.rates)
-        energies.append((w.kinetic, w.potential))
-        own = own._replace(
-            external=own.external + w.actuation,
-            damping=own.damping + w.damping,
-            constraint=own.constraint + w.constraint,
-            integration=own.integration + w.integration,
-            projection=own.projection + w.projection,
-        )
-    return own, tuple(energies)
+        energies.append(energy)
+        works.append(work)
+    return Works.total(works), tuple(energies)
 
 
 def _struck(s: System, half: Half, a: Response, impact: Impact, impulse: Array) -> Works:

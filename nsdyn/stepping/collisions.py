@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
+from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Middle, Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impacts import Round
 from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Instant, System, among, take
@@ -101,7 +101,7 @@ def collide(
     if impact.problem is None or impact.solution is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)
-    impulses, works, _ = account(s, met, forces, (at.v, v, v), NOTHING, 0.0, impact, NO_COUPLE, d.mass)
+    impulses, works, _ = account(s, met, (at.v, v, v), NOTHING, 0.0, impact, NO_COUPLE, d.mass)
     if any(free.constraints is not None for free in forces.trees):
         push = met.rows.full.momentum(impact.r)
         for tree, free in zip(d.trees, forces.trees, strict=True):

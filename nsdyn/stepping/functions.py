@@ -27,11 +27,15 @@ class Functions:
     ----------
     controller, external_force : callable, optional
         As of `nsdyn.Stepper`.
+    dynamics : Dynamics
+        Of the scene.
 
     Attributes
     ----------
     take_last : bool
         Whether one of them takes the last step.
+    push : bool
+        Whether free bodies have loads, as of `nsdyn.dynamics.dynamics.Wrenches`.
 
     Raises
     ------
@@ -39,7 +43,8 @@ class Functions:
         For what is no function.
     """
 
-    def __init__(self, controller: Callback | None, external_force: Callback | None) -> None:
+    def __init__(self, controller: Callback | None, external_force: Callback | None, dynamics: Dynamics) -> None:
+        self._dynamics, self.push = dynamics, external_force is not None
         self._given = {"controller": controller, "external_force": external_force}
         for what, given in self._given.items():
             if given is not None and not callable(given):
@@ -54,10 +59,11 @@ class Functions:
     def __getitem__(self, what: str) -> Callback | None:
         return self._given[what]
 
-    def at(self, t: float, dynamics: Dynamics, last: Step | None) -> Callbacks:
+    def at(self, t: float, last: Step | None) -> Callbacks:
         """What they say at a time, after the last step; None without any."""
         if not self._some:
             return None
+        dynamics = self._dynamics
 
         def said(middle: Position, v: Array) -> tuple[Wrenches | None, Controls]:
             at = t, *dynamics.pinocchio_state(middle, v)

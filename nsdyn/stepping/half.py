@@ -17,9 +17,10 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn.collision.contacts import Looked
 from nsdyn.dynamics.dynamics import Controls, Wrenches
+from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Forces, Middle, Position
 from nsdyn.stepping.instant import FAST, Instant, System
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["STILL_SURFACES", "Callbacks", "Given", "Half", "Loads", "corrected", "first_half"]
 
@@ -103,11 +104,24 @@ class Half(_Half):
         """Poses of driven bodies at the end, shapes (nd, 3) and (nd, 4)."""
         return self.s.dynamics.surfaces.poses(self.end, self.s.theta)
 
-    def wrench(self) -> Array | None:
-        """Impulses of external wrenches on the free bodies as of `Impulses`."""
-        force, torque = self.forces.force, self.forces.torque
-        if not (force.any() or torque.any()):
+    def booked(self, own: Works, v0: Array, v1: Array, left: Bools | None = None) -> Works:
+        """`own` works and those of the loads on free bodies, on the mean of v0 and v1 (n,); of `left` as `wrench`."""
+        if self.given[0] is None:
+            return own
+        free = self.forces.load.shape[1]
+        along = (0.5 * self.h * (v0 + v1))[: 6 * free].reshape(free, 2, 3).swapaxes(0, 1)
+        if left is not None:
+            along = left[:free, None] * along
+        for name, load in self.given[0][0].items():
+            own = own._replace(**{name: getattr(own, name) + float(np.vdot(load, along))})
+        return own
+
+    def wrench(self, left: Bools | None = None) -> Array | None:
+        """Impulses of the loads on the free bodies as of `Impulses`; of the nodes `left`, if not of all."""
+        load = self.forces.load if left is None else left[: self.forces.load.shape[1], None] * self.forces.load
+        if not load.any():
             return None
+        force, torque = load
         turn = np.einsum("bij,bj->bi", self.middle.placement.R[: len(torque)], torque)
         out: Array = self.h * np.concatenate((force, turn), axis=1)
         return out

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.dynamics.values import Forces
+from nsdyn.dynamics.ledger import Works
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.energy import Works
 from nsdyn.stepping.instant import NOTHING, System
 from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
@@ -96,7 +95,6 @@ class Impulses(NamedTuple):
 def account(
     s: System,
     met: Encounter,
-    forces: Forces,
     velocities: tuple[Array, Array, Array],
     r: Array,
     h: float,
@@ -111,7 +109,6 @@ def account(
     s : System
     met : Encounter
         What the impulses acted on.
-    forces : Forces
     velocities : three ndarrays of shape (n,)
         Before the impacts, after them, and after the impulses.
     r : ndarray, shape (3 nr,)
@@ -124,7 +121,7 @@ def account(
         Of the free bodies, on which gravity works, kg.
     """
     d, c, nc, nr = s.dynamics, met.contacts, met.frame.shape[0], met.mu.size
-    external = beyond = normal_work = friction_work = rest = created = 0.0
+    actuation = beyond = normal_work = friction_work = rest = created = 0.0
     struck = NOTHING if impact is None else impact.r[0::3]
     if h > 0.0:
         out = status, normal, friction, u_end, world = (
@@ -134,13 +131,12 @@ def account(
             np.empty(3 * nr),
             np.empty((nc, 3)),
         )
-        bodies = mass, d.gravity, forces.force, forces.torque
         rows, lasting = (
             (met.rows.full.arrays, met.transport, met.mu, met.local, met.frame),
             (met.stays, met.sticks, couple.work, struck),
         )
-        external, beyond, normal_work, friction_work, rest = _account.account(
-            bodies, (h, s.theta), velocities, rows, r, lasting, s.solver.tol, out
+        beyond, normal_work, friction_work, rest = _account.account(
+            (mass, d.gravity), (h, s.theta), velocities, rows, r, lasting, s.solver.tol, out
         )
         total = r
     else:
@@ -154,9 +150,9 @@ def account(
         _law.states(total, met.mu, status)
     if met.joints is not None:
         actuation = float(friction[nc:][met.joints.actuated].sum())
-        external, friction_work = external + actuation, friction_work - actuation
+        friction_work -= actuation
     constraint = -float(met.transport @ total) if met.transport.size else 0.0
-    works = Works(external, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
+    works = Works(actuation, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
     u, impulse = u_end.reshape(-1, 3), total.reshape(-1, 3)
     slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n) if d.trees else d.no_impulses
     if met.joints is not None and h > 0.0:

@@ -8,11 +8,11 @@ import numpy as np
 
 from nsdyn._kernels.problem import paradox as _kernels
 from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.ledger import Works
 from nsdyn.problem import paradox
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Solver
-from nsdyn.stepping.energy import Works
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.tools.arrays import Array, Bools
 

@@ -302,6 +302,4 @@ class Islands:
             solution=solution,
             moved=a.moved._replace(contacts=contacts, limits=limits, memory=a.moved.memory._replace(next_key=next_key)),
         )
-        forces, free = tried.half.forces, left[: d.free, None]
-        forces = forces._replace(force=free * forces.force, torque=free * forces.torque)
-        return tried._replace(half=tried.half._replace(forces=forces), response=response)
+        return tried._replace(response=response)

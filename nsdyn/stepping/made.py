@@ -154,5 +154,5 @@ class Made(NamedTuple):
         there = Placement(x, matrices(w, _col.R_THERE, n), ())
         middle = Middle(begin.position.moved(x, quaternion), velocity(w, self.size, _col.V_THERE), there, ())
         v_free = velocity(w, self.size, _col.V_FREE)
-        forces = Forces(v_free, v_free, d.no_load, d.no_load, *d.masses[3:], ())
+        forces = Forces(v_free, v_free, d.no_load, *d.masses[3:], ())
         return Half(s, begin.looked, h, s.theta * h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)

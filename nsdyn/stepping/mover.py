@@ -78,7 +78,7 @@ class Mover:
         full = int(np.square(np.diff(offset)).sum())
         floats = [*d.bodies, d.mass, d.J, np.empty(full), np.empty(full)]
         fields = np.empty((d.n - 6 * d.free, 6))
-        floats += [d.gravity, d.no_load, d.no_load, s.arm, d.nowhere, s.inscribed, fields, fields]
+        floats += [d.gravity, d.no_load[0], s.arm, d.nowhere, s.inscribed, fields, fields]
         floats.append(np.array(numbers, dtype=float))
         *packed, views, _ = pack(floats, [block_of_frame, offset, m_start, *d.linkages])
         self._arrays, self.numbers = tuple(packed), views[-1]
@@ -128,8 +128,6 @@ class Mover:
         detector, constrained = self._detector, self._dynamics.constrained
         if constrained and begun.nc:  # problems have the coordinates that loops leave
             return None
-        if motion is None and self.numbers[_col.GIVEN]:
-            self._views[_col.PUSH][:] = self._views[_col.TWIST][:] = 0.0
         self.numbers[_col.GIVEN] = motion is not None
         self._set(length)
         self._most = max(self._most, begun.nc)
@@ -158,6 +156,8 @@ class Mover:
                     self._work = self._for_work(0)
                 if constrained and head[_col.MET]:
                     return None
+                if motion is not None:
+                    motion.v = velocity(work[0], self._size, _col.V_PLUS).copy()
                 return self._made(new, rooms, work, begun, code == _meeting.DONE)
             if code == _meeting.MORE:
                 self._most, room = max(self._most, int(head[_col.NEEDED])), True
@@ -191,7 +191,6 @@ class Mover:
         velocity(work, self._size, _col.V_FREE)[:] = forces.v
         views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
         if self._dynamics.free:
-            views[_col.PUSH][:], views[_col.TWIST][:] = forces.force, forces.torque
             put(work, _col.QUATERNION, n, half.middle.position.quaternion)
         first = 0
         for begun, there in zip(motion.begun, links, strict=True):

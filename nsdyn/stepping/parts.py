@@ -125,9 +125,9 @@ class Part:
         own = {j: controls[k] for j, k in enumerate(trees) if k in controls}
         if wrenches is None:
             return None, own
-        force, torque, applied = wrenches
+        loads, applied = wrenches
         pushed = {j: applied[k] for j, k in enumerate(trees) if k in applied}
-        return (force[self._bodies], torque[self._bodies], pushed), own
+        return ({name: load[:, self._bodies] for name, load in loads.items()}, pushed), own
 
     def loads(self, loads: Loads, at: Instant) -> Loads:
         """What the user has to say of the part: of the whole, whose other nodes are where they are at an instant."""

@@ -12,12 +12,12 @@ from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.law import TURNS
 from nsdyn._kernels.stepping.quiet_checks import GAIN
 from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
-from nsdyn.stepping.energy import Works
 from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among

@@ -109,8 +109,7 @@ class Quiet:
             found = old.found.anew() if s.dynamics.trees else old.found
             if not motion.meets_nothing() or (made := self._made(old, found, motion)) is None:
                 return None
-            v = velocity(made.work, made.size, _col.V_PLUS)
-            if (again := motion.corrected(v, callbacks)) is None:
+            if (again := motion.corrected(callbacks)) is None:
                 break
             motion, callbacks = again, None
         b, size = made.floats[_col.RESULTS :], made.size

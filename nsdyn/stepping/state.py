@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.ledger import Ledger
 from nsdyn.dynamics.values import Energies
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.scene import checks
-from nsdyn.stepping.energy import Ledger
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import Instant
 from nsdyn.stepping.names import Names

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.ledger import Ledger, Works
 from nsdyn.problem import gauss, polished
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -26,7 +27,6 @@ from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping import equations
 from nsdyn.stepping.contradictions import Prescribed
-from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.failures import Failures, worst
 from nsdyn.stepping.flat import Flat
 from nsdyn.stepping.functions import Callback, Functions
@@ -150,10 +150,10 @@ class Stepper:
         self._certificate = polished.certify if polish else gauss.certify
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         solver = Auto() if solver in (None, "auto") else as_solver(solver)
-        self.functions = Functions(controller, external_force)
         geoms = scene.geoms()
         self.failures = Failures(on_fail, dump_on_fail, [g.name for g in geoms])
         self.dynamics = Dynamics(scene)
+        self.functions = Functions(controller, external_force, self.dynamics)
         # Pairs that only prescribed motion moves exert no impulses: no velocity could obey them.
         apart = pairs.excluded(scene, geoms) | pairs.among(geoms, self.dynamics.held)
         self.detector = Detector(geoms, pairs.pair_material(scene, geoms), apart, max_points)
@@ -307,9 +307,7 @@ class Stepper:
             return step
         s = self._now = self.get_state()
         begun = NEW if self._quiet is None else self._quiet.begun(s)
-        now, rate, clear, done, solved, works, _ = self._islands.step(
-            s, lambda t: self.functions.at(t, self.dynamics, s.last), begun
-        )
+        now, rate, clear, done, solved, works, _ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.position, now.position, now.placement, (s.t, s.t + s.dt))
             clear = clear and depth <= self.closed
@@ -340,10 +338,10 @@ class Stepper:
 
     def _quietest(self, polish: bool) -> Quiet | None:
         """What makes steps of the scene that meet no event; None where only the general way does."""
-        s, d, functions = self.system, self.dynamics, self.functions
+        s, functions = self.system, self.functions
         if s.mover is None or functions.take_last:
             return None
-        return Quiet(s, s.mover, polish, lambda t: functions.at(t, d, None), self._paradoxes)
+        return Quiet(s, s.mover, polish, lambda t: functions.at(t, None), self._paradoxes)
 
     def _quietly(self, quiet: Quiet) -> Step | None:
         """A step of the kernel; None where it is more than that."""

@@ -10,10 +10,10 @@ import numpy as np
 
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactSet
+from nsdyn.dynamics.ledger import Ledger, Works
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.gauss import Certificate
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.energy import Ledger, Works
 from nsdyn.stepping.flat import Flat
 from nsdyn.stepping.state import State, Step, Wrenches
 from nsdyn.tools.arrays import Array, Index
@@ -70,8 +70,8 @@ class Untold(NamedTuple):
         if name in ("problem", "solution"):
             return {"problem": flat.problem(self.dynamics), "solution": flat.solution(self.scheme[1])}
         if name in ("ledger", "joints", "links"):
-            results, joints, links = self._booked()
-            ledger = _ledger(self.before.energies, results, 0.0)
+            works, joints, links = self._booked()
+            ledger = Ledger.of(self.before.energies, self.flat.energies, works)
             return {"ledger": ledger, "joints": joints if self.dynamics.trees else None, "links": links}
         return self.told()
 
@@ -92,16 +92,14 @@ class Untold(NamedTuple):
             "twists": flat.twists,
         }
 
-    def _booked(self) -> tuple[list[float], Array, Array]:
-        """The results, with what trees did, and `joints` and `links` as of `Step`."""
+    def _booked(self) -> tuple[Works, Array, Array]:
+        """Works, with those of what Python moved, and `joints` and `links` as of `Step`."""
         flat, d = self.flat, self.dynamics
-        out: list[float] = flat.floats[: _col.RESULTS].tolist()
-        if flat.motion is None or not d.trees:
-            return out, d.no_impulses[1], d.no_push
-        own, joints, links = flat.motion.told(self.before.of_trees, Works(*out[_col.EXTERNAL : _col.NORM]))
-        out[_col.EXTERNAL : _col.NORM] = own[: _col.NORM - _col.EXTERNAL]  # of others, as a projection, there are none
-        out[_col.KINETIC], out[_col.POTENTIAL] = flat.energies
-        return out, joints[:, 6 * d.free :], links
+        own = Works(*flat.floats[_col.EXTERNAL : _col.NORM].tolist())
+        if flat.motion is None:
+            return own, d.no_impulses[1], d.no_push
+        works, joints, links = flat.motion.told(self.before.of_trees, own)
+        return works, joints[:, 6 * d.free :], links
 
     def _wrenches(self) -> Wrenches | None:
         """What acted on free bodies besides contacts."""
@@ -132,8 +130,10 @@ class Untold(NamedTuple):
             ]
             v = np.concatenate([one.flat.coordinate(_col.V) for one in some])
             q, v = (a.reshape(m, -1) for a in d.pinocchio_state(first.position.moved(*columns), v))
-        results: Any = np.array([results for results, *_ in booked]).T
-        before = np.array([one.before.energies for one in some]).T
+        works = Works(*np.array([works for works, *_ in booked]).T)
+        before: Any = np.array([one.before.energies for one in some]).T
+        results: Any = np.array([one.flat.floats[: _col.RESULTS] for one in some]).T
+        after: Any = np.array([one.flat.energies for one in some]).T if d.trees else results[: _col.EXTERNAL]
         error, residual, count, time = results[_col.ERROR : _col.CERTIFIED]
         good = np.maximum(error, residual) <= some[0].scheme[1]
         status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)
@@ -148,7 +148,7 @@ class Untold(NamedTuple):
             pieces=pieces,
             wrenches=[one._wrenches() for one in some],
             created=nothing,
-            ledger=_ledger(before, results, nothing),
+            ledger=Ledger.of(before, after, works),
             gauss=Certificate(*results[_col.GAP : _col.WENT]),
             solution=Solution(nothing, nothing, status, error, residual, count.astype(np.int64), time),
         )
@@ -165,13 +165,6 @@ class Untold(NamedTuple):
         status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
         columns = {name: _column(acted, nc, *of) for name, of in COLUMNS.items()}
         return Step(**_contacts(names, found, status, some[0]._times(1, nc)), **columns)
-
-
-def _ledger(before: Any, results: Any, nothing: Any) -> Ledger:
-    """Ledger of a step, or of many as arrays, from the energies before it and from its results."""
-    told = results[_col.EXTERNAL : _col.NORM]
-    works = Works(*told, *[nothing] * (len(Works._fields) - len(told)))
-    return Ledger.of(before, results[: _col.EXTERNAL], works)
 
 
 def _column(source: Array, nc: int, column: int, *shape: int) -> Array:

@@ -10,7 +10,9 @@ import numpy as np
 import umsgpack
 from numpy.typing import NDArray
 
+from nsdyn.dynamics.ledger import LAYERS, NUMERICS
 from nsdyn.recording import body_motion, link_names
+from nsdyn.recording.columns import ENERGIES
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import counted
 from nsdyn.view import arrows, contact_points, curves, keyframes, marks, paths, payload, titles
@@ -172,6 +174,11 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         "gravity": scene["gravity"],
         "largest": trajectory.largest_energy,
         "at_rest": trajectory.at_rest,
+        "layers": [
+            {"name": name, "label": layer.words, "colour": layer.colour, "sign": 1 if name in ENERGIES else -1}
+            for name, layer in LAYERS.items()
+        ],
+        "numerics": NUMERICS,
         "bodies": bodies,
         "frames": [body_path(name) for name in scene["frames"]],
         "geoms": [

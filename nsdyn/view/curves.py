@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nsdyn.dynamics.ledger import WORKS
 from nsdyn.recording import link_names
 from nsdyn.recording.body_motion import energies, twists
-from nsdyn.recording.columns import WORKS
 from nsdyn.recording.joint_tables import coordinates
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view.keyframes import thinned

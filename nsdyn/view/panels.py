@@ -14,35 +14,21 @@ from typing import Any
 
 import numpy as np
 
+from nsdyn.dynamics.ledger import LAYERS
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.units import with_unit
 from nsdyn.view.solids import PALETTE
 
 __all__ = ["LEDGER", "OTHERS", "PALETTE", "Curve", "Panel", "draw", "look", "looks"]
 
-LEDGER = {
-    "kinetic": "#3b75af",
-    "potential": "#b9cfe4",
-    "friction": "#e69f00",
-    "normal": "#b5405e",
-    "damping": "#5aa17f",
-    "drives": "#8f86b8",
-}
-"""Colours of energies and of who took them, as the page has them (`ledger.js`)."""
+LEDGER = {name: layer.colour for name, layer in LAYERS.items()}
+"""Colours of energies and of who took them."""
 
 OTHERS = "#b9c2cb"
 """Of what has no colour of its own."""
 
-GREYS = {
-    LEDGER["kinetic"]: "0.15",
-    LEDGER["potential"]: "0.88",
-    LEDGER["friction"]: "0.65",
-    LEDGER["normal"]: "0.42",
-    LEDGER["damping"]: "0.75",
-    LEDGER["drives"]: "0.55",
-    OTHERS: "0.8",
-}
-"""In styles that have no colours; neighbours of a stack can be told apart."""
+GREYS = {layer.colour: layer.grey for layer in LAYERS.values()} | {OTHERS: "0.8"}
+"""In styles that have no colours."""
 
 DASHES = "-", "--", ":", "-."
 """Of as many curves of one colour."""

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsdyn.dynamics.ledger import LAYERS
+from nsdyn.recording.columns import ENERGIES
 from nsdyn.recording.tabulated import tabulated
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice, counted
 from nsdyn.tools.table import Table
 from nsdyn.tools.units import with_unit
 from nsdyn.view import panels
+from nsdyn.view.curves import ledger
 from nsdyn.view.panels import LEDGER, OTHERS, PALETTE, Curve, Panel
 
 if TYPE_CHECKING:
@@ -257,30 +260,21 @@ def _phase(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _energy(trajectory: Trajectory, name: str) -> list[Panel]:
-    e, t = trajectory.energy, trajectory.t
-
-    def so_far(work: str) -> Array:
-        return np.concatenate([[0.0], np.cumsum(getattr(e, work))])
-
-    least = NEGLIGIBLE * trajectory.largest_energy
-    potential = e.potential - e.potential.min()
-    given = so_far("external") + so_far("constraint")
-    heights = {
-        "kinetic": ("kinetic", e.kinetic),
-        "potential": ("potential, from its least", potential),
-        "friction": ("friction took", -so_far("friction")),
-        "normal": ("impacts took", -so_far("normal")),
-        "damping": ("damping took", -so_far("damping")),
-        "drives": ("drives and loads took", np.maximum(-given, 0.0)),  # more than they put in
-    }
+    t, least = trajectory.t, NEGLIGIBLE * trajectory.largest_energy
+    found = ledger(trajectory, np.arange(t.size))
     areas = [
-        Curve(word, t, height, {"color": LEDGER[name]})
-        for name, (word, height) in heights.items()
-        if name == "kinetic" or np.abs(height).max() > least
+        Curve(
+            layer.words + (", from its least" if name == "potential" else ""),
+            t,
+            found[name] if name in ENERGIES else -found[name],
+            {"color": layer.colour},
+        )
+        for name, layer in LAYERS.items()
+        if name == "kinetic" or np.abs(found[name]).max() > least
     ]
     total = np.sum([c.y for c in areas], axis=0)
     curves = [Curve("sum", t, total, {"color": "k", "lw": 1.2})]
-    ought = total[0] + np.maximum(given, 0.0)
+    ought = total[0] + found["put_in"]
     if np.abs(total - ought).max() > APART * max(total.max(), least):
         curves.append(Curve("sum, as it ought to be", t, ought, {"color": "k", "ls": "--", "lw": 0.8}))
     note = f"at rest: nothing of {with_unit(trajectory.largest_energy, 'J')} moves"

@@ -69,7 +69,7 @@ def rows(n: int, links: bool = False, seed: int = 0):
         q = np.column_stack([rng.normal(size=(2, 3)), quaternion]).ravel()
         poses = (rng.normal(size=(3, 3)), rng.normal(size=(3, 4))) if links else (None, None)
         joint = [0.5] if links else []
-        works = dict(zip(WORKS, rng.normal(size=8), strict=True))
+        works = dict(zip(WORKS, rng.normal(size=len(WORKS)), strict=True))
         return dict(
             t=k * DT,
             q=np.append(q, joint),

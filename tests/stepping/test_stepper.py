@@ -9,6 +9,7 @@ import pytest
 
 import nsdyn as nd
 from nsdyn.collision.contacts import ContactMemory, Poses
+from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.stepping import failures, sight
 
 
@@ -203,6 +204,31 @@ def test_failed_step_leaves_the_state():
     with pytest.raises(nd.NotConverged):
         stepper.step()
     assert stepper.get_state() is before
+
+
+@pytest.mark.parametrize("theta", [0.5, 1.0])
+def test_a_load_has_its_work_in_the_column_that_it_says(theta, monkeypatch):
+    """One body flies, one slides, one bounces as an island by itself: of each of them, to the last bit."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(mu=0.4, restitution=0.3))
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.3), linear_velocity=(2, 0, 0))
+    scene.add_sphere("ball", 0.1, 1.0, position=(1, 0, 0.1), linear_velocity=(0, 1, 0))
+    scene.add_sphere("far", 0.1, 1.0, position=(9, 0, 8), angular_velocity=(0, 2, 1))
+
+    def push(t, q, v):
+        return {"box": (3.0 * np.cos(7.0 * t), 0, 0), "ball": -0.5 * v[6:9], "far": ((0, 0, 1.0), (0.1, 0, 0))}
+
+    run = nd.simulate(scene, 0.5, dt=1e-2, theta=theta, external_force=push)
+    said = Dynamics.wrenches
+
+    def otherwise(*given):
+        loads, applied = said(*given)
+        return {"damping": loads["external"]}, applied
+
+    monkeypatch.setattr(Dynamics, "wrenches", otherwise)
+    other = nd.simulate(scene, 0.5, dt=1e-2, theta=theta, external_force=push)
+    assert other.q.tobytes() == run.q.tobytes() and run.energy.external.all() and not other.energy.external.any()
+    assert other.energy.damping.tobytes() == run.energy.external.tobytes() and not run.energy.damping.any()
 
 
 def test_external_force_and_its_work():

@@ -8,6 +8,8 @@ from recordings import recording
 from test_viewer import contents
 
 import nsdyn as nd
+from nsdyn.dynamics.ledger import LAYERS, NUMERICS, PHYSICS
+from nsdyn.recording.columns import ENERGIES
 from nsdyn.view import contact_points, curves, keyframes, marks, payload, titles, viewer
 from nsdyn.view import contents as packing
 from nsdyn.view.contents import packed
@@ -231,13 +233,23 @@ def test_curves_are_the_ledger(bouncing, monkeypatch):
     monkeypatch.setattr(curves, "MAX_POINTS", 14)
     found = curves.ledger(bouncing)
     assert found["t"].tolist() == bouncing.t[::100].tolist()
-    sums = sum(found[name] for name in ("put_in", "drives", "normal", "friction", "damping"))
-    sums = sums + found["integration"] + found["projection"] + found["defect"]
+    took = LAYERS.keys() - set(ENERGIES)
+    assert took - {"drives"} | {"external", "constraint"} == set(PHYSICS)
+    sums = sum(found[name] for name in ("put_in", *took, *NUMERICS))
     # Of 9.81 J.
     np.testing.assert_allclose(found["kinetic"] + found["potential"] - sums, found["potential"][0], rtol=1e-12)
     assert found["potential"].min() >= 0.0
     worst = [bouncing.gauss.bound[k : k + 100].max() for k in range(0, 1300, 100)]
     assert found["bound"][1:].tolist() == worst and np.isnan(found["bound"][0])
+
+
+def test_a_page_is_told_what_its_ledger_shows(sliding):
+    """The stack from below, in words and colours; every layer has its curve."""
+    values, arrays = payload.unpack(packed(sliding, None, False, 2000, None))
+    shown = {layer["name"]: (layer["label"], layer["colour"], layer["sign"]) for layer in values["layers"]}
+    assert list(shown) == list(LAYERS)
+    assert shown["potential"] == ("potential", "#b9cfe4", 1) and shown["normal"] == ("impacts took", "#b5405e", -1)
+    assert {f"ledger/{name}" for name in (*shown, *values["numerics"], "put_in")} <= arrays.keys()
 
 
 def test_bodies_have_speed_and_energy(bouncing):

@@ -361,9 +361,10 @@ def test_what_a_servo_takes_has_an_area():
 
 
 def test_colours_are_those_of_the_page():
-    """One palette: bodies by `nsdyn.view.solids`, energies as `ledger.js` has them."""
-    told = dict(re.findall(r'name: "(\w+)", label: "[\w ]+", colour: "(#\w+)"', PAGE.read_text()))
-    assert {name: told[name] for name in panels.LEDGER} == panels.LEDGER
+    """One palette: bodies by `nsdyn.view.solids`, what vouches for the steps as `ledger.js` has it."""
+    told = dict(re.findall(r'name: "(\w+)", .*colour: "(#\w+)"', PAGE.read_text()))
+    of = {"residual": "kinetic", "bound": "normal", "penetration": "damping"}
+    assert told == {name: panels.LEDGER[other] for name, other in of.items()}
     assert panels.look(1)["color"] == tuple(part / 255 for part in panels.PALETTE[1])
 
 

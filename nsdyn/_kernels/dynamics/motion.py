@@ -190,30 +190,27 @@ def pinocchio_layout(x, quaternion, v, q_out, v_out):
 
 
 @in_place
-def free_works(mass, gravity, force, torque, h, theta, v, v0, v1):
-    """Works of a step on the free bodies, J: of forces and torques, and what gravity does beyond its potential.
+def beyond_potential(mass, gravity, h, theta, v, v0, v1):
+    """What gravity does to the free bodies in a step beyond its potential, J.
 
-    They work on the mean of v0 and v1; the bodies move by (1 - θ) h v + θ h v1. Both are the same for θ = ½ but where
+    It works on the mean of v0 and v1; the bodies move by (1 - θ) h v + θ h v1. Both are the same for θ = ½ but where
     impacts turned v to v0.
 
     Parameters
     ----------
     mass : ndarray, shape (free,)
     gravity : ndarray, shape (3,)
-    force, torque : ndarray, shape (free, 3)
-        World axes, N and N m; the torques in those of the bodies.
     h, theta : float
     v, v0, v1 : ndarray, shape (n,)
         At the beginning of the step, and before and after the forces where they act.
     """
-    external, beyond = 0.0, 0.0
+    out = 0.0
     for b in range(mass.size):
         i = 6 * b
         for j in range(3):
-            mean, spin = 0.5 * (v0[i + j] + v1[i + j]), 0.5 * (v0[i + 3 + j] + v1[i + 3 + j])
-            external += h * (mean * force[b, j] + spin * torque[b, j])
-            beyond += h * mass[b] * gravity[j] * (mean - ((1.0 - theta) * v[i + j] + theta * v1[i + j]))
-    return external, beyond
+            mean = 0.5 * (v0[i + j] + v1[i + j])
+            out += h * mass[b] * gravity[j] * (mean - ((1.0 - theta) * v[i + j] + theta * v1[i + j]))
+    return out
 
 
 @in_place

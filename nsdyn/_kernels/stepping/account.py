@@ -1,21 +1,21 @@
 """The works of a move in one call."""
 
 from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.dynamics.motion import free_works
+from nsdyn._kernels.dynamics.motion import beyond_potential
 from nsdyn._kernels.stepping.law import outcome
 
 
 @in_place
 def account(bodies, move, velocities, rows, r, lasting, slow, out):
-    """`free_works` of bodies = (mass, gravity, force, torque) in a move = (h, theta), (external, beyond), `outcome`.
+    """`beyond_potential` of bodies = (mass, gravity) in a move = (h, theta), and `outcome`.
 
     With forces for the impulses in world axes.
     """
-    external, beyond = free_works(*bodies, *move, *velocities)
+    beyond = beyond_potential(*bodies, *move, *velocities)
     normal, friction, rest = outcome(rows, velocities[2], r, lasting, slow, out)
     h, _ = move
     world = out[4]
     for c in range(world.shape[0]):
         for i in range(3):
             world[c, i] /= h
-    return external, beyond, normal, friction, rest
+    return beyond, normal, friction, rest

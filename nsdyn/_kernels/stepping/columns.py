@@ -19,8 +19,7 @@ from nsdyn._kernels.compiled import kernel
     M,
     MINV,
     GRAVITY,
-    PUSH,
-    TWIST,
+    NO_LOAD,
     ARM,
     NOWHERE,
     INSCRIBED,
@@ -28,7 +27,7 @@ from nsdyn._kernels.compiled import kernel
     BEGUN,
     NUMBERS,
     SYSTEM,
-) = range(19)
+) = range(18)
 BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 
 # The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`; then how

@@ -44,7 +44,7 @@ from nsdyn._kernels.stepping.quiet_response import (
 def opened(system):
     """Views of the packed arrays of a system.
 
-    (numbers, size); (arm, nowhere, inscribed); (mass, J); bodies as of `free.half`; (gravity, push, twist); masses and
+    (numbers, size); (arm, nowhere, inscribed); (mass, J); bodies as of `free.half`; (gravity, no load); masses and
     movers as of `free.meet`, the latter where the impulses act and where the move begins.
     """
     sf, si = system
@@ -71,7 +71,7 @@ def opened(system):
         near,
         (mass, J),
         bodies,
-        (numbers(sf, si, col.GRAVITY), triples(sf, si, col.PUSH), triples(sf, si, col.TWIST)),
+        (numbers(sf, si, col.GRAVITY), triples(sf, si, col.NO_LOAD)),
         masses,
         (mass.size, (*trees, numbers(sf, si, col.JACOBIAN))),
         (mass.size, (*trees, numbers(sf, si, col.BEGUN))),
@@ -84,7 +84,7 @@ def depart(s, old, f, w):
 
     It may be given: Python makes its motion where there are trees, and under the forces of the user. s as of `opened`.
     """
-    (num, size), (arm, _, _), _, bodies, (gravity, push, _), _, movers, _ = s
+    (num, size), (arm, _, _), _, bodies, (gravity, load), _, movers, _ = s
     n, reach = size[0], col.column(w, col.REACH, size[0])
     there = (
         col.vectors(w, col.X, n),
@@ -102,7 +102,7 @@ def depart(s, old, f, w):
         loads, position = (bodies[4], num[col.WEIGHT]), (there[0], there[3], there[2], v_free)
         return free.given(movers, loads, position, h, theta, looked, near, (rate, reach))
     begin = col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, size)
-    loads = gravity, push, num[col.WEIGHT]
+    loads = gravity, load, num[col.WEIGHT]
     return free.half(bodies, loads, begin, h, theta, looked, near, (*there, v_free, rate, reach))
 
 
@@ -253,14 +253,14 @@ def told(s, rows, contacts, begun, flags, status, head, room):
 
     contacts = (met, found at its end), begun = (old state, direction of the last certificate).
     """
-    scene, (_, nowhere, inscribed), inertia, _, loads, _, _, _ = s
+    scene, (_, nowhere, inscribed), inertia, _, (gravity, _), _, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
     (met, now), (b_old, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
     if not eventless(num, inscribed, met, now, flags, status, spins, room):
         return EVENT
-    book(scene, (*inertia, *loads, nowhere[:0]), rows, met, flags, direction, head, status, room)
+    book(scene, (*inertia, gravity, nowhere[:0]), rows, met, flags, direction, head, status, room)
     out[col.SUSPECT] = 0.0
     if nc > 0 and num[col.FEWEST] >= 0.0:
         r, u, q = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]

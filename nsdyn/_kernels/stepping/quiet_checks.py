@@ -173,7 +173,7 @@ def book(scene, bodies, rows, met, flags, direction, head, status, room):
     ----------
     scene : (numbers, size)
     bodies : tuple
-        mass, inertia, gravity, push, twist, and an empty array.
+        mass, inertia, gravity, and an empty array.
     rows : (blocks, frame, scales)
     met : tuple
         The contacts.
@@ -186,14 +186,14 @@ def book(scene, bodies, rows, met, flags, direction, head, status, room):
     room : tuple
         The state, what is at work, that of the contacts, and what acts on them.
     """
-    (num, size), (mass, J, gravity, force, torque, none) = scene, bodies
+    (num, size), (mass, J, gravity, none) = scene, bodies
     (blocks, frame, scales), (f, w, own, acted) = rows, room
     n, nc, out, h = size[0], status.size, f, num[col.STEP]
     b, mu, r = f[col.RESULTS :], met[2][1], acted[col.IMPULSE * nc : col.U * nc]
     v, v_plus = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_PLUS, size)
     couples = col.column(own, col.COUPLE_WORK, nc) if head[col.TURNED] else none
-    out[col.EXTERNAL], beyond, out[col.NORMAL], out[col.FRICTION], rest = _account.account(
-        (mass, gravity, force, torque),
+    beyond, out[col.NORMAL], out[col.FRICTION], rest = _account.account(
+        (mass, gravity),
         (h, num[col.THETA]),
         (v, v, v_plus),
         (blocks, none, mu, own[: col.ALONE * nc].reshape((5, 3 * nc)), frame),
@@ -208,7 +208,8 @@ def book(scene, bodies, rows, met, flags, direction, head, status, room):
             col.vectors(acted, col.FORCE, nc),
         ),
     )
-    out[col.DAMPING], out[col.CONSTRAINT], out[col.NUMERICS] = 0.0, 0.0, beyond + rest
+    out[col.EXTERNAL] = out[col.DAMPING] = out[col.CONSTRAINT] = 0.0
+    out[col.NUMERICS] = beyond + rest
     x, v_end = col.vectors(b, col.X, n), col.velocity(b, col.V, size)
     out[col.KINETIC], out[col.POTENTIAL] = motion.free_energies(mass, J, gravity, x, v_end)
     projected = own[col.PROJECTED * nc : (col.PROJECTED + 3) * nc]

@@ -1,19 +1,11 @@
 // What the plot under a view shows: where the energy is and who took it, power, and what vouches for the steps.
 
-const LAYERS = [
-  {name: "kinetic", label: "kinetic", colour: "#3b75af", sign: 1},
-  {name: "potential", label: "potential", colour: "#b9cfe4", sign: 1},
-  {name: "friction", label: "friction took", colour: "#e69f00", sign: -1},
-  {name: "normal", label: "impacts took", colour: "#b5405e", sign: -1},
-  {name: "damping", label: "damping took", colour: "#5aa17f", sign: -1},
-  {name: "drives", label: "drives and loads took", colour: "#8f86b8", sign: -1},  // more than they put in
-];
-const NUMERICS = ["integration", "projection", "defect"];
 const CHECKS = [
   {name: "residual", label: "residual", unit: "m/s", colour: "#3b75af", words: "of the contact problem"},
   {name: "bound", label: "certificate", unit: "√J", colour: "#b5405e", words: "bound of the velocity's error"},
   {name: "penetration", label: "penetration", unit: "m", colour: "#5aa17f", words: "of shapes, by their gaps"},
 ];
+const took = ({name, sign}) => sign < 0 && name !== "drives";  // and puts nothing in
 const FLOOR = 1e-12, LOST = 1e-11;  // where their axes begin at the lowest, and what is no more than round-off
 
 class Ledger {
@@ -23,7 +15,7 @@ class Ledger {
     this.t = this.curve("t");
     const most = name => this.curve(name).reduce((size, x) => Math.max(size, Math.abs(x)), 0);
     const least = NEGLIGIBLE * recording.largest;
-    this.layers = LAYERS.filter(({name, sign}) => sign > 0 || most(name) > least);
+    this.layers = recording.layers.filter(({name, sign}) => sign > 0 || most(name) > least);
     this.fed = most("put_in") > least;
   }
 
@@ -79,8 +71,7 @@ class Ledger {
   // Mean power since the point before that each work took.
   powers() {
     const rate = values => values.map((x, k) => k ? (x - values[k - 1]) / (this.t[k] - this.t[k - 1]) : NaN);
-    const taken = this.layers.filter(({name, sign}) => sign < 0 && name !== "drives");
-    return taken.map(layer => ({...layer, values: rate(this.curve(layer.name)).map(x => -x)}));
+    return this.layers.filter(took).map(layer => ({...layer, values: rate(this.curve(layer.name)).map(x => -x)}));
   }
 
   // Heights of their stack.
@@ -95,7 +86,10 @@ class Ledger {
     const heights = this.powerStack();
     const lane = {unit: "power [W]", ...this.range("powerExtremes", beside, laid)};
     lane.areas = powers.map(({colour}, k) => ({values: [heights[k], heights[k + 1]], colour}));
-    if (!powers.length) lane.note = "friction, impacts and damping take nothing";
+    if (!powers.length) {
+      const words = this.recording.layers.filter(took).map(({label}) => label.replace(" took", ""));
+      lane.note = `${words.slice(0, -1).join(", ")} and ${words[words.length - 1]} take nothing`;
+    }
     lane.lines = laid.flatMap(other => (
       other.powers().map(({colour}, k) => dotted(other.t, other.powerStack()[k + 1], colour))));
     const top = heights[heights.length - 1].reduce((a, b) => b > a ? b : a, 0);
@@ -149,7 +143,7 @@ class Ledger {
     const {largest} = this.recording;
     const rows = this.layers.map(({name, label, colour, sign}) => [label, colour, sign * at(name), "J", largest]);
     const total = rows.reduce((sum, row) => sum + row[2], 0);
-    const numerics = NUMERICS.reduce((sum, name) => sum + at(name), 0);
+    const numerics = this.recording.numerics.reduce((sum, name) => sum + at(name), 0);
     if (this.fed) rows.push(["put in", theme.colour("faint"), at("put_in"), "J", largest]);
     return [...rows, ["sum", theme.colour("ink"), total, "J", largest], ["by numerics", "", numerics, "J", largest]];
   }

@@ -6,7 +6,8 @@ accuracy of the solve, and the flows between keep it:
     ΔT + ΔV = external + normal + friction + damping + constraint + integration + projection + defect.
 
 The first five are physics. Numerics are what would be nothing in the limit of small steps (`integration`), what the
-projection of positions lifts, and the defect, which is round-off: a ledger that does not close is a bug.
+projection of positions lifts, and the defect, which is round-off: a ledger that does not close is a bug. Columns of
+files, tables and pictures follow from `Works` and `LAYERS`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from functools import reduce
 from operator import add
 from typing import NamedTuple
 
-__all__ = ["Ledger", "Works"]
+__all__ = ["LAYERS", "NUMERICS", "PHYSICS", "WORKS", "Layer", "Ledger", "Works"]
 
 
 class Works(NamedTuple):
@@ -66,3 +67,37 @@ class Ledger(NamedTuple):
         gained = (after[0] - before[0]) + (after[1] - before[1])
         # Not `sum`, which since Python 3.12 rounds the sum of numbers otherwise than that of arrays.
         return Ledger(*after, *works, gained - reduce(add, works, 0.0))
+
+
+NUMERICS = "integration", "projection", "defect"
+PHYSICS = tuple(name for name in Works._fields if name not in NUMERICS)
+WORKS = (*Works._fields, "defect")
+"""Works of a recording, of which the sum is the change of energy."""
+
+
+class Layer(NamedTuple):
+    """How the ledger shows an energy, or what a work took.
+
+    Attributes
+    ----------
+    words : str
+    colour : str
+    grey : str
+        In styles that have no colours: neighbours of a stack can be told apart.
+    """
+
+    words: str
+    colour: str
+    grey: str
+
+
+LAYERS = {
+    "kinetic": Layer("kinetic", "#3b75af", "0.15"),
+    "potential": Layer("potential", "#b9cfe4", "0.88"),
+    "friction": Layer("friction took", "#e69f00", "0.65"),
+    "normal": Layer("impacts took", "#b5405e", "0.42"),
+    "damping": Layer("damping took", "#5aa17f", "0.75"),
+    "drives": Layer("drives and loads took", "#8f86b8", "0.55"),
+}
+"""The stack of the ledger, from below: energies, and works of physics, of which `external` and `constraint` are one,
+`drives`, while they take more than they put in."""
