@@ -33,6 +33,24 @@ def test_ten_stacks_of_ten():
     assert drift(trajectory) <= 1e-9
 
 
+@pytest.mark.parametrize("ratio", [1e4, 1e6])
+def test_light_boxes_between_heavy_ones(ratio):
+    """Eight boxes, each turned and off the middle of the one below: an impulse finds its way among redundant contacts
+    by penalties as large as the loads, in a tenth of the Newton steps of small ones."""
+    scene, stone, z = nd.Scene(), nd.Material(mu=0.4), 0.0
+    scene.add_halfspace("ground", material=stone)
+    for k in range(8):
+        height, turn = 0.1 + 0.01 * k, 0.15 * k
+        place = {"position": (0.01 * (k % 3), 0.008 * (k % 2), z + height / 2), "material": stone}
+        size, quaternion = (0.2, 0.18, height), (0.0, 0.0, np.sin(turn), np.cos(turn))
+        scene.add_box(f"box{k}", size, ratio if k % 2 else 1.0, quaternion=quaternion, **place)
+        z += height
+    trajectory = nd.simulate(scene, 0.5, dt=5e-3)
+    assert (trajectory.solver.status == nd.Status.CONVERGED).all()
+    assert trajectory.solver.iterations.mean() <= 100  # 10 and 40
+    assert drift(trajectory) <= 1e-9
+
+
 def test_what_rests_is_not_solved_again():
     """Most impulses go on as they are: those that take creep back are not the start of as much the other way."""
     trajectory = nd.simulate(nd.scenes.load("stacks")(), 0.5, dt=5e-3, solver=nd.solvers.Auto(tol=1e-6))

@@ -25,7 +25,7 @@ from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.vectors import square
 
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
-SHRINKAGE, LEAST = 0.3, 1e-3  # what is left of such a penalty, and at which no more is tried
+SHRINKAGE, LEAST = 0.1, 1e-3  # what is left of such a penalty, and at which no more is tried
 GROWTH, LARGEST = 2.0, 1e10  # of a penalty with which it settled in two steps, and at most: factors lose digits by it
 PART = 1e-2  # of the square of the multiplier step that the square of the defect is where F has settled
 
@@ -133,14 +133,14 @@ def settled(scales, u, shown, own, P, estimate):
 def judge(given, vectors, so_far):
     """The verdict on a Newton step: (`GOES_ON`, `SETTLED` or `FAILED`, and what goes on from `so_far`).
 
-    Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps, twice where nothing
-    was gained. Where it does not settle, or diverges, the penalty is too large. The best P is kept in r. `given` are
-    (mu, scales, q_norm) of the problem, `vectors` (u, shown, own, P, estimate, r), the first as of `settled`, `so_far`
-    (penalty, Newton steps with it, square of the defect before, least measure).
+    Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps, twice where that
+    gained less than a factor of two. Where it does not settle, or diverges, the penalty is too large. The best P is
+    kept in r. `given` are (mu, scales, q_norm) of the problem, `vectors` (u, shown, own, P, estimate, r), the first as
+    of `settled`, `so_far` (penalty, Newton steps with it, square of the defect before, least measure).
     """
     (mu, scales, q_norm), (u, shown, own, P, estimate, r), (penalty, inner, before, best) = given, vectors, so_far
     measure = measure_at(scales, shown, P, mu, q_norm)
-    growth = GROWTH if measure < best else GROWTH * GROWTH
+    growth = GROWTH if GROWTH * measure < best else GROWTH * GROWTH
     if measure < best:
         best = measure
         copy(P, r)
