@@ -102,7 +102,7 @@ def others() -> Iterator[tuple[str, list[tuple[Any, str, Any]]]]:
             for factor in (0.5, 2.0):
                 new = tuple(type(v)(factor * v) if i == k else v for i, v in enumerate(values))
                 tuning = replace(auto.TUNING, **{field.name: new if isinstance(given, tuple) else new[0]})
-                changes = [(auto, "TUNING", tuning), (auto, "LIMITS", (auto.DENSE, auto.PENALTY, *tuning.small))]
+                changes = [(auto, "TUNING", tuning), (auto, "LIMITS", (auto.DENSE, *tuning.small))]
                 yield f"{field.name}{[k] if len(values) > 1 else ''} x {factor}", changes
 
 

@@ -45,8 +45,8 @@ class Tuning:
     free: int = 200
     """What may be spent on what the start already solves to the loose tolerance."""
 
-    small: tuple[int, int] = (60, 6)
-    """Newton steps of islands of few bodies from anywhere and from a warm start."""
+    small: tuple[float, int, int] = (1e2, 60, 6)
+    """Penalty, and Newton steps of islands of few bodies from anywhere and from a warm start."""
 
     polish: float = 1e-5
     """Fraction of the tolerance to which Newton goes on where it gains, on larger islands only of tolerances that are
@@ -64,7 +64,7 @@ FLOOR = 1e-14
 
 UNKNOWN = np.empty(0)
 
-LIMITS = (DENSE, PENALTY, *TUNING.small)
+LIMITS = (DENSE, *TUNING.small)
 """What `_start.by_factors` takes."""
 
 

@@ -25,7 +25,7 @@ DENSE = 120
 """Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""
 
 PENALTY = 1e5
-"""First penalty times λ_max(W_cc); it adapts. With 1e2 light boxes between heavy ones at rest take 30 times as many."""
+"""First penalty times λ_max(W_cc) from what other methods have found; it adapts."""
 
 MARGIN = 0.9
 """Fraction of the tolerance that islands are solved to, so that what the judge measures stays below."""

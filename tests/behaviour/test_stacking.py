@@ -33,10 +33,11 @@ def test_ten_stacks_of_ten():
     assert drift(trajectory) <= 1e-9
 
 
-@pytest.mark.parametrize("ratio", [1e4, 1e6])
-def test_light_boxes_between_heavy_ones(ratio):
+@pytest.mark.parametrize(("ratio", "most"), [(1e4, 100), (1e6, 1000)])
+def test_light_boxes_between_heavy_ones(ratio, most):
     """Eight boxes, each turned and off the middle of the one below: an impulse finds its way among redundant contacts
-    by penalties as large as the loads, in a tenth of the Newton steps of small ones."""
+    by penalties that grow faster where they gain little: in 35 and 300 Newton steps, 370 and 3300 of those that double.
+    """
     scene, stone, z = nd.Scene(), nd.Material(mu=0.4), 0.0
     scene.add_halfspace("ground", material=stone)
     for k in range(8):
@@ -47,8 +48,8 @@ def test_light_boxes_between_heavy_ones(ratio):
         z += height
     trajectory = nd.simulate(scene, 0.5, dt=5e-3)
     assert (trajectory.solver.status == nd.Status.CONVERGED).all()
-    assert trajectory.solver.iterations.mean() <= 100  # 10 and 40
-    assert drift(trajectory) <= 1e-9
+    assert trajectory.solver.iterations.mean() <= most
+    assert drift(trajectory) <= 1e-8 * 0.5  # the tolerance, all the time
 
 
 def test_what_rests_is_not_solved_again():
