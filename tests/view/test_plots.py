@@ -192,7 +192,7 @@ def test_plots_draw_what_is_recorded(slide, arm):
     np.testing.assert_allclose(stack["sum"], 2.0, rtol=0, atol=1e-9)  # the page's flat line
     (certificate,) = curves(slide, "certificate")
     bound = slide.gauss.bound
-    drawn = np.where(bound < 1e-14, 0.0, bound)  # what is below the axis is not
+    drawn = np.where(bound > panels.FLOOR, bound, 0.0)  # what is below the axis is not
     np.testing.assert_array_equal(np.nan_to_num(certificate["bound [√J]"]), drawn)
     (depth,) = curves(arm, "penetration")
     deepest = [max(0.0, -arm.contacts(k).gap.min(initial=0.0)) for k in range(1, arm.steps + 1)]

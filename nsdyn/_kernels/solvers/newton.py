@@ -35,7 +35,17 @@ GOES_ON, SETTLED, FAILED = range(3)
 
 @in_place
 def projected(u, r, rho, mu, P, step):
-    """P(u) of every contact, into P (3 nc,), and P - r, into step (3 nc,)."""
+    """P(u) of every contact, and P - r.
+
+    Parameters
+    ----------
+    u, r : ndarray, shape (3 nc,)
+        Velocity, m/s, and impulse estimate, N·s.
+    rho, mu : ndarray, shape (nc,)
+        Penalties, kg, and coefficients of friction.
+    P, step : ndarray, shape (3 nc,)
+        What is written, N·s.
+    """
     for c in range(mu.size):
         i = 3 * c
         a = r[i] - rho[c] * u[i]
