@@ -23,8 +23,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from contextvars import ContextVar
 from functools import cache, partial
 from importlib import import_module
@@ -70,14 +70,14 @@ def clock() -> float:
     return time.perf_counter() - _loading.get()
 
 
-@contextmanager
-def waiting() -> Iterator[None]:
+class Waiting:
     """Where kernels are waited for, as by what tells times."""
-    token = _waits.set(True)
-    try:
-        yield
-    finally:
-        _waits.reset(token)
+
+    def __enter__(self) -> None:
+        self._token = _waits.set(True)
+
+    def __exit__(self, *_: object) -> None:
+        _waits.reset(self._token)
 
 
 @cache

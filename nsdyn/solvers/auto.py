@@ -45,8 +45,8 @@ class Tuning:
     free: int = 200
     """What may be spent on what the start already solves to the loose tolerance."""
 
-    small: tuple[float, int, int] = (1e2, 60, 6)
-    """Penalty, and Newton steps of islands of few bodies from anywhere and from a warm start. What redundant contacts
+    small: tuple[float, int] = (1e2, 60)
+    """Penalty and Newton steps of islands of few bodies. What redundant contacts
     exchange drifts by round-off times the penalty from step to step: from 1e4 on, to the cones of bodies at rest."""
 
     polish: float = 1e-5
@@ -298,7 +298,7 @@ class Auto(Options):
             _, error, residual, u = problem.solved(r, self.tol)
         otherwise = Status.LOOSE
         if (worst := max(error, residual)) > self.loose:
-            otherwise = Status.STALLED if worst <= problem.round_off(r) else Status.MAX_ITERATIONS
+            otherwise = Status.STALLED if worst <= max(FLOOR, problem.round_off(r)) else Status.MAX_ITERATIONS
         return Solution.measured(r, u, error, residual, self.tol, count, clock() - start, otherwise)
 
     @staticmethod

@@ -64,7 +64,7 @@ class Multipliers:
             return
         p = self.problem
         given = self._dense, p.q, p.mu, p.scales, p.q_norm
-        used, self.best = _kernels.dense(given, self.r, tol, self._penalty, most)
+        used, self.best = _kernels.dense(given, self.r, tol, tol, self._penalty, most)
         self.count, self.ended = self.count + used, used < most
 
     def _taken(self) -> Iterator[bool]:

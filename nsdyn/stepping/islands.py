@@ -26,7 +26,7 @@ from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System
 from nsdyn.stepping.move import attempt
 from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import through, turns_far
+from nsdyn.stepping.passage import EVENT, WORK, through, turns_far
 from nsdyn.stepping.response import NEW, Begun, Trial
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
@@ -83,22 +83,32 @@ class Islands:
         label, count = self._foreseen(begin, half)
         if count < 2:
             return through(self.whole, state, loads, Begun(half, begun.move))
-        opened, tried = np.zeros(count, np.bool_), None
+        (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._struck(begin, half)]] = True
-        if not opened.all():
+        large = ~opened & (EVENT * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > WORK)
+        if begun.move is None and large.any():
+            # One whose events are not located is made roughly first, which shows whether it meets any.
+            meets |= self._hit(attempt(s, begin, half, None, label, ~large[label], rough=True), label, large)
+            opened |= meets
+        if not (skipped := opened.copy()).all():
             tried = attempt(s, begin, half, callbacks, label, opened[label], begun)
             self._open(begin, tried, label, opened)
+            meets |= self._hit(tried, label, ~skipped)
+            opened |= meets
             if not opened.any():
                 done = finish(s, begin, tried)
                 self._gaining(begin, done, tried, label, opened)
                 if not opened.any():
                     return done
-        return self._together(state, loads, half, label, opened, tried)
+        return self._together(state, loads, half, label, opened, tried, meets[label])
 
     def _together(
-        self, state: State, loads: Loads, half: Half, label: Index, opened: Bools, tried: Trial | None
+        self, state: State, loads: Loads, half: Half, label: Index, opened: Bools, tried: Trial | None, meets: Bools
     ) -> Passage:
-        """The step from an attempt at it, of which the islands `opened` are made by themselves."""
+        """The step from an attempt at it, of which the islands `opened` are made by themselves.
+
+        It is known of some nodes (nodes,) that their island `meets` an event.
+        """
         s, begin, d = self.whole, state.instant, self.whole.dynamics
         boxes = self._swept(s, [begin.placement])
         if tried is not None:
@@ -111,7 +121,7 @@ class Islands:
                 if (name := tuple(nodes.tolist())) in done:
                     continue
                 part = self._part(name, nodes)
-                passage = through(part.system, part.state(state, key), part.loads(loads, begin))
+                passage = through(part.system, part.state(state, key), part.loads(loads, begin), Begun(meets=bool(meets[nodes].any())))
                 done[name], key = (part, passage), passage.end.memory.next_key
                 own = self._swept(part.system, passage.path)
                 moves = part.system.detector.frame >= 0
@@ -134,7 +144,7 @@ class Islands:
             move, count = finish(s, begin, kept, left), opened.sum()
             self._gaining(begin, move, kept, label, opened)
             if opened.sum() > count:
-                return self._together(state, loads, half, label, opened, tried)
+                return self._together(state, loads, half, label, opened, tried, meets)
             out = move
             out.done[0] = out.done[0]._replace(moves=np.repeat(left, np.diff(d.offset)))
         for part, p in made:
@@ -210,6 +220,15 @@ class Islands:
         both = np.concatenate((node[c.frame1[which]], node[c.frame2[which]]))
         return [both[both >= 0]]
 
+    def _hit(self, tried: Trial, label: Index, of: Bools) -> Bools:
+        """Which islands run into what their move did not meet, of some (islands,)."""
+        out, unmet, joints = np.zeros_like(of), tried.unmet, self.whole.dynamics.joints
+        if unmet is not None:
+            hit = unmet.code[unmet.gap < -unmet.limit]
+            nodes = self._node[np.concatenate(np.divmod(hit[hit >= 0], self._node.size))]
+            out[label[nodes[nodes >= 0]]] = out[label[joints.block[joints.limits[-1 - hit[hit < 0]]]]] = True
+        return out & of
+
     def _open(self, begin: Instant, tried: Trial, label: Index, opened: Bools) -> None:
         """Open the islands that an attempt does not do: they meet an event, or impulses are to be sought once more."""
         s, d, a = self.whole, self.whole.dynamics, tried.response
@@ -217,11 +236,6 @@ class Islands:
         c, found, limits = a.met.contacts, a.moved.contacts, a.moved.limits
         out += self._nodes(found, found.gap < -s.closed)
         out.append(d.joints.block[d.joints.limits[limits < -s.closed]])
-        if tried.unmet is not None:
-            hit = tried.unmet.code[tried.unmet.gap < -tried.unmet.limit]
-            geoms = np.concatenate(np.divmod(hit[hit >= 0], self._node.size))
-            nodes = self._node[geoms]
-            out += [nodes[nodes >= 0], d.joints.block[d.joints.limits[-1 - hit[hit < 0]]]]
         if (ends := endings(a.met, a.problem, a.solution)) is not None:
             out += self._nodes(c, ends[: c.gap.size] > 0)
             if a.met.joints is not None:

@@ -40,7 +40,6 @@ def trial(
     h: float,
     barred: Index | None,
     begun: Begun = NEW,
-    rough: bool = False,
 ) -> Trial:
     """Move for h seconds from the time t.
 
@@ -63,8 +62,6 @@ def trial(
         Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
     begun : Begun
-    rough : bool
-        Whether it is only to show whether it meets anything: impulses are rough, persistent contacts do some work.
     """
     half, made, callbacks = begun.half, None, loads(t + (1.0 - s.theta) * h)
     if half is None and (s.dynamics.trees or callbacks is not None):
@@ -74,18 +71,18 @@ def trial(
     elif s.mover is not None and barred is not None:
         made = s.mover.respond(s, begin, t, h, barred, half)
     if made is None:
-        made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred, rough)
+        made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
     half, _, response = made
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
-        return trial(s, lambda _: None, begin, t, h, barred, Begun(again), rough)
+        return trial(s, lambda _: None, begin, t, h, barred, Begun(again))
     return _met(s, begin, made, barred)
 
 
-def _moved(s: System, begin: Instant, half: Half, barred: Index | None, rough: bool) -> tuple[Half, Reach, Response]:
+def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple[Half, Reach, Response]:
     """The move from its first half, stage by stage."""
     reach = _reachable(s, begin, half, barred)
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
-    rough = rough or barred is None
+    rough = barred is None
     half, response = _respond(s, begin, half, reach, barred, None, rough)
     missed = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
@@ -119,27 +116,35 @@ def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: 
 
 
 def attempt(
-    s: System, begin: Instant, half: Half, callbacks: Callbacks, label: Index, skip: Bools, begun: Begun = NEW
+    s: System,
+    begin: Instant,
+    half: Half,
+    callbacks: Callbacks,
+    label: Index,
+    skip: Bools,
+    begun: Begun = NEW,
+    rough: bool = False,
 ) -> Trial:
     """A move of all islands that leaves alone what may strike, as a `trial` with nothing barred.
 
     Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
-    nodes `skip`, whose contacts are passed over.
+    nodes `skip`, whose contacts are passed over. A `rough` one is only to show what is met: its persistent contacts do
+    some work.
     """
     made = None
     if begun.move is not None and not skip.any():
         made = begun.move
-    elif s.mover is not None and not skip.any():
+    elif s.mover is not None and not skip.any() and not rough:
         made = s.mover.respond(s, begin, half.end - half.h, half.h, NO_SLOTS, half)
     if made is None:
         reach = _reachable(s, begin, half, NO_SLOTS)
         if skip.any():
             reach = reach._replace(contacts=take(reach.contacts, ~skip[s.nodes(reach.contacts)]))
-        half, response = _respond(s, begin, half, reach, NO_SLOTS, None, False, label)
+        half, response = _respond(s, begin, half, reach, NO_SLOTS, None, rough, label)
     else:
         half, reach, response = made
     if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
-        return attempt(s, begin, again, None, label, skip)
+        return attempt(s, begin, again, None, label, skip, NEW, rough)
     slots, moved = NO_SLOTS if reach.joints is None else reach.joints.slot, response.moved
     unmet = others(s, moved.contacts, reach.contacts, response.normal, moved.limits, slots)
     return Trial(half, reach, response, unmet, half.h)

@@ -67,7 +67,7 @@ class Mover:
             *s.bounces,
             solver.tol,
             own,
-            *(solver.aims if isinstance(solver, Auto) else (0.0, 0.0)),
+            *(solver.aims if isinstance(solver, Auto) else (solver.tol, solver.tol)),
             *LIMITS,
             WEAK,
             s.inscribed.size,

@@ -86,7 +86,7 @@ def through(system: System, state: State, loads: Loads, begun: Begun = NEW) -> P
     loads : callable
         What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
     begun : Begun
-        With the step in one move.
+        Of the step in one move.
     """
     begin = state.instant
     system = system.during(state.next_t - state.dt, state.dt, begin.position)
@@ -177,7 +177,7 @@ def _moves(
         Where bodies were goes into it.
     effort : Effort
     begun : Begun
-        With a move all the way, without impacts before it.
+        Of a move all the way, without impacts before it.
     """
     now, left, clear, sunk = begin, h, True, False
     done: list[Impulses] = []
@@ -242,7 +242,7 @@ def _until_event(
         Before this, s, slip that turns round is not located.
     effort : Effort
     begun : Begun
-        With the move of h seconds.
+        Of the move of h seconds.
     struck : bool
         Whether anything has just struck, and may be in a row of impacts.
     """
@@ -251,16 +251,14 @@ def _until_event(
         return h, trial(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most meet no event.
-    if not (affords := effort.affords(begin, EVENT)) and (struck or effort.left < WORK):
+    if not (affords := effort.affords(begin, EVENT)) and (struck or begun.meets or effort.left < WORK):
         return capture(begun)
     effort.spend(begin)
-    # Where it could not be cut it is made roughly first, which shows whether it meets one.
-    for rough in (False,) if affords or begun.move is not None else (True, False):
-        m = trial(s, loads, begin, t, h, NONE, begun, rough)
-        a, begun = m.response, Begun(m.half)
-        met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
-        if _jammed(a.solution) or (not affords and (met or m.touched < h or not a.solution.accepted)):
-            return capture(begun)
+    m = trial(s, loads, begin, t, h, NONE, begun)
+    a, begun = m.response, Begun(m.half)
+    met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
+    if _jammed(a.solution) or (not affords and (met or m.touched < h or not a.solution.accepted)):
+        return capture(begun)
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)
     # Where slip has been cut nothing is asked about it again.

@@ -133,6 +133,6 @@ def _acting(s: System, met: Encounter, half: Half, couple: Array, dv: Array, mea
 def _means(s: System, met: Encounter, most: int) -> tuple[bool, float, float, tuple[int, float, int, int], float, int]:
     """What solves in passes, as of `_workless.workless`: the kernel does what `Auto` does with small islands."""
     solver = s.solver
-    if isinstance(solver, Auto) and met.joints is None and met.rows.blocks is met.rows.full:
-        return True, *solver.aims, LIMITS, solver.tol, most
-    return False, 0.0, 0.0, LIMITS, 0.0, most
+    if isinstance(solver, Auto):
+        return met.joints is None and met.rows.blocks is met.rows.full, *solver.aims, LIMITS, solver.tol, most
+    return False, solver.tol, solver.tol, LIMITS, solver.tol, most

@@ -143,10 +143,13 @@ class Begun(NamedTuple):
         Its first half, in one move.
     move : (Half, Reach, Response), optional
         All of that move, with nothing barred.
+    meets : bool
+        Whether that move meets an event.
     """
 
     half: Half | None = None
     move: tuple[Half, Reach, Response] | None = None
+    meets: bool = False
 
 
 NEW = Begun()

@@ -30,7 +30,7 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) 
     """The fraction of a move after which the first slip turns round, 1 if none does.
 
     With the slip u_k where the move begins and u_e where it would end if friction did not change its direction, the
-    forces of the move being constant: u_k/(u_k - u_e).
+    forces of the move being constant: u_k/(u_k - u_e). What is solved loosely tells of none.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) 
     solution : Solution
     """
     local = met.begun
-    if (end := endings(met, problem, solution)) is None:
+    if not solution.converged or (end := endings(met, problem, solution)) is None:
         return 1.0
     begin, _, free, drift, _ = local.reshape(5, -1, 3)[..., 1:]
     free, turned = free + drift, end == 2

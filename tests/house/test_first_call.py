@@ -246,7 +246,7 @@ def test_what_takes_long_is_waited_for(monkeypatch):
     assert [request[0] for request in asked] == [_counted, _much]
     assert compiled.is_ready(_counted, np.ones(3)) and not compiled.is_ready(_counted, np.empty(2**21))
     assert asked.pop()[0] is _counted
-    with compiled.waiting():
+    with compiled.Waiting():
         assert _counted(np.ones(3)) == 3
     assert len(asked) == 2 and len(_counted.signatures) == 2 and len(_much.signatures) == 1
 

@@ -49,7 +49,7 @@ class Pair:
             (zero, zero + 1, zero, zero + 1, self.normal),
             self.mean,
             (self.R, np.linalg.inv(self.J), np.ones(2), h),
-            (self.r, np.array([0.5]), np.array(transport, dtype=float)),
+            (self.r, np.array([0.5]), np.array(transport, dtype=float), 1e-13),
             (yes, yes & sticks, ~yes),
             (couple, dv, np.full(1, np.inf), np.empty(1, np.bool_)),
         )

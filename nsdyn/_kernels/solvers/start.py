@@ -11,9 +11,6 @@ from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.solvers import nesterov, newton
 from nsdyn._kernels.vectors import square
 
-POLISHED = 0.5
-"""Measure after a few steps over that before, from which on it is round-off, as of a heap before it is `enough`."""
-
 MORE = 7
 """Newton steps of the last attempt over those before."""
 
@@ -31,22 +28,16 @@ NEARLY, CLOSE = 2.0, 0.9
 def small(problem, r, measure, aims, limits):
     """Solve one island of few coordinates by `newton.dense` in place of r, of that measure; (factorisations, measure).
 
-    It is to be `enough` or at least `good`, the aims. A few steps from a warm start; if they are not good, or from
-    nothing, many, and `MORE` times as many to what is good only, which redundant contacts may take; then a few more as
-    long as they gain. What nearly was `enough` only comes close to that. At rest it missed what velocities an imbalance
-    of the impulses, far smaller, has added up to in many steps; impulses that take these back in one give the next as
-    much of the other sign, and so its start misses.
+    It is to be `enough` or at least `good`, the aims; where it is not, `MORE` times as many steps go to what is good
+    only, which redundant contacts may take. What nearly was `enough` only comes close to that. At rest it missed what
+    velocities an imbalance of the impulses, far smaller, has added up to in many steps; impulses that take these back
+    in one give the next as much of the other sign, and so its start misses.
     """
-    (enough, good), (_, penalty, max_iter, few) = aims, limits
-    start, missed, count = r.copy(), measure, 0
-    for tol, most in ((enough, few if r.any() else 0), (enough, max_iter), (good, MORE * max_iter)):
-        if measure > good and most > 0:
-            used, measure = newton.dense(problem, r, tol, penalty, most)
-            count += used
-    before = np.inf
-    while enough < measure <= good and measure <= POLISHED * before:
-        before = measure
-        used, measure = newton.dense(problem, r, enough, penalty, few)
+    (enough, good), (_, penalty, max_iter) = aims, limits
+    start, missed = r.copy(), measure
+    count, measure = newton.dense(problem, r, enough, good, penalty, max_iter)
+    if measure > good:
+        used, measure = newton.dense(problem, r, good, good, penalty, MORE * max_iter)
         count += used
     if measure <= enough < missed <= NEARLY * enough:
         blocks, q, mu, scales, q_norm = problem
@@ -131,7 +122,7 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
     enough, good : float
         What an island is solved to, and at least.
     limits : tuple
-        Most coordinates, penalty, most steps, a few steps.
+        Most coordinates, penalty, most steps.
 
     Returns
     -------

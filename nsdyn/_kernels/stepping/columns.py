@@ -54,13 +54,12 @@ BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
     DENSE,
     PENALTY,
     MAX_ITER,
-    FEW,
     WEAK,
     GEOMS,
     WIDE,
     FEWEST,
     GIVEN,
-) = range(26)
+) = range(25)
 
 # The results of a step.
 (

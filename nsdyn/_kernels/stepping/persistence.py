@@ -117,7 +117,8 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     bodies : tuple
         R, inverse_J, shapes (frames, 3, 3), (nf, 3, 3); how far bodies reach from their centres, (frames,), m; and h.
     pressed : tuple
-        r and mu, shapes (3 rows,) and (rows,), and what moving surfaces add to u, (3 rows,), empty if none move.
+        r and mu, shapes (3 rows,) and (rows,), what moving surfaces add to u, (3 rows,), empty if none move, and what
+        the solver leaves of a relative velocity, m/s: works of that are no works.
     flags : three ndarrays of bool, shape (nc,)
         Contacts that stay, stick, and slide through.
     found : tuple
@@ -132,7 +133,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
         Whether any does.
     """
     geom1, geom2, frame1, frame2, normal = contacts
-    (R, inverse_J, arm, h), (r, mu, transport), (couple, dv, left, other) = bodies, pressed, found
+    (R, inverse_J, arm, h), (r, mu, transport, exact), (couple, dv, left, other) = bodies, pressed, found
     stays, sticks, slides = flags
     free, nc, some = inverse_J.shape[0], geom1.size, False
     u = np.empty(r.size)
@@ -168,7 +169,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             for c in range(first, last):
                 now += dot(row(couple, c), turning)
             rest, scale = abs(amount * speed - now), press * size * speed
-            differ = rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first]
+            differ = rest > press * exact and (rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first])
             left[first] = rest
             some = some or differ
             for c in range(first, last):

@@ -50,7 +50,7 @@ def first_solve(scene, rows, met, flags, label, room):
     copy(local[4], r)
     if num[col.OWN] == 0.0:
         return SOLVE
-    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
+    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER])
     islands = own[col.ISLANDS * nc : (col.ISLANDS + 3) * nc].reshape((3, nc))
     given = blocks, b, mu, scales, r, u, local[0], label, islands, num[col.ENOUGH], num[col.GOOD], limits
     _, left, count, top, residual = by_factors(*given)
@@ -137,7 +137,7 @@ def respond(scene, bodies, rows, met, flags, known, head, room):
         last, off = (r.copy(), u.copy()), flags[col.OFF, :nc]
         pose_anew(blocks, solution, alone, laws, dv, flags, head)
     passes = PASSES if stays.any() else 0
-    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER]), int(num[col.FEW])
+    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER])
     code, left, _, solved, error, residual, count = workless(
         blocks,
         (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),

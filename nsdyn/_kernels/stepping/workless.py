@@ -103,7 +103,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
                 mean[i] = 0.5 * (before[i] + (free[i] + dv[i]) + change[i])
             if passes == 0 or not turns(mean, bodies[1].shape[0], bodies[3]):
                 break
-            if not turn(blocks, contacts, mean, bodies, (r, mu, transport), flags, laws, alone, state):
+            if not turn(blocks, contacts, mean, bodies, (r, mu, transport, enough), flags, laws, alone, state):
                 break
             passes, back = passes - 1, True
             last_r, last_u, off = r.copy(), u.copy(), other
