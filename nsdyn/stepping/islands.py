@@ -121,7 +121,8 @@ class Islands:
                 if (name := tuple(nodes.tolist())) in done:
                     continue
                 part = self._part(name, nodes)
-                passage = through(part.system, part.state(state, key), part.loads(loads, begin), Begun(meets=bool(meets[nodes].any())))
+                begun = Begun(meets=bool(meets[nodes].any()))
+                passage = through(part.system, part.state(state, key), part.loads(loads, begin), begun)
                 done[name], key = (part, passage), passage.end.memory.next_key
                 own = self._swept(part.system, passage.path)
                 moves = part.system.detector.frame >= 0

@@ -130,7 +130,7 @@ def _acting(s: System, met: Encounter, half: Half, couple: Array, dv: Array, mea
     return Couple(couple, work, dv)
 
 
-def _means(s: System, met: Encounter, most: int) -> tuple[bool, float, float, tuple[int, float, int, int], float, int]:
+def _means(s: System, met: Encounter, most: int) -> tuple[bool, float, float, tuple[int, float, int], float, int]:
     """What solves in passes, as of `_workless.workless`: the kernel does what `Auto` does with small islands."""
     solver = s.solver
     if isinstance(solver, Auto):

@@ -171,8 +171,9 @@ def dense(problem, r, enough, good, penalty, most):
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and after each
     what `judge` says. Where F settles y is from then on that of the new estimate; a failure goes back to it. The
-    penalty is `penalty` / lambda_max(W_cc). It ends where the measure is `enough`, or `good` and no longer falls. The loop is that of `nsdyn.solvers.newton`, compiled: 2 us a step for one
-    body, and 25 for ten bodies, where that takes 35 and 60.
+    penalty is `penalty` / lambda_max(W_cc). It ends where the measure is `enough`, or `good` and no longer falls. The
+    loop is that of `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes
+    35 and 60.
     """
     blocks, q, mu, scales, q_norm = problem
     n, nr = blocks[0][-1], q.size
