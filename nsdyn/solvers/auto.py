@@ -210,8 +210,8 @@ class Auto(Options):
     step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
     the first misses the loose tolerance is left, and all begins from nothing. From the third on Newton first gets as
     long as in the last, and then the path of smoothed laws is followed, for as long as Newton gets after it. All go on
-    where they were; sweeps and Newton begin anew where another has found better. A problem given by W alone, which need not be symmetric, has the sweeps of the first
-    round in one kernel call, and the same means after.
+    where they were; sweeps and Newton begin anew where another has found better. A problem given by W alone, which need
+    not be symmetric, has the sweeps of the first round in one kernel call, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
