@@ -36,10 +36,10 @@ class Pair:
         rows = np.concatenate(H.reshape(2, 3, 6), axis=1)
         self.work = float(self.r @ rows @ self.mean)
 
-    def couple(self, h, sticks=True, transport=()):
+    def couple(self, h, sticks=True, transport=(), exact=1e-13):
         """(couple, change of v, whether there is any other than none) in a move of h s, of bodies of 1 m.
 
-        Surfaces that move add `transport` to the relative velocity.
+        Surfaces that move add `transport` to the relative velocity, of which a solver leaves `exact` m/s.
         """
         yes = np.array([True])
         couple, dv = np.zeros((1, 3)), np.empty(12)
@@ -49,7 +49,7 @@ class Pair:
             (zero, zero + 1, zero, zero + 1, self.normal),
             self.mean,
             (self.R, np.linalg.inv(self.J), np.ones(2), h),
-            (self.r, np.array([0.5]), np.array(transport, dtype=float), 1e-13),
+            (self.r, np.array([0.5]), np.array(transport, dtype=float), exact),
             (yes, yes & sticks, ~yes),
             (couple, dv, np.full(1, np.inf), np.empty(1, np.bool_)),
         )
@@ -76,6 +76,14 @@ def test_a_couple_leaves_the_work_of_a_moving_surface_alone(rng):
     pair, belt = Pair(rng), np.array([0.0, 0.3, -0.1])
     couple, _, _ = pair.couple(10.0, transport=belt)
     assert couple @ pair.turning() == pytest.approx(-(pair.work + pair.r @ belt), rel=1e-12)
+
+
+def test_a_work_that_the_solver_leaves_is_none(rng):
+    """The pair presses with 1 N·s: a velocity of `exact` does as much work."""
+    pair = Pair(rng)
+    assert pair.couple(10.0, exact=0.99 * abs(pair.work))[2]
+    couple, dv, other = pair.couple(10.0, exact=1.01 * abs(pair.work))
+    assert not other and not couple.any() and not dv.any()
 
 
 def test_what_slips_does_the_work_of_its_friction(rng):

@@ -27,7 +27,7 @@ from nsdyn._kernels.vectors import square
 PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
 SHRINKAGE, LEAST = 0.1, 1e-3  # what is left of such a penalty, and at which no more is tried
 GROWTH, LARGEST = 2.0, 1e10  # of a penalty with which it settled in two steps, and at most: factors lose digits by it
-HALF, IDLE = 0.5, 3  # estimates that do not halve the measure once it is good, after which what is left is round-off
+HALF, IDLE = 0.5, 4  # Newton steps that do not halve a measure that is near, after which what is left is round-off
 PART = 1e-2  # of the square of the multiplier step that the square of the defect is where F has settled
 
 GOES_ON, SETTLED, FAILED = range(3)
@@ -166,12 +166,12 @@ def judge(given, vectors, so_far):
 
 
 @kernel
-def dense(problem, r, enough, good, penalty, most):
+def dense(problem, r, enough, near, penalty, most):
     """Solve (blocks, q, mu, scales, q_norm) by dense factorisations, in place of r; (factorisations, measure of r).
 
     Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and after each
     what `judge` says. Where F settles y is from then on that of the new estimate; a failure goes back to it. The
-    penalty is `penalty` / lambda_max(W_cc). It ends where the measure is `enough`, or `good` and no longer falls. The
+    penalty is `penalty` / lambda_max(W_cc). It ends where the measure is `enough`, or `near` and no longer falls. The
     loop is that of `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes
     35 and 60.
     """
@@ -185,8 +185,8 @@ def dense(problem, r, enough, good, penalty, most):
     best = measure_at(scales, own, r, mu, q_norm)
     estimate = r.copy()
     copy(own, u)
-    count, inner, before, reached, idle = 0, 0, np.inf, best, 0
-    while best > enough and count < most and penalty > LEAST and not (best <= good and idle >= IDLE):
+    count, inner, before, reached, since = 0, 0, np.inf, best, 0
+    while best > enough and count < most and penalty > LEAST and not (best <= near and count - since >= IDLE):
         if inner == 0:
             rho = penalty / scales
             projected(u, estimate, rho, mu, P, step)
@@ -205,11 +205,12 @@ def dense(problem, r, enough, good, penalty, most):
         so_far = penalty, inner + 1, before, best
         verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)
         penalty, inner, before, best = so_far
+        if best <= HALF * reached:
+            reached, since = best, count
         if verdict == SETTLED:
             velocity_change(blocks, step, dy)
             y -= dy
             copy(y, kept)
-            reached, idle = (best, 0) if best <= HALF * reached else (reached, idle + 1)
         elif verdict == FAILED:
             copy(kept, y)
             relative_velocity(blocks, y, u)

@@ -14,6 +14,9 @@ from nsdyn._kernels.vectors import square
 MORE = 7
 """Newton steps of the last attempt over those before."""
 
+NEAR = 30.0
+"""Measure over what is `enough` at which what no longer falls is round-off; where the start is good, that is good."""
+
 CHECK = 5
 """Sweeps between two measurements of a W that is given."""
 
@@ -35,7 +38,8 @@ def small(problem, r, measure, aims, limits):
     """
     (enough, good), (_, penalty, max_iter) = aims, limits
     start, missed = r.copy(), measure
-    count, measure = newton.dense(problem, r, enough, good, penalty, max_iter)
+    near = good if measure <= good else NEAR * enough
+    count, measure = newton.dense(problem, r, enough, near, penalty, max_iter)
     if measure > good:
         used, measure = newton.dense(problem, r, good, good, penalty, MORE * max_iter)
         count += used
