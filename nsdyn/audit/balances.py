@@ -138,6 +138,7 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
 
     These turn as bodies roll, so that what is across them in the middle of a step may be as much as what is along.
     Between others, what is squeezed moves across normals that are all but parallel by their angle times what it moves.
+    In a step of several moves it is lifted to and fro along normals that turn with it, or with what it touches.
     """
     t, free, eps = poses.trajectory, poses.free, float(np.finfo(float).eps)
     normal, lines = t.columns["contacts/normal"], np.zeros((t.steps, free, 3, 3))
@@ -153,7 +154,13 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
     along = np.linalg.norm(np.where(open_to, parts, 0.0), axis=2)
     across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - tilt * moved[..., None], 0.0)), axis=2)
     beside = flight.unknown + 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
-    yield of_bodies(poses, "sideways", across - along - beside, moved)
+    spin = np.linalg.norm(poses.v[..., 3:], axis=2)
+    own, turns = t.dt * (spin[:-1] + spin[1:]), np.zeros((t.steps, free))
+    for one, other in (poses.frame[poses.pair], poses.frame[poses.pair][::-1]):
+        both = (one >= 0) & (one < free) & (other >= 0) & (other < free)
+        np.maximum.at(turns, (poses.step[both], one[both]), own[poses.step[both], other[both]])
+    swung = flight.within * (own + turns)
+    yield of_bodies(poses, "sideways", across - along - beside - swung, moved)
     off = np.where(met, 0.0, np.linalg.norm(flight.lift, axis=2) - beside)
     yield of_bodies(poses, "lifts", off, np.broadcast_to(poses.smallest, off.shape))
 

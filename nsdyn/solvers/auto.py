@@ -26,7 +26,7 @@ class Tuning:
     cost: int = 64
     """Sweeps that count as a factorisation, as they do in a wall."""
 
-    length: int = 10
+    length: int = 8
     """What Newton takes in the first round, and in the next so many times what it took in the last, as does the path of
     smoothed laws from the third on."""
 
