@@ -46,8 +46,8 @@ class Tuning:
     """What may be spent on what the start already solves to the loose tolerance."""
 
     small: tuple[float, int] = (1e2, 60)
-    """Penalty and Newton steps of islands of few bodies. What redundant contacts
-    exchange drifts by round-off times the penalty from step to step: from 1e4 on, to the cones of bodies at rest."""
+    """Penalty and Newton steps of islands of few bodies. What redundant contacts exchange drifts by round-off times the
+    penalty from step to step: from 1e4 on, to the cones of bodies at rest."""
 
     polish: float = 1e-5
     """Fraction of the tolerance to which Newton goes on where it gains, on larger islands only of tolerances that are
