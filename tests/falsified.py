@@ -562,6 +562,17 @@ def _elsewhere(c, scene):
     c["frames/x"][10:, 0, 1] += 1e-6
 
 
+def _lifted_aside(c, scene):
+    """A free body across the normals of its contacts in the last state, to which a projection is said to lift it."""
+    h = c["t"][-1] - c["t"][-2]
+    c["q"][-1, 1] += 1e-6
+    shift = np.zeros((1, 6))
+    shift[0, 1] = 1e-6
+    for name, more in (("body", [0]), ("time", [0.5 * h]), ("duration", [h]), ("shift", shift)):
+        c[f"lifts/{name}"] = np.concatenate([c[f"lifts/{name}"], more]).astype(c[f"lifts/{name}"].dtype)
+    c["lifts/offset"][-1] += 1
+
+
 LAST = slice(None), -1
 KINDS = {
     "velocities times 3": ("arm", _times("v", 3.0)),
@@ -1051,6 +1062,8 @@ ANYWHERE = {
     "times shifted by a step": (ALL, lambda c, s: c["t"].__setitem__(slice(1, None), c["t"][:-1].copy())),
     "a body elsewhere in one state": (ALL[:4], _one_state(0, 1e-6)),
     "a body faster in one state": (ALL[:4], _one_state(0, 1e-6, speed=True)),
+    "a body lifted aside at the end": (("boxes",), _lifted_aside),
+    "no lifts": (("theta", "pushes"), _times("lifts/shift", 0.0)),
     "a body elsewhere from the middle on": (ALL[:4], _from(0, 1e-4)),
     "a state twice": (ALL, _doubled),
     "velocities smoothed": (ALL, _smoothed),

@@ -131,14 +131,15 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     from the model that the recording holds. Not audited: what external forces and a controller give, the works of
     moving surfaces, limits that rebound together or with contacts; of contacts the couples that fit the change of
     spin, when within a step a free body was pushed, and velocities of what does not push; gaps, velocities and works
-    of what turns, or is lifted, in a step that is cut are known to first order.
+    in a step that is cut are known to first order for θ > ½.
     Where only every N-th step is recorded there are no balances of momentum, nor of the works of contacts one by
     one, nor is it known where those of the last step were in its middle; the ledger is audited, being of all steps.
     Where contacts are not recorded, nothing is audited that they do. In recordings before format 7 articulations
-    have no model, and nothing is audited of them but overlaps and contacts; before format 10 it is not known in what
-    moves impulses acted, and angular momenta and works of contacts are not audited, nor any momenta of bodies that
-    external forces push; before format 3 not whether external forces acted, nor which links may overlap, so links of
-    one articulation are not compared. What is set of pairs of bodies is recorded since coefficients are audited.
+    have no model, and nothing is audited of them but overlaps and contacts; before format 11 it is not known in what
+    moves impulses acted, or what was lifted, and angular momenta and works of contacts are not audited, nor any
+    momenta of bodies that external forces push; before format 3 not whether external forces acted, nor which links
+    may overlap, so links of one articulation are not compared. What is set of pairs of bodies is recorded since
+    coefficients are audited.
 
     Examples
     --------

@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn.audit.findings import Found, at_play, not_audited, of_bodies, worst_of
 from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
-from nsdyn.audit.pushes import GIVEN, UNTIMED, Pushes, Times, velocities
+from nsdyn.audit.pushes import GIVEN, LIFT, UNTIMED, Pushes, Times, velocities
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out
@@ -51,10 +51,9 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     if np.isnan(t.columns["contacts/couple"]).any():
         yield not_audited("spin", "couples of contacts are not recorded")
         return
-    spin, rounded = spins(poses), 8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2)
+    spin = spins(poses)
     rest = np.diff(spin, axis=0) - flight.torque
-    # Where on its way the projection lifts a body is not recorded.
-    left = np.linalg.norm(rest, axis=2) - flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within + rounded)
+    left = np.linalg.norm(rest, axis=2) - flight.size * (flight.astray + flight.unknown + flight.round_off)
     left = np.maximum(left, 0.0)
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:])
@@ -110,58 +109,57 @@ def _outside(poses: Poses) -> Array:
 
 
 def _motion(poses: Poses, flight: Flight | None) -> Found:
-    """How free bodies move with their velocities: of points of them, m."""
+    """How free bodies move with their velocities, beyond what projections lift them: of points of them, m."""
     t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
-    q = poses.quaternion[:, :free]
+    q, radius = poses.quaternion[:, :free], _radius(poses)
     if flight is not None and flight.timed:
-        left, turn = np.linalg.norm(flight.lift, axis=2) - flight.unknown, flight.turn
-        # How far bodies were lifted in a step in pieces is not recorded.
-        rest = np.linalg.norm(np.diff(spins(poses), axis=0) - flight.torque, axis=2)
-        rest += flight.size * (np.linalg.norm(flight.lift, axis=2) + flight.within)
-        least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
-        later = np.where(flight.cut, t.dt * rest / least, 0.0)
+        far = np.linalg.norm(flight.pushes.shift.reshape(-1, 2, 3), axis=2)
+        shift, turn = np.moveaxis(flight.pushes.summed((t.steps, free), far), 2, 0)
+        amount = np.maximum(flight.astray + shift - flight.unknown, (flight.turn + turn) * radius)
     else:
         before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
         moved = rotate(q[:-1], before[..., :3]) + rotate(q[1:], after[..., :3])
         left = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - moved, axis=2) - poses.uncertain[0][:, :free]
         # Half a turn with either angular velocity, each in the axes of its own end.
         turn = angles(turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:]))
-        later = poses.uncertain[1][:, :free]
-    radius, own = np.zeros(free), np.flatnonzero((poses.frame >= 0) & (poses.frame < free))
-    np.maximum.at(radius, poses.frame[own], poses.bounding_radius[own])
-    amount = np.maximum(left, (turn - later) * radius)
+        amount = np.maximum(left, (turn - poses.uncertain[1][:, :free]) * radius)
     return of_bodies(poses, "motion", amount, np.broadcast_to(poses.smallest, amount.shape))
 
 
-def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
-    """How free bodies move otherwise than they fly and projections lift them, m: along normals of contacts, if any.
+def _radius(poses: Poses) -> Array:
+    """How far points of free bodies are from their centres of mass at most, (free,), m."""
+    out, own = np.zeros(poses.free), np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free))
+    np.maximum.at(out, poses.frame[own], poses.bounding_radius[own])
+    return out
 
-    These turn as bodies roll, so that what is across them in the middle of a step may be as much as what is along.
-    Between others, what is squeezed moves across normals that are all but parallel by their angle times what it moves.
-    In a step of several moves it is lifted to and fro along normals that turn with it, or with what it touches.
+
+def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
+    """Whether free bodies end where their flights and lifts bring them, and whether what lifts them are contacts.
+
+    These lift along their normals, which turn as bodies roll, so that what is across them in the middle of a step may
+    be as much as what is along. Between others, what is squeezed moves across normals that are all but parallel by
+    their angle times what it moves. What touches only where the step ends is among the contacts of the next.
     """
-    t, free, eps = poses.trajectory, poses.free, float(np.finfo(float).eps)
+    t, free = poses.trajectory, poses.free
     normal, lines = t.columns["contacts/normal"], np.zeros((t.steps, free, 3, 3))
     for body in poses.frame[poses.pair]:
         own = (body >= 0) & (body < free)
         np.add.at(lines, (poses.step[own], body[own]), normal[own, :, None] * normal[own, None])
-    met = (lines != 0.0).any(axis=(2, 3))
+    lines[:-1] += lines[1:]
+    lifts = flight.pushes.row == LIFT
+    step, body, shift = flight.pushes.step[lifts], flight.pushes.body[lifts], flight.pushes.shift[lifts, :3]
     sizes, axes = np.linalg.eigh(np.nan_to_num(lines))  # what is no number, the axes of contacts are looked at for
-    tilt = np.sqrt(np.clip(sizes / np.maximum(sizes[..., -1:], 1.0), 0.0, 1.0))
+    tilt = np.sqrt(np.clip(sizes / np.maximum(sizes[..., -1:], 1.0), 0.0, 1.0))[step, body]
     speed = np.linalg.norm(velocities(poses), axis=2)
     moved = t.dt * (speed[:-1] + speed[1:] + t.dt * float(np.linalg.norm(poses.scene["gravity"])))
-    parts, open_to = np.abs(np.einsum("nbij,nbi->nbj", axes, flight.lift)), tilt**2 > PARALLEL
-    along = np.linalg.norm(np.where(open_to, parts, 0.0), axis=2)
-    across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - tilt * moved[..., None], 0.0)), axis=2)
-    beside = flight.unknown + 8.0 * eps * np.linalg.norm(poses.x[1:, :free], axis=2)
-    spin = np.linalg.norm(poses.v[..., 3:], axis=2)
-    own, turns = t.dt * (spin[:-1] + spin[1:]), np.zeros((t.steps, free))
-    for one, other in (poses.frame[poses.pair], poses.frame[poses.pair][::-1]):
-        both = (one >= 0) & (one < free) & (other >= 0) & (other < free)
-        np.maximum.at(turns, (poses.step[both], one[both]), own[poses.step[both], other[both]])
-    swung = flight.within * (own + turns)
-    yield of_bodies(poses, "sideways", across - along - beside - swung, moved)
-    off = np.where(met, 0.0, np.linalg.norm(flight.lift, axis=2) - beside)
+    parts, open_to = np.abs(np.einsum("lij,li->lj", axes[step, body], shift)), tilt**2 > PARALLEL
+    along = np.linalg.norm(np.where(open_to, parts, 0.0), axis=1)
+    free_to = tilt * moved[step, body, None]
+    across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - free_to, 0.0)), axis=1)
+    off = np.zeros(moved.shape)
+    np.maximum.at(off, (step, body), across - along - flight.round_off[step, body])
+    yield of_bodies(poses, "sideways", off, moved)
+    off = np.maximum(flight.astray - flight.unknown - flight.round_off, (flight.turn - flight.flow) * _radius(poses))
     yield of_bodies(poses, "lifts", off, np.broadcast_to(poses.smallest, off.shape))
 
 

@@ -1,4 +1,4 @@
-"""Where free bodies go in each step with their velocities and the recorded impulses, by code that is no stepper's."""
+"""Where free bodies go in each step with their velocities, the impulses and lifts recorded, by code of its own."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsdyn.audit.meetings import Meetings, Side
-from nsdyn.audit.poses import Poses
-from nsdyn.audit.pushes import GIVEN, Pushes, Times, together, velocities
+from nsdyn.audit.poses import Poses, turned
+from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled"]
 
-LEAP = 0.05
-"""Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-6 rad."""
+LEAP = 0.005
+"""Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-12 rad."""
 
-SUNK = 1e-5
-"""Of the smallest extent of a body, how far projections within a step of several moves may move it to and fro."""
+COARSE = 0.5, 1e-7
+"""Turn of one step of a method of sixth order, rad, and what it then errs at worst, rad."""
 
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 """Makes a quaternion xyzw that of the turn back."""
@@ -28,10 +28,10 @@ CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 class Flight:
     """Where free bodies are in each step when its impulses act on them.
 
-    With impulses r_j at the times t_j within a step, with those of external wrenches where these are recorded, and w
-    what other forces change of the velocity,
+    With impulses r_j at the times t_j within a step, with those of external wrenches where these are recorded, lifts
+    δ_k by projections, and w what other forces change of the velocity,
 
-        x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + what w moves,
+        x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + Σ δ_k + what w moves,
 
     which at the end is θ h w, and h w / 2 where the step was cut: forces act with the impulses of each of its moves,
     and have brought the body to where a constant one would at the ends of these. All arrays are of shape (n, free, ...)
@@ -43,16 +43,22 @@ class Flight:
         Σ r, N·s, and Σ (p - x(t_j)) × r and couples, about where the bodies are then, N·m·s; with external wrenches.
     size, levers : ndarray, shape (n, free)
         Σ ‖r‖, and Σ ‖p - x‖ ‖r‖, with the moments of external wrenches.
-    lift : ndarray, shape (n, free, 3)
-        Where bodies end - where this brings them, m: what the projection has lifted them.
-    unknown, within : ndarray, shape (n, free)
+    pushes : Pushes
+        All that acts, and the lifts.
+    astray : ndarray, shape (n, free)
+        How far bodies end from where this brings them, m.
+    unknown : ndarray, shape (n, free)
         How far w may have moved them otherwise where a step was cut at times that no impulse tells, m; with θ = ½ what
-        falls is at the ends of all moves where it would be in one. And how far the projection may have done so besides
-        on their way.
-    quaternion : ndarray, shape (n, free, 4)
-        How bodies are turned at the end: by their angular momenta, which the impulses change at their times.
+        falls is at the ends of all moves where it would be in one.
     turn : ndarray, shape (n, free)
-        How far the projection has turned them, rad.
+        How far they are turned otherwise than by their angular momenta, which the impulses change at their times, and
+        lifts, rad.
+    round_off : ndarray, shape (n, free)
+        How far bodies may end elsewhere by rounding, m.
+    flow : ndarray, shape (n, free)
+        How far they may be turned otherwise by a flow of sixth order, and by levers that are unknown, rad.
+    lifted : ndarray, shape (n,)
+        What lifts do to the energy, J.
     met : Meetings
         Of all contacts; of bodies that move as prescribed nothing is known.
     unsure : ndarray, shape (contacts,)
@@ -69,11 +75,13 @@ class Flight:
     torque: Array
     size: Array
     levers: Array
-    lift: Array
+    pushes: Pushes
+    astray: Array
     unknown: Array
-    within: Array
-    quaternion: Array
     turn: Array
+    round_off: Array
+    flow: Array
+    lifted: Array
     met: Meetings
     unsure: Array
     cut: Bools
@@ -88,47 +96,49 @@ class Flight:
         axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
         geoms, times = poses.pair.T, Times.of(poses)
         pushes = Pushes.of(poses, times, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
-        row, _, step, body, time, length, push, couple = pushes
+        row, _, step, body, time, length, push, couple, shift = pushes
         cut, met = pushes.cut(poses), row >= 0
         mass, impulse = np.array(poses.scene["masses"]), pushes.summed(shape, push)
         moments, before = pushes.summed(shape, time[:, None] * push), velocities(poses)[:-1]
         forced = np.diff(velocities(poses), axis=0) - impulse / mass[:, None]
         share = np.where(cut, 0.5, theta)[:, :, None]
         path = h * before + (h * impulse - moments) / mass[:, None] + share * h * forced
+        path += pushes.summed(shape, shift[:, :3])
         # How far impulses before and forces have brought the body until each.
         begun = time - (1.0 - theta) * length
         way = time[:, None] * pushes.earlier(push) - pushes.earlier(time[:, None] * push)
         fall = (begun * (time - 0.5 * begun) / h)[:, None] * forced[step, body]
         at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
+        at += pushes.earlier(shift[:, :3])
         arm, size = np.zeros(at.shape), np.linalg.norm(push, axis=1)
         arm[met] = c["contacts/point"][row[met]] - at[met]
         # Of older recordings, which have no couples, the angular momentum is not audited.
         moment = np.cross(arm, push) + couple
-        turned, then, turning = _turned(poses, step * free + body, (time, length), moment)
+        ends, then, turning = _turned(poses, pushes, moment)
         sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
         own = _sides(poses, pushes, (before, forced, begun / h), (at, arm, then, turning))
         _put(poses, sides, geoms, pushes, own)
-        lift, lifted = np.diff(poses.x[:, :free], axis=0) - path, angles(turned, poses.quaternion[1:, :free])
-        fell = h * np.linalg.norm(forced, axis=2)
-        unknown = np.where(cut, (theta - 0.5) * fell, 0.0)
-        # Where on its way the projection, after moves before, and flights of unknown length have brought the body.
-        sunk, within = np.where(pushes.around(length)[0] > 0.0, SUNK * poses.smallest[body], 0.0), unknown.copy()
-        np.maximum.at(within, (step, body), unknown[step, body] + sunk)
-        off = (unknown + np.linalg.norm(lift, axis=2))[step, body] + sunk
-        off += 2.0 * np.linalg.norm(arm, axis=1) * lifted[step, body]
+        astray = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - path, axis=2)
+        turn = angles(ends, poses.quaternion[1:, :free])
+        unknown = np.where(cut, (theta - 0.5) * h * np.linalg.norm(forced, axis=2), 0.0)
+        off = (unknown + astray)[step, body] + 2.0 * np.linalg.norm(arm, axis=1) * turn[step, body]
         turns = np.where(met, size * np.linalg.norm(arm, axis=1), np.linalg.norm(couple, axis=1))
         levers = pushes.summed(shape, turns)
-        doubt = np.where(cut[step, body], _fastest(poses, levers)[step, body] * off, 0.0)
+        fastest = _fastest(poses, levers)
+        doubt = np.where(cut[step, body], fastest[step, body] * off, 0.0)
+        far = h * fastest / COARSE[0]
         return cls(
             impulse,
             pushes.summed(shape, moment),
             pushes.summed(shape, size),
             levers,
-            lift,
+            pushes,
+            astray,
             unknown,
-            within,
-            turned,
-            lifted,
+            turn,
+            8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2),
+            COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * unknown / _least(poses),
+            _lifted(poses, pushes, then, turning),
             Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),
             np.bincount(row[met], doubt[met], len(n)).astype(float),
             cut,
@@ -189,9 +199,13 @@ def _wander(poses: Poses) -> Array:
 
 def _fastest(poses: Poses, levers: Array) -> Array:
     """Most that free bodies may turn in each step, (n, free), rad/s."""
-    least = np.linalg.eigvalsh(_inertias(poses))[:, 0]
-    out: Array = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least
+    out: Array = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / _least(poses)
     return out
+
+
+def _least(poses: Poses) -> Array:
+    """Least moments of inertia of free bodies, (free,), kg m²."""
+    return np.array(np.linalg.eigvalsh(_inertias(poses))[:, 0])
 
 
 def product(one: Array, other: Array) -> Array:
@@ -207,43 +221,48 @@ def angles(one: Array, other: Array) -> Array:
     return out
 
 
-def _turned(poses: Poses, row: Index, when: tuple[Array, Array], moment: Array) -> tuple[Array, Array, Array]:
-    """How free bodies are turned after each step, (n, free, 4), and when each moment acts, (moments, 4).
+def _lifted(poses: Poses, pushes: Pushes, then: Array, turning: Array) -> Array:
+    """What lifts do to the energy in each step, (n,), J: to the potential one, and to ½ L·J⁻¹ L with L in space."""
+    lifts = pushes.row == LIFT
+    step, body = pushes.step[lifts], pushes.body[lifts]
+    weight = np.array(poses.scene["masses"])[:, None] * np.array(poses.scene["gravity"])
+    work = -np.einsum("li,li->l", pushes.shift[lifts, :3], weight[body])
+    after = turned(then[lifts], rotate(then[lifts] * CONJUGATE, pushes.shift[lifts, 3:]))
+    for sign, attitude, spin in zip((-0.5, 0.5), (then[lifts], after), turning[:, lifts], strict=True):
+        own = rotate(attitude * CONJUGATE, spin)
+        work = work + sign * np.einsum("li,lij,lj->l", own, _inertias(poses)[body], own)
+    return np.bincount(step, work, poses.trajectory.steps).astype(float)
 
-    Then the angular velocities before and after each, world axes, (2, moments, 3), rad/s. The moments, on body
-    row % free in step row // free, are sorted by row, time and length of their move, as `when` has both. External
-    wrenches that are not recorded act where those of a step in one piece do.
+
+def _turned(poses: Poses, pushes: Pushes, moment: Array) -> tuple[Array, Array, Array]:
+    """How free bodies are turned after each step, (n, free, 4), and before each of what acts, (m, 4).
+
+    Then the angular velocities before and after each, world axes, (2, m, 3), rad/s.
     """
-    t, free, (time, length) = poses.trajectory, poses.free, when
+    t, free, time, length = poses.trajectory, poses.free, pushes.time, pushes.length
+    row, lifts, shift = pushes.step * free + pushes.body, pushes.row == LIFT, pushes.shift
     q, w = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), poses.v[:-1, :, 3:].reshape(-1, 3).copy()
     inertia, now = np.tile(_inertias(poses), (t.steps, 1, 1)), np.zeros(t.steps * free)
-    given, order = row.size, np.arange(row.size)
-    if t.meta.get("external_force", False) and GIVEN not in t.columns:
-        rest = np.diff(spins(poses), axis=0).reshape(-1, 3)
-        np.subtract.at(rest, row, moment)
-        late = (1.0 - float(t.meta["theta"])) * t.dt
-        row, time = np.append(row, np.arange(rest.size // 3)), np.append(time, np.full(rest.size // 3, late))
-        length = np.append(length, np.full(rest.size // 3, t.dt))
-        order = np.lexsort((length, time, row))
-        row, time, length, moment = row[order], time[order], length[order], np.concatenate([moment, rest])[order]
-    # Moments on one body that act together, which with θ = 1 a move does not with the impacts before it at its time;
-    # then of each body the first, the second, ...
-    begin, group = together(row, time, length)
+    # Moments on one body that act together, which with θ = 1 a move does not with the impacts before it at its time,
+    # nor with the lift at its end; then of each body the first, the second, ...
+    begin, group = together(row, time, length, lifts)
     if begin.size:
-        row, time, moment = row[begin], time[begin], np.add.reduceat(moment, begin)
+        row, moment, shift = row[begin], np.add.reduceat(moment, begin), shift[begin]
+        time = time[begin] + float(t.meta["theta"]) * np.where(lifts[begin], length[begin], 0.0)
     rank, met = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 10))
     for k in range(int(rank.max(initial=-1)) + 1):
         some = rank == k
         i = row[some]
         q[i], w[i] = tumbled(q[i], w[i], inertia[i], time[some] - now[i])
-        change = np.linalg.solve(inertia[i], rotate(q[i] * CONJUGATE, moment[some])[..., None])[..., 0]
-        met[some, :4], met[some, 4:7], met[some, 7:] = q[i], rotate(q[i], w[i]), rotate(q[i], w[i] + change)
-        w[i] += change
+        # What is lifted keeps its angular momentum in space.
+        spin = rotate(q[i], np.einsum("bij,bj->bi", inertia[i], w[i])) + moment[some]
+        met[some, :4], met[some, 4:7] = q[i], rotate(q[i], w[i])
+        q[i] = turned(q[i], rotate(q[i] * CONJUGATE, shift[some, 3:]))
+        w[i] = np.linalg.solve(inertia[i], rotate(q[i] * CONJUGATE, spin)[..., None])[..., 0]
+        met[some, 7:] = rotate(q[i], w[i])
         now[i] = time[some]
-    then = np.empty((order.size, 10))
-    then[order] = met[group]
     end, _ = tumbled(q, w, inertia, t.dt - now)
-    return end.reshape(t.steps, free, 4), then[:given, :4], np.stack([then[:given, 4:7], then[:given, 7:]])
+    return end.reshape(t.steps, free, 4), met[group, :4], np.stack([met[group, 4:7], met[group, 7:]])
 
 
 def spins(poses: Poses) -> Array:

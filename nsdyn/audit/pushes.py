@@ -1,4 +1,4 @@
-"""What pushes free bodies, one by one: when it acts in its step, and how long the move takes that it acts in."""
+"""What pushes and lifts free bodies, one by one: when in its step, and how long the move takes that it acts in."""
 
 from __future__ import annotations
 
@@ -11,30 +11,36 @@ from nsdyn.audit.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["GIVEN", "UNTIMED", "Pushes", "Times", "together", "velocities"]
+__all__ = ["GIVEN", "LIFTED", "UNTIMED", "Pushes", "Times", "together", "velocities"]
 
 
-GIVEN = "wrenches/offset"
-"""Is among the columns where external wrenches on free bodies are recorded."""
+GIVEN, LIFTED = "wrenches/offset", "lifts/offset"
+"""Are among the columns where external wrenches on free bodies, and their lifts by projections, are recorded."""
 
-UNTIMED = "in what moves impulses acted is not recorded"
+LIFT = -2
+"""`Pushes.row` of lifts."""
+
+UNTIMED = "in what moves impulses and projections acted is not recorded"
 """Why what hangs on it is not audited of older recordings."""
 
 
 class Pushes(NamedTuple):
     """Impulses on free bodies, one by one, sorted by step, body and time; two of a contact of two free bodies.
 
-    And external wrenches, where these are recorded.
+    And external wrenches, where these are recorded, and lifts: displacements by the projections that end moves, which
+    stand after all that acts in theirs.
 
     Attributes
     ----------
     row, side : ndarray of int, shape (m,)
-        Of the contact, and 0 or 1 for its first or second body; -1 of wrenches.
+        Of the contact, and 0 or 1 for its first or second body; -1 of wrenches, -2 of lifts.
     step, body : ndarray of int, shape (m,)
     time, length : ndarray, shape (m,)
         Within the step, s, and of the move that it acts in, 0 of an impact in no time.
     push, couple : ndarray, shape (m, 3)
         Impulse and couple on the body, world axes, N·s and N·m·s; 0 for couples that are not recorded.
+    shift : ndarray, shape (m, 6)
+        Displacement of the centre of mass, m, and rotation vector, rad, world axes; 0 but of lifts.
     """
 
     row: Index
@@ -45,6 +51,7 @@ class Pushes(NamedTuple):
     length: Array
     push: Array
     couple: Array
+    shift: Array
 
     @classmethod
     def of(cls, poses: Poses, times: Times, impulse: Array) -> Pushes:
@@ -53,14 +60,17 @@ class Pushes(NamedTuple):
         row, side = np.nonzero((frames >= 0) & (frames < poses.free))
         sign, couple = np.where(side, 1.0, -1.0)[:, None], np.nan_to_num(poses.contacts["couple"])
         columns: list[Any] = [row, side, poses.step[row], frames[row, side], times.time[row], times.length[row]]
-        columns += [sign * impulse[row], sign * couple[row]]
-        if times.known and GIVEN in (c := poses.trajectory.columns):
-            count, twist = np.diff(c[GIVEN]), c["wrenches/impulse"]
-            none, step = np.full(count.sum(), -1), np.repeat(np.arange(count.size), count)
-            given = [none, none, step, *(c[f"wrenches/{name}"] for name in ("body", "time", "duration"))]
-            given += [twist[:, :3], twist[:, 3:]]
-            columns = [np.concatenate(both) for both in zip(columns, given, strict=True)]
-        order = np.lexsort((columns[5], columns[4], columns[3], columns[2]))
+        columns += [sign * impulse[row], sign * couple[row], np.zeros((row.size, 6))]
+        c = poses.trajectory.columns
+        for mark, (offset, name) in enumerate(((GIVEN, "wrenches/impulse"), (LIFTED, "lifts/shift"))):
+            if times.known and offset in c:
+                count, did = np.diff(c[offset]), c[name]
+                none, step = np.full(count.sum(), -1 - mark), np.repeat(np.arange(count.size), count)
+                of_moves = (c[f"{name.partition('/')[0]}/{of}"] for of in ("body", "time", "duration"))
+                push, shift = (did, np.zeros_like(did))[:: -1 if mark else 1]
+                more = [none, none, step, *of_moves, push[:, :3], push[:, 3:], shift]
+                columns = [np.concatenate(both) for both in zip(columns, more, strict=True)]
+        order = np.lexsort((columns[0] == LIFT, columns[5], columns[4], columns[3], columns[2]))
         return cls(*(column[order] for column in columns))
 
     def cut(self, poses: Poses) -> Bools:
@@ -106,7 +116,7 @@ class Times(NamedTuple):
     time, length : ndarray, shape (contacts,)
         Within its step, s, and of the move that it acts in, 0 of an impact in no time.
     known : bool
-        Whether both are recorded; without, all are taken to act in steps of one piece.
+        Whether both are recorded, and how bodies were lifted; without, all are taken to act in steps of one piece.
     """
 
     time: Array
@@ -117,7 +127,7 @@ class Times(NamedTuple):
     def of(cls, poses: Poses) -> Times:
         """Of all contacts of a recording."""
         c, h, late = poses.contacts, poses.trajectory.dt, 1.0 - float(poses.trajectory.meta["theta"])
-        known = not (np.isnan(c["time"]).any() or np.isnan(c["duration"]).any())
+        known = LIFTED in poses.trajectory.columns and not (np.isnan(c["time"]) | np.isnan(c["duration"])).any()
         if known:
             return cls(c["time"], c["duration"], True)
         return cls(np.full(poses.step.size, late * h), np.full(poses.step.size, h), False)

@@ -286,11 +286,10 @@ def _off_surfaces(
 
     The moments are the beginning of the step, the push and the end. A gap that is left there as the impulse acts is
     closed within the step, by bodies that may turn. What is caught where it ends, as two edges that cross, acts midway
-    between where these points of either body were, which slip past each other. Where on its way the projection lifts
-    and turns bodies is not recorded.
+    between where these points of either body were, which slip past each other.
     """
     off, gone, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
-    lift, lifted = (np.linalg.norm(flight.lift, axis=2) + flight.within, flight.turn), np.zeros(len(point))
+    astray, unsure = (flight.astray + flight.unknown, flight.turn), np.zeros(len(point))
     for side, geom in enumerate(push[:2]):
         (R, x), frame = moments[1][side], poses.frame[geom]
         own = np.einsum("mji,mj->mi", R, point - x)
@@ -302,11 +301,11 @@ def _off_surfaces(
             gone[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
         free = np.flatnonzero((frame >= 0) & (frame < poses.free))
         free = free[flight.cut[step[free], frame[free]]]
-        shift, angle = (part[step[free], frame[free]] for part in lift)
-        lifted[free] += shift + poses.bounding_radius[geom[free]] * angle
+        shift, angle = (part[step[free], frame[free]] for part in astray)
+        unsure[free] += shift + poses.bounding_radius[geom[free]] * angle
     went = np.diff(gone, axis=0)
     closed, slid = np.abs((went * normal).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
-    out: Array = off - closed - slid - lifted
+    out: Array = off - closed - slid - unsure
     return out
 
 

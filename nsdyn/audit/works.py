@@ -153,16 +153,11 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
     if not (poses.free and t.meta.get("external_force", True)):
         left["external"] = np.abs(e.external - of_trees.get("external", nothing))
-    weight = (
-        np.array(poses.scene["masses"])[:, None] * np.array(poses.scene["gravity"]) if poses.free else np.zeros((0, 3))
-    )
-    lifted = -np.einsum("nbi,bi->n", flight.lift, weight)
-    # What is turned keeps its angular momentum L, and ½ L·J⁻¹ L changes.
     least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
     spin = np.linalg.norm(spins(poses), axis=2)
     spin = np.maximum(spin[1:], spin[:-1]) + flight.levers
-    unknown = flight.unknown @ np.linalg.norm(weight, axis=1) + (flight.turn * spin * spin) @ (1.0 / least)
-    left["projection"] = np.abs(e.projection - lifted - (nothing if found is None else found.energy)) - unknown
+    unknown = (flight.turn * spin * spin) @ (1.0 / least)
+    left["projection"] = np.abs(e.projection - flight.lifted - (nothing if found is None else found.energy)) - unknown
     names = list(left)
     off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
     which, steps = np.indices(off.shape)

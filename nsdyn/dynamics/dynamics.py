@@ -23,6 +23,7 @@ from nsdyn.dynamics.tree_values import FreeMotion
 from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import turns
 from nsdyn.tools.naming import choice, unknown
 
 __all__ = ["Controls", "Dynamics", "Wrenches"]
@@ -215,6 +216,11 @@ class Dynamics(Kinematics):
         """(kinetic, potential) energy of every tree, J, as `Tree.energies` has it."""
         at = zip(self.trees, position.trees, strict=True)
         return tuple([t.energies(q, v[t.coordinates]) for t, q in at])
+
+    def shifted(self, before: Position, after: Position) -> Array:
+        """Displacements of the free bodies between two positions, (free, 6): m, and rotation vectors, world axes."""
+        out: Array = np.concatenate((after.x - before.x, turns(before.quaternion, after.quaternion)), axis=1)
+        return out
 
     def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
         """Velocity with the same momentum where a projection brought the free bodies, and what it did to their energy.

@@ -58,6 +58,11 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
                                                    move, as of /contacts
     /wrenches/impulse                              (., 6)  force and moment about the centre of mass, world, N s and
                                                    N m s
+    /lifts/offset                                  (n+1,)  displacements of free bodies by the projections at the ends
+                                                   of the moves of step k, not 0, are rows offset[k-1] to offset[k] of
+                                                   these; since version 11
+    /lifts/body, time, duration                    (.,)  as of /wrenches: the move ends theta duration after its time
+    /lifts/shift                                   (., 6)  of the centre of mass, m, and rotation vector, rad, world
     /contacts/offset                               (n+1,)  contacts of step k, the one that ends at t[k], are
                                                    rows offset[k-1] to offset[k] of
     /contacts/geom1, geom2, key                    indices of the shapes; key of the warm start
@@ -76,9 +81,9 @@ Layout of the file (n steps, row 0 of a state is the initial one; SI units; quat
 Where only every N-th step is recorded, a row stands for N steps: `/energy`'s works, `created` and `gap` are sums over
 them, so that the ledger closes, as are `/joints`, `/links`, `/solver/iterations`, `time` and `/wall_time`; `shift`,
 `bound` and `coulomb` are the largest, `error`, `residual` and `status` those of the worst; contacts are those of the
-last, their impulses and works too; there are no `/pieces` and `/wrenches`. With contacts false there are none. A
-recording that is complete is compressed (byte shuffle and gzip) and has names of axes (`nsdyn.recording.labels`);
-every dataset has its units, and the file the attributes of /meta.
+last, their impulses and works too; there are no `/pieces`, `/wrenches` and `/lifts`. With contacts false there are
+none. A recording that is complete is compressed (byte shuffle and gzip) and has names of axes
+(`nsdyn.recording.labels`); every dataset has its units, and the file the attributes of /meta.
 """
 
 from __future__ import annotations
@@ -102,6 +107,8 @@ __all__ = [
     "IMPULSES",
     "JOINTS",
     "LINKS",
+    "OF_MOVES",
+    "ON_BODIES",
     "ON_JOINTS",
     "ON_LINKS",
     "PIECES",
@@ -110,7 +117,6 @@ __all__ = [
     "STATES",
     "STEP",
     "STEPS",
-    "WRENCHES",
     "Columns",
     "ContactColumn",
     "StepColumn",
@@ -118,7 +124,7 @@ __all__ = [
 
 Columns = dict[str, NDArray[Any]]
 
-FORMAT_VERSION = 10
+FORMAT_VERSION = 11
 CONTACT_STATES = "open", "stick", "slip", "jam"
 """Words for `contacts/status`."""
 
@@ -203,7 +209,9 @@ ON_JOINTS = {**IMPULSES, "shift": "rad or m", "strength": "N m s or N s", "drive
 JOINTS = [f"joints/{name}" for name in ON_JOINTS]
 ON_LINKS = "links/impulse"
 PIECES = {"begin": "f8", "duration": "f8", "contacts": "i8", "moves": "i1", **dict.fromkeys(ON_JOINTS, "f8")}
-WRENCHES = {"body": "i4", "time": "f8", "duration": "f8", "impulse": "f8"}
+ON_BODIES = {"wrenches": "impulse", "lifts": "shift"}
+"""What is read of free bodies in the moves of a step: (., 6) of `OF_MOVES`."""
+OF_MOVES = {"body": "i4", "time": "f8", "duration": "f8"}
 STEPS = [*(f"energy/{name}" for name in WORKS), *STEP, "wall_time"]
 # Columns that older files lack: (version, column, those that it is the sum of, its value without any).
 ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
@@ -221,4 +229,4 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
 # Attributes of /meta that older files lack.
 ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": "", "polish": False}
 CONTACTS = [f"contacts/{name}" for name in CONTACT]
-RAGGED = ("contacts", "pieces", "wrenches")
+RAGGED = ("contacts", "pieces", *ON_BODIES)

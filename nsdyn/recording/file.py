@@ -28,6 +28,8 @@ from nsdyn.recording.columns import (
     FORMAT_VERSION,
     JOINTS,
     LINKS,
+    OF_MOVES,
+    ON_BODIES,
     ON_JOINTS,
     ON_LINKS,
     PIECES,
@@ -35,7 +37,6 @@ from nsdyn.recording.columns import (
     STATES,
     STEP,
     STEPS,
-    WRENCHES,
     Columns,
 )
 from nsdyn.tools.datasets import check_heaps, created, dataset
@@ -196,7 +197,7 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     if not states:
         raise ValueError("/t has no rows")
     joints = [name for name in (*JOINTS, ON_LINKS) if name in file]
-    of_cut = {"pieces": PIECES, "wrenches": WRENCHES}
+    of_cut = {"pieces": PIECES} | {group: [*OF_MOVES, name] for group, name in ON_BODIES.items()}
     parts_of_steps = [f"{g}/{name}" for g, names in of_cut.items() if g in file for name in ("offset", *names)]
     offsets = [name for name in (*STATES, *parts_of_steps) if name.endswith("/offset")]
     ends = _ends({name: schema.column(file, name, states, "i8", ()) for name in offsets}, -1)
@@ -223,8 +224,8 @@ def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
         return STEP[name].kind, ()
     if group == "pieces" and inner != "offset":
         return PIECES[inner], (None,) if inner in (*ON_JOINTS, "moves") else ()
-    if group == "wrenches" and inner != "offset":
-        return WRENCHES[inner], (6,) if inner == "impulse" else ()
+    if group in ON_BODIES and inner != "offset":
+        return (OF_MOVES[inner], ()) if inner in OF_MOVES else ("f8", (6,))
     row: tuple[str, tuple[int | None, ...]] = ("f8", (None,))
     return {
         "q": row,

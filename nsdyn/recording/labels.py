@@ -7,9 +7,9 @@ reads. Scales that the layout of `nsdyn.recording.columns` does not name are::
     /coordinate, /velocity       names of the columns of /q and /v
     /joint_coordinate, /link     names of the columns of /joints and /pieces, and of the links of /links
     /body, /shape                names of the moving bodies of /frames, of the shapes of /contacts/geom1 and geom2
-    /axis, /quaternion, /side, /wrench
-                                 x y z; x y z w; N T1 T2; force and moment
-    /contacts/contact, /pieces/piece, /wrenches/row
+    /axis, /quaternion, /side, /wrench, /lift
+                                 x y z; x y z w; N T1 T2; force and moment; shift and turn
+    /contacts/contact, /pieces/piece, /wrenches/row, /lifts/row
                                  (.,)   s, ends of the steps that they are of
 
 Groups have those that their datasets use, by hard links.
@@ -23,7 +23,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from nsdyn.recording.columns import CONTACT, CONTACT_STATES, ON_JOINTS, STEP
+from nsdyn.recording.columns import CONTACT, CONTACT_STATES, ON_BODIES, ON_JOINTS, STEP
 
 __all__ = ["name_axes", "name_units"]
 
@@ -39,16 +39,16 @@ UNITS = {
     "links/impulse": "N s or N m s",
     "pieces/begin": "s",
     "pieces/duration": "s",
-    "wrenches/time": "s",
-    "wrenches/duration": "s",
+    **{f"{group}/{name}": "s" for group in ON_BODIES for name in ("time", "duration")},
     "wrenches/impulse": "N s or N m s",
+    "lifts/shift": "m or rad",
     **{f"{group}/{name}": unit for group in ("joints", "pieces") for name, unit in ON_JOINTS.items()},
     **{f"contacts/{name}": column.unit for name, column in CONTACT.items()},
 }
 """Of datasets, or of all others of a group; else 1."""
 
 STATES = ("t", "q", "v", "frames/x", "frames/quat", "energy/kinetic", "energy/potential")
-ROWS = {"contacts": "contacts/contact", "pieces": "pieces/piece", "wrenches": "wrenches/row"}
+ROWS = {"contacts": "contacts/contact", "pieces": "pieces/piece", **{group: f"{group}/row" for group in ON_BODIES}}
 COLUMNS: dict[str, tuple[str, ...]] = {
     "q": ("coordinate",),
     "v": ("velocity",),
@@ -56,6 +56,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "frames/quat": ("body", "quaternion"),
     "links/impulse": ("link", "wrench"),
     "wrenches/impulse": ("wrench",),
+    "lifts/shift": ("lift",),
     "contacts/u": ("side",),
     "contacts/impulse": ("side",),
     **dict.fromkeys((f"contacts/{name}" for name in ("point", "normal", "tangent", "couple")), ("axis",)),
@@ -135,4 +136,5 @@ def _labels(scene: Mapping[str, Any]) -> dict[str, list[str]]:
         "joint_coordinate": joints,
         "link": links,
         "wrench": [f"{part}_{axis}" for part in ("force", "moment") for axis in "xyz"],
+        "lift": [f"{part}_{axis}" for part in ("shift", "turn") for axis in "xyz"],
     }

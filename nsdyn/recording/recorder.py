@@ -67,12 +67,12 @@ class Recorder:
 
     Notes
     -----
-    `append(step)` reads t, q, v, frames_x, frames_quat, the mapping energy, joints, links, pieces and wrenches as of
-    `nsdyn.stepping.state.Step`, and what `STEP` and `CONTACT` of `nsdyn.recording.columns` name, at its path. It keeps
-    references to these for a while: the arrays must not be changed afterwards. Of a step whose `untold` is not None
-    only that is kept. It has nc, the number of contacts, and methods `steps` and `contacts`, which take the `untold` of
-    m steps in a row with as many contacts, and return an object with these attributes as arrays: with a leading axis of
-    m, and those of contacts with leading axes that (m, nc) fits.
+    `append(step)` reads t, q, v, frames_x, frames_quat, the mapping energy, joints, links, pieces, wrenches and
+    lifts as of `nsdyn.stepping.state.Step`, and what `STEP` and `CONTACT` of `nsdyn.recording.columns` name, at its
+    path. It keeps references to these for a while: the arrays must not be changed afterwards. Of a step whose `untold`
+    is not None only that is kept. It has nc, the number of contacts, and methods `steps` and `contacts`, which take the
+    `untold` of m steps in a row with as many contacts, and return an object with these attributes as arrays: with a
+    leading axis of m, and those of contacts with leading axes that (m, nc) fits.
 
     Use it as a context manager, so that the last rows reach the file also when the simulation raises; the file is then
     compressed and takes no more.
@@ -154,6 +154,8 @@ class Recorder:
         _refuse(path, {k: v for k, v in found.items() if k not in told}, given, "option")
         old, new = ({k: v for k, v in s.items() if k not in PICTURES} for s in (described, scene))
         _refuse(path, old, json.loads(json.dumps(new)), "scene")
+        if absent := sorted(rows.none(scene, _left_out(given), _pushed(given, scene)).keys() - columns.keys()):
+            raise ValueError(f"{path} cannot be resumed: it has no /{absent[0]}, being of an older nsdyn")
         for name in ("q", "v"):
             if columns[name][0].tobytes() != begun[name][0].tobytes():
                 raise ValueError(f"{path} cannot be resumed: its initial {name} is another")

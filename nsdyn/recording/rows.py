@@ -17,13 +17,14 @@ from nsdyn.recording.columns import (
     CONTACTS,
     JOINTS,
     LINKS,
+    OF_MOVES,
+    ON_BODIES,
     ON_JOINTS,
     ON_LINKS,
     PIECES,
     RAGGED,
     STATES,
     STEP,
-    WRENCHES,
     Columns,
 )
 from nsdyn.recording.kept import Part
@@ -33,7 +34,7 @@ __all__ = ["begin", "keep", "none", "pack"]
 
 _STATE = "t", "q", "v", "frames_x", "frames_quat", "energy"
 _read_state = attrgetter(*_STATE)
-_read_step = attrgetter(*_STATE, "joints", "links", "pieces", "wrenches", *(column.path for column in STEP.values()))
+_read_step = attrgetter(*_STATE, "joints", "links", "pieces", *ON_BODIES, *(column.path for column in STEP.values()))
 _read_contacts = attrgetter(*(column.path for column in CONTACT.values()))
 
 
@@ -71,8 +72,8 @@ def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
         out |= dict.fromkeys(JOINTS, nothing) | _pieces((), nothing.shape[1]) | {"pieces/offset": np.zeros(1, np.int64)}
         if links:
             out[ON_LINKS] = np.empty((0, len(link_names.joints(scene)), 6))
-    if pushed:
-        out |= _wrenches(()) | {"wrenches/offset": np.zeros(1, np.int64)}
+    for group in ON_BODIES if pushed else ("lifts",):
+        out |= _of_bodies(group, ()) | {f"{group}/offset": np.zeros(1, np.int64)}
     return out
 
 
@@ -142,11 +143,11 @@ def _stacked(rows: list[tuple[Any, ...]]) -> tuple[Any, ...]:
     out = np.array(t, dtype=float), *(None if of[0] is None else _stack(of) for of in (q, v, x, quaternion)), energy
     if not more:
         return out
-    joints, links, pieces, wrenches, *values = more
+    joints, links, pieces, wrenches, lifts, *values = more
     columns = (np.array(of, dtype=column.kind) for of, column in zip(values, STEP.values(), strict=True))
     if joints[0] is None:
-        return *out, None, None, None, wrenches, *columns
-    return *out, np.stack(joints, axis=1), np.stack(links), pieces, wrenches, *columns
+        return *out, None, None, None, wrenches, lifts, *columns
+    return *out, np.stack(joints, axis=1), np.stack(links), pieces, wrenches, lifts, *columns
 
 
 def _columns(read: tuple[Any, ...]) -> Columns:
@@ -156,9 +157,10 @@ def _columns(read: tuple[Any, ...]) -> Columns:
     if x is not None:
         out |= {"frames/x": x, "frames/quat": quaternion}
     if more:
-        joints, links, pieces, wrenches, *values = more
-        out |= dict(zip(STEP, values, strict=True)) | _wrenches(wrenches)
-        out["wrenches/offset"] = np.array([w.body.size if w else 0 for w in wrenches])
+        joints, links, pieces, wrenches, lifts, *values = more
+        out |= dict(zip(STEP, values, strict=True))
+        for group, acted in zip(ON_BODIES, (wrenches, lifts), strict=True):
+            out |= _of_bodies(group, acted) | {f"{group}/offset": np.array([a.body.size if a else 0 for a in acted])}
         if joints is not None:
             out |= dict(zip(JOINTS, joints, strict=True)) | {ON_LINKS: links} | _pieces(pieces, joints.shape[2])
             out["pieces/offset"] = np.array([len(p.duration) if p else 0 for p in pieces])
@@ -176,12 +178,12 @@ def _pieces(pieces: Sequence[Any], nv: int) -> Columns:
     return out
 
 
-def _wrenches(wrenches: Sequence[Any]) -> Columns:
-    """Columns of the external wrenches of steps."""
+def _of_bodies(group: str, acted: Sequence[Any]) -> Columns:
+    """Columns of what was done to the free bodies in the moves of steps, by a name of `ON_BODIES`."""
     out = {}
-    for name, kind in WRENCHES.items():
-        none = np.empty((0, 6) if name == "impulse" else 0, kind)
-        out[f"wrenches/{name}"] = np.concatenate([none, *(getattr(w, name) for w in wrenches if w)]).astype(kind)
+    for name, kind in {**OF_MOVES, ON_BODIES[group]: "f8"}.items():
+        none = np.empty(0 if name in OF_MOVES else (0, 6), kind)
+        out[f"{group}/{name}"] = np.concatenate([none, *(getattr(a, name) for a in acted if a)]).astype(kind)
     return out
 
 

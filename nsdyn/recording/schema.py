@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn.recording.columns import RAGGED
+from nsdyn.recording.columns import ON_BODIES, RAGGED
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.array_text import from_text
 from nsdyn.tools.datasets import dataset
@@ -206,12 +206,13 @@ def _check_meshes(found: Mapping[str, Any]) -> None:
 
 
 def _check_rows(columns: Mapping[str, NDArray[Any]], shapes: int, free: int) -> None:
-    """ValueError for contacts of shapes or steps that are not there, and wrenches on bodies that are not."""
+    """ValueError for contacts of shapes or steps that are not there, and of free bodies that are not."""
     for group in RAGGED:
         offset = columns.get(f"{group}/offset", np.zeros(1))
         if offset[0] != 0 or (np.diff(offset) < 0).any():
             raise ValueError(f"/{group}/offset must ascend from 0")
-    sides = {"contacts/geom1": shapes, "contacts/geom2": shapes, "contacts/status": 4, "wrenches/body": free}
+    sides = {"contacts/geom1": shapes, "contacts/geom2": shapes, "contacts/status": 4}
+    sides |= {f"{group}/body": free for group in ON_BODIES}
     for name, most in sides.items():
         values = columns.get(name, np.empty(0))
         if values.size and not (values.min() >= 0 and values.max() < most):

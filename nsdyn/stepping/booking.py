@@ -74,6 +74,7 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
         v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
         twists = d.twists(placed.placement, v_end)
         works.append(Works(projection=lifted))
+        impulses = impulses._replace(lift=d.shifted(a.moved.position, placed.position))
         for t, q, there in zip(d.trees, a.moved.position.trees, placed.position.trees, strict=True):
             impulses.joints[4, t.coordinates] = displacement(t.model, q, there)
     energies: Energies = ()

@@ -55,6 +55,9 @@ class Impulses(NamedTuple):
     wrench : ndarray, shape (free, 6), or None
         Impulses of external wrenches on the free bodies: force and moment about the centre of mass, world axes, N·s and
         N·m·s; None where there are none.
+    lift : ndarray, shape (free, 6), or None
+        Displacements of the free bodies by the projection at the end of the move: of the centre of mass, m, and
+        rotation vector, rad, world axes; None where there are none.
     """
 
     contacts: ContactSet
@@ -73,6 +76,7 @@ class Impulses(NamedTuple):
     begin: float = 0.0
     moves: Bools | None = None
     wrench: Array | None = None
+    lift: Array | None = None
 
     def when(self, theta: float) -> float:
         """When it acted, s after the beginning of the step: as its contacts have it, to the last bit."""

@@ -172,13 +172,18 @@ class Part:
 
     def impulses(self, a: Impulses, n: int) -> Impulses:
         """Impulses of the part as those of the whole, of n coordinates."""
-        joints, moves, wrench = np.zeros((7, n)), np.zeros(n, np.bool_), a.wrench
-        links, bodies = (np.zeros((count, 6)) for count in self._count)
+        joints, moves, links = np.zeros((7, n)), np.zeros(n, np.bool_), np.zeros((self._count[0], 6))
         joints[:, self.coordinates], links[self._links], moves[self.coordinates] = a.joints, a.links, True
-        if wrench is not None:
-            bodies[self._bodies], wrench = wrench, bodies
-        contacts = self.contacts(a.contacts)
-        return a._replace(contacts=contacts, joints=joints, links=links, moves=moves, wrench=wrench)
+        a = a._replace(wrench=self._of_bodies(a.wrench), lift=self._of_bodies(a.lift))
+        return a._replace(contacts=self.contacts(a.contacts), joints=joints, links=links, moves=moves)
+
+    def _of_bodies(self, own: Array | None) -> Array | None:
+        """What acted on the free bodies of the part (free, 6), of those of the whole."""
+        if own is None:
+            return None
+        out = np.zeros((self._count[1], 6))
+        out[self._bodies] = own
+        return out
 
     def fill(self, at: Instant, end: Instant) -> None:
         """Put what is of the nodes of the part where it is in arrays of the whole, but for contacts."""

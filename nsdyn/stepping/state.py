@@ -122,16 +122,46 @@ class Wrenches(NamedTuple):
     impulse: Array
 
     @staticmethod
-    def of(moves: list[tuple[float, float, Array | None]]) -> Wrenches | None:
-        """From when impulses acted, how long moves were, and wrenches as of `Impulses`; None without any."""
-        acted = [
-            (time, h, wrench, np.flatnonzero(wrench.any(axis=1))) for time, h, wrench in moves if wrench is not None
-        ]
-        if not acted:
-            return None
-        time, duration = (np.repeat([a[k] for a in acted], [a[3].size for a in acted]) for k in (0, 1))
-        impulse = np.concatenate([wrench[some] for *_, wrench, some in acted])
-        return Wrenches(np.concatenate([some for *_, some in acted]), time, duration, impulse)
+    def of(moves: Moves) -> Wrenches | None:
+        """From wrenches as of `Impulses`; None without any."""
+        return None if (rows := _not_0(moves)) is None else Wrenches(*rows)
+
+
+class Lifts(NamedTuple):
+    """Displacements of free bodies by the projections at the ends of the moves of a step, those that are not 0.
+
+    Attributes
+    ----------
+    body : ndarray of int, shape (m,)
+    time, duration : ndarray, shape (m,)
+        Of the move, as `Wrenches` has them: it ends θ duration after its time.
+    shift : ndarray, shape (m, 6)
+        Of the centre of mass, m, and rotation vector, rad, world axes. The momentum and the angular momentum stay.
+    """
+
+    body: NDArray[np.int64]
+    time: Array
+    duration: Array
+    shift: Array
+
+    @staticmethod
+    def of(moves: Moves) -> Lifts | None:
+        """From lifts as of `Impulses`; None without any."""
+        return None if (rows := _not_0(moves)) is None else Lifts(*rows)
+
+
+Moves = list[tuple[float, float, Array | None]]
+"""When the impulses of each move of a step acted, how long it was, and what it did to all free bodies, (free, 6)."""
+
+
+def _not_0(moves: Moves) -> tuple[NDArray[np.int64], Array, Array, Array] | None:
+    """What is not 0 of the moves of a step: bodies, times, durations, and what was done to each; None of nothing."""
+    acted = [(time, h, did, np.flatnonzero(did.any(axis=1))) for time, h, did in moves if did is not None]
+    if not acted:
+        return None
+    time, duration = (np.repeat([a[k] for a in acted], [a[3].size for a in acted]) for k in (0, 1))
+    rows = np.concatenate([did[some] for *_, did, some in acted])
+    return np.concatenate([some for *_, some in acted]), time, duration, rows
 
 
 class Touch(NamedTuple):
@@ -201,6 +231,8 @@ class Step:
         What the step was cut into; None where it was made in one, and in scenes without articulations.
     wrenches : Wrenches or None
         On free bodies; None where there are none.
+    lifts : Lifts or None
+        Of free bodies, by projections; None where there are none.
     created : float
         Energy that impacts created, J, summed over islands of contacts: 0 but for `Newton`'s law with friction or in
         chains, and `Poisson`'s with several restitutions (`nsdyn.stepping.impacts`).
@@ -244,6 +276,7 @@ class Step:
     links: Array
     pieces: Pieces | None
     wrenches: Wrenches | None
+    lifts: Lifts | None
     created: float
     ledger: Ledger
     gauss: gauss.Certificate

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from nsdyn.tools.arrays import Array
 
-__all__ = ["displacement"]
+__all__ = ["displacement", "turns"]
 
 
 def displacement(model: pin.Model, q0: Array, q1: Array) -> Array:
@@ -23,6 +23,18 @@ def displacement(model: pin.Model, q0: Array, q1: Array) -> Array:
         for k, j in _angles(joint.extract()):
             (c0, s0), (c1, s1) = q0[k : k + 2], q1[k : k + 2]
             out[j] = np.arctan2(c0 * s1 - s0 * c1, c0 * c1 + s0 * s1)
+    return out
+
+
+def turns(before: Array, after: Array) -> Array:
+    """Rotation vectors (n, 3) in world axes, rad, that lead from unit quaternions (n, 4) xyzw to others."""
+    (v0, w0), (v1, w1) = ((q[:, :3], q[:, 3:]) for q in (before, after))
+    v, w = w0 * v1 - w1 * v0 + np.cross(v0, v1), w0 * w1 + (v0 * v1).sum(axis=1, keepdims=True)
+    size = np.linalg.norm(v, axis=1, keepdims=True)
+    # Of the two quaternions of a turn the one whose angle is the least.
+    out: Array = (
+        np.copysign(2.0, w) * np.where(size > 0.0, np.arctan2(size, np.abs(w)) / np.maximum(size, 1e-300), 1.0) * v
+    )
     return out
 
 

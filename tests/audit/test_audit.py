@@ -276,7 +276,7 @@ def test_external_forces_push_in_every_move_of_a_step():
     first = np.flatnonzero(box & (c["wrenches/duration"] < 0.02))[:2]
     moved = c["wrenches/impulse"].copy()
     moved[first, 0] += 1e-4, -1e-4
-    assert {"velocities", "sideways"} <= found(impulse=moved)  # of which the sum is the same
+    assert {"velocities", "lifts"} <= found(impulse=moved)  # of which the sum is the same
     assert "contact_works" in found("contacts", work_friction=1.01 * c["contacts/work_friction"])
     for name in ("time", "duration"):
         assert "times" in found(**{name: 1.0001 * c[f"wrenches/{name}"]})
@@ -435,7 +435,7 @@ def test_impulses_are_audited_where_the_body_is_when_they_act():
     assert nd.check(trajectory)["motion"].amount == pytest.approx(2e-3 * np.linalg.norm(impulse[row]), rel=0.02)
     trajectory.columns["contacts/time"][:] = np.nan  # as in older recordings
     audit = nd.check(trajectory)
-    assert audit.passed and audit["spin"].reason == "in what moves impulses acted is not recorded"
+    assert audit.passed and audit["spin"].reason == "in what moves impulses and projections acted is not recorded"
 
 
 SETTLING = {

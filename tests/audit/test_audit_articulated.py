@@ -60,7 +60,7 @@ EACH_ANYWHERE = {
     ("points exchanged", "boxes"): "points",
     ("a state twice", "boxes"): "lifts",
     ("a body faster in one state", "boxes"): "momentum",
-    ("a body elsewhere in one state", "boxes"): "sideways",
+    ("a body lifted aside at the end", "boxes"): "sideways",
     ("a coefficient of one contact", "boxes"): "materials",
     ("places of shapes that are no poses", "boxes"): "scene",
     ("energy said to be created", "boxes"): "created",

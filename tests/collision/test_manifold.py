@@ -201,6 +201,27 @@ def test_edges_beside_a_face_that_hardly_tilts_meet_where_they_cross(tilt):
     np.testing.assert_allclose(c.normal[deepest], (0.0, 0.0, 1.0), rtol=0, atol=tilt + 1e-9)
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("shape", ["sphere", "capsule"])
+def test_what_is_round_beside_a_face_meets_its_edge(shape, swapped):
+    """Beyond the border by any angle, and in it by any depth, in the direction of the nearest point of the edge."""
+    round_, radius = SHAPES[shape], SHAPES[shape].size[0]
+    order = [1, 0] if swapped else [0, 1]
+    both = [(CUBE, round_)[k] for k in order]
+    for angle in (1e-6, 1e-5, 1e-4, 5e-4, 2e-3, 2e-2, 0.5):
+        for depth in (1e-6, 1e-4, 1e-2, 0.4):
+            n = np.array([0.0, np.sin(angle), np.cos(angle)])
+            x = np.array([np.zeros(3), (0.1, 0.5, 0.5) + radius * (1.0 - depth) * n])
+            lying = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) if shape == "capsule" else np.eye(3)
+            R = np.array([np.eye(3), lying])
+            c, _ = detector(*both).find(x[order], R[order], np.zeros(2), ContactMemory.empty())
+            assert len(c.gap) == (2 if shape == "capsule" else 1)
+            np.testing.assert_allclose(c.gap, -depth * radius, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(c.normal, np.tile(-n if swapped else n, (len(c.gap), 1)), rtol=0, atol=1e-9)
+            middle = np.array([0.5, 0.5]) - 0.5 * depth * radius * n[1:]
+            np.testing.assert_allclose(c.point[:, 1:], np.tile(middle, (len(c.gap), 1)), rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize(("inset", "on_face"), [(0.005, False), (0.1, True)])
 def test_a_corner_that_may_leave_a_face_meets_its_edge(inset, on_face):
     """An edge dips beyond the border, askew: the face stops its corner only far from there."""

@@ -9,7 +9,7 @@ import pytest
 import nsdyn as nd
 from nsdyn import cli
 from nsdyn.recording import file, labels
-from nsdyn.recording.columns import WRENCHES
+from nsdyn.recording.columns import OF_MOVES, ON_BODIES
 
 NOT_LABELS = (
     "shape",
@@ -22,6 +22,7 @@ NOT_LABELS = (
     "side",
     "link",
     "wrench",
+    "lift",
 )
 
 
@@ -103,7 +104,7 @@ def test_units_are_of_what_the_layout_names(recorded):
     names = {name for name in nd.Trajectory.load(recorded).columns} | {
         "t_steps",
         "links/impulse",
-        *(f"wrenches/{name}" for name in WRENCHES),
+        *(f"{group}/{name}" for group, own in ON_BODIES.items() for name in (*OF_MOVES, own)),
     }
     for name in labels.UNITS:
         assert name in names or (name.endswith("/") and any(known.startswith(name) for known in names)), name

@@ -124,6 +124,11 @@ def rows(n: int, links: bool = False, seed: int = 0):
             )
             if k % 2
             else None,
+            lifts=SimpleNamespace(
+                body=np.arange(1), time=np.full(1, DT / 2), duration=np.full(1, DT), shift=rng.normal(size=(1, 6))
+            )
+            if k % 3
+            else None,
             untold=None,
         )
 
@@ -232,7 +237,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 10 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 11 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -250,6 +255,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         )
         assert file["links/impulse"].shape == (7, 1, 6)
         assert file["wrenches/offset"][:].tolist() == [0, 2, 2, 4, 4, 6, 6, 8]
+        assert file["lifts/offset"][:].tolist() == [0, 1, 2, 2, 3, 4, 4, 5] and file["lifts/shift"].shape == (5, 6)
         assert {name: len(file["wrenches"][name]) for name in ("body", "time", "duration", "impulse")} == dict.fromkeys(
             ("body", "time", "duration", "impulse"), 8
         )

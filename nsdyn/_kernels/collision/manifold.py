@@ -26,12 +26,15 @@ from nsdyn._kernels.collision.clipping import Room, merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
 from nsdyn._kernels.collision.geometry import Found, Placed, smaller
-from nsdyn._kernels.collision.kinds import HALFSPACE, POLYTOPE, SPHERE, has_ends, is_round
+from nsdyn._kernels.collision.kinds import HALFSPACE, POLYTOPE, SPHERE, has_ends, is_round, segment, side
 from nsdyn._kernels.collision.reduction import reduce
-from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, crossing, edge, ends, segments, touch
+from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, closest, crossing, edge, ends, segments, touch
 from nsdyn._kernels.collision.separation import SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
 from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_world, unit
+
+SWEPT = 0.5
+"""Of the radius of a round geom: to Coal it is its axis, from which the normal is, as long as that is outside."""
 
 
 class Given(NamedTuple):
@@ -97,6 +100,27 @@ def closest_features(geometry, i, j, n, angle, out, at):
 
 
 @in_place
+def beside(geometry, i, j, g, face, m, margin, out, at):
+    """Contacts of a round geom and that edge of a face of polytope g, with normal m, that is closest; their number."""
+    lines = segment(geometry, i, m, ANGLE), segment(geometry, j, times(-1.0, m), ANGLE)
+    q, end, radius, _ = lines[1] if g == i else lines[0]
+    e, length2 = unit(minus(end, q))
+    round_line, best, least = (q, end, radius, True), lines[0], math.inf
+    face, c = geometry.face_ptr[g] + face, row(geometry.t, g)
+    for k in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
+        u, v = side(geometry, g, face, k)
+        p, tip = along(c, 1.0, to_world(geometry.R, g, u)), along(c, 1.0, to_world(geometry.R, g, v))
+        d, length1 = unit(minus(tip, p))
+        s, r = closest(p, d, length1, q, e, length2)
+        away = minus(along(q, r, e), along(p, s, d))
+        if dot(away, away) < least:
+            least, best = dot(away, away), (p, tip, 0.0, True)
+    lines = (best, round_line) if g == i else (round_line, best)
+    count = segments(geometry, i, j, lines, m, out, at)
+    return ends(geometry, i, j, row(out.normal, at), margin, out, at, count) if count > 0 else 0
+
+
+@in_place
 def begin(geometry, i, j, given, out, at):
     """Contacts of features where no face separates best: (their number, whether so, n, the reference of each geom)."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
@@ -138,7 +162,11 @@ def pair_contacts(geometry, i, j, given, room, out, at):
             lowest = min(lowest, room.heights[k])
         # What is deepest is not over the face: beside one the features are seen more sharply.
         if lowest > separation(geometry, i, j, m)[0] + SAME * smaller(geometry, i, j):
-            first = of_features(geometry, i, j, n, SHARP, margin, out, at)
+            g, face = (i, face1) if face1 >= 0 else (j, face2)
+            if geometry.kind[g] == POLYTOPE and is_round(geometry, i + j - g):
+                first = beside(geometry, i, j, g, face, m, margin, out, at)
+            else:
+                first = of_features(geometry, i, j, n, SHARP, margin, out, at)
             if first == 0:  # another face separates better
                 face1, face2 = reference_face(geometry, i, j, best_normal(geometry, i, j, m), WIDE)
                 count, m = over_face(geometry, i, j, margin, face1, face2, room)
@@ -181,6 +209,12 @@ def new(room, count, first, near, out, at):
             room.heights[kept] = max(room.heights[k], min(deepest, 0.0))
             kept += 1
     return kept
+
+
+@in_place
+def swept(geometry, g):
+    """How deep geom g may be in another for the normal of the cores to be relied on, m."""
+    return SWEPT * geometry.size[g, 0] if is_round(geometry, g) else 0.0
 
 
 @in_place(forceinline=True)
@@ -238,7 +272,7 @@ def manifolds(geoms, pairs, room, found):
             if coal[k, 0] - both > margin:
                 continue
             direction, length = unit((coal[k, 1], coal[k, 2], coal[k, 3]))
-            trusted = coal[k, 0] > 0.0
+            trusted = coal[k, 0] > -swept(geometry, i) - swept(geometry, j)
             n = direction if length > 0.5 and length < 2.0 else n
         elif apart(geometry, i, j, margin):
             continue
