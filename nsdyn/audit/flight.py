@@ -20,6 +20,9 @@ LEAP = 0.005
 COARSE = 0.5, 1e-7
 """Turn of one step of a method of sixth order, rad, and what it then errs at worst, rad."""
 
+KEPT = 1e-9
+"""Of the smallest extent of a body, how far it may have moved since its contacts were looked for where it rests."""
+
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 """Makes a quaternion xyzw that of the turn back."""
 
@@ -126,7 +129,7 @@ class Flight:
         levers = pushes.summed(shape, turns)
         fastest = _fastest(poses, levers)
         doubt = np.where(cut[step, body], fastest[step, body] * off, 0.0)
-        far = h * fastest / COARSE[0]
+        far, lever = h * fastest / COARSE[0], unknown + KEPT * poses.smallest
         return cls(
             impulse,
             pushes.summed(shape, moment),
@@ -137,7 +140,7 @@ class Flight:
             unknown,
             turn,
             8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2),
-            COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * unknown / _least(poses),
+            COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / _least(poses),
             _lifted(poses, pushes, then, turning),
             Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),
             np.bincount(row[met], doubt[met], len(n)).astype(float),

@@ -141,7 +141,7 @@ def _fell_in_pieces(poses: Poses) -> Bools:
     t, theta, v = poses.trajectory, float(poses.trajectory.meta["theta"]), velocities(poses)
     forced = t.dt * np.diff(v, axis=0)
     left = np.diff(poses.x[:, : poses.free], axis=0) - t.dt * v[:-1] - theta * forced
-    least = 1e-6 * np.linalg.norm(forced, axis=2)
+    least = 8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, : poses.free], axis=2)
     out: Bools = (np.linalg.norm(left, axis=2) > least) & (theta > 0.5)
     return out
 

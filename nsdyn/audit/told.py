@@ -10,7 +10,7 @@ import numpy as np
 from nsdyn.audit.findings import Found, not_audited, worst_of
 from nsdyn.audit.flight import Flight
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.touching import along, apart, from_surface, pushing
+from nsdyn.audit.touching import along, apart, bouncing, from_surface, pushing
 from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -129,10 +129,8 @@ def _velocities(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index)
 def _partings(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Found:
     """What does not rebound, at an instant at which nothing does, does not part where it has pushed free bodies."""
     t, met, pushes = poses.trajectory, flight.met, c["impulse"][:, 0] > 0.0
-    _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
-    bounces = np.bincount(instant.ravel(), pushes & (c["restitution"] > 0.0))[instant.ravel()] > 0.0
     links = (poses.frame[poses.pair] >= poses.free).any(axis=0)
-    some = np.flatnonzero(pushes & ~bounces & ~links & ~np.isnan(met.after).any(axis=1))
+    some = np.flatnonzero(pushes & ~bouncing(c, step) & ~links & ~np.isnan(met.after).any(axis=1))
     turning = max(theta := float(t.meta["theta"]), 1.0 - theta) * t.dt * met.bent + flight.unsure
     off = np.minimum(c["u"], met.after)[:, 0] - turning - SLOW
     figure = off / np.maximum(np.abs(met.before[:, 0]), CREEP)

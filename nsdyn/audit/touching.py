@@ -21,7 +21,7 @@ from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["along", "apart", "contacts", "from_surface", "overlaps", "pushing", "separations", "tested"]
+__all__ = ["along", "apart", "bouncing", "contacts", "from_surface", "overlaps", "pushing", "separations", "tested"]
 
 STATES = 200_000
 """Most poses of shapes that are looked at together."""
@@ -162,18 +162,20 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     skew = np.abs(np.stack([(n * n).sum(axis=1) - 1.0, (t1 * t1).sum(axis=1) - 1.0, (n * t1).sum(axis=1)])).max(axis=0)
     yield worst_of("axes", skew, skew, step, names)
     most = mu * np.maximum(r[:, 0], 0.0)
-    outside = np.maximum(-r[:, 0], np.where(_slips(c, flight), np.abs(drag - most), drag - most))
+    # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
+    several = _rebounding(poses, c, step)
+    fremond = str(t.meta.get("impact", "")).lower().startswith("fremond") & (c["duration"] == 0.0)
+    on_cone = _slips(c, flight) & ~several & ~bouncing(c, step) & ~fremond
+    outside = np.maximum(-r[:, 0], np.where(on_cone, np.abs(drag - most), drag - most))
     outside -= _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, step, names)
-    # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
-    u = np.where(_rebounding(poses, c, step)[:, None], 0.0, c["u"][:, 1:])
+    u = np.where(several[:, None], 0.0, c["u"][:, 1:])
     power = (r[:, 1:] * u).sum(axis=1)
     if flight is not None and flight.timed:
         # Of what strikes and rests then it is the mean slip, and by Frémond's law of all that impacts push.
         mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1)
-        by_mean = str(t.meta.get("impact", "")).lower().startswith("fremond") & flight.instant
-        power = np.where(by_mean | (c["restitution"] > 0.0), np.fmin(power, mean), power)
+        power = np.where(fremond | (c["restitution"] > 0.0), np.fmin(power, mean), power)
     yield worst_of("friction", power / at_play(poses), power, step, names)
     most = _rubbed(r, mu, u)
     if flight is not None and flight.timed:
@@ -207,11 +209,19 @@ def _called(geom: Mapping[str, Any]) -> tuple[str, str]:
     return geom["body"], geom["link"]
 
 
+def bouncing(c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
+    """Contacts at instants at which one with restitution pushes."""
+    _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
+    bounces = (c["impulse"][:, 0] > 0.0) & (c["restitution"] > 0.0)
+    out: NDArray[np.bool_] = np.bincount(instant.ravel(), bounces)[instant.ravel()] > 0.0
+    return out
+
+
 def _slips(c: Mapping[str, Any], flight: Flight | None) -> NDArray[np.bool_]:
     """Contacts without restitution that slip at the end and in the mean, faster than a solve may leave."""
     slip = np.linalg.norm(c["u"][:, 1:], axis=1)
     if flight is not None and flight.timed:
-        slip = np.fmin(slip, np.linalg.norm(flight.met.mean[:, 1:], axis=1))
+        slip = np.fmin(slip, np.linalg.norm(flight.met.mean[:, 1:], axis=1) - flight.unsure)
     out: NDArray[np.bool_] = (slip > 10.0 * PARTING) & (c["restitution"] == 0.0)
     return out
 
