@@ -129,6 +129,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     off = np.concatenate(
         [(np.abs(normal) + np.abs(friction) - doubt)[single], (np.abs(whole[0]) - whole[1])[of[first]]]
     )
+    off -= 4.0 * np.finfo(float).eps * at_play(poses)
     if step.size and not rows.size:
         return not_audited("contact_works", "how what touches moves is not recorded")
     pair, scale = [c[f"geom{k}"][rows] for k in "12"], np.concatenate([scale[single], whole[2][of[first]]])

@@ -288,7 +288,9 @@ class Islands:
     def _kept(self, tried: Trial, left: Bools, next_key: int) -> Trial:
         """What an attempt did to the nodes left; new contacts of theirs have keys from `next_key` on."""
         s, d, a = self.whole, self.whole.dynamics, tried.response
-        kept, there = left[s.nodes(a.met.contacts)], left[s.nodes(a.moved.contacts)]
+        # What is seen of two islands from afar is of neither.
+        stays = np.append(left, True)[d.node]
+        kept, there = (stays[c.frame1] & stays[c.frame2] for c in (a.met.contacts, a.moved.contacts))
         if a.met.joints is not None:
             kept = np.concatenate((kept, left[d.joints.block[a.met.joints.slot]]))
         limits = a.moved.limits
