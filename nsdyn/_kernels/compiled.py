@@ -56,7 +56,7 @@ VERSIONS = sys.implementation.cache_tag, numba.__version__, np.__version__
 _IMPORT = re.compile(r"^(?:from|import) +(nsdyn[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
 _loading = ContextVar("seconds", default=0.0)  # of a thread
-_waits = ContextVar("waits", default=False)
+waits = ContextVar("waits", default=False)  # whether kernels are waited for, as by what tells times
 _processes: list[subprocess.Popen[bytes]] = []  # that compile; else Python would tell that they still run
 
 
@@ -68,16 +68,6 @@ def loading() -> float:
 def clock() -> float:
     """Time in s since some moment, without `loading`."""
     return time.perf_counter() - _loading.get()
-
-
-class Waiting:
-    """Where kernels are waited for, as by what tells times."""
-
-    def __enter__(self) -> None:
-        self._token = _waits.set(True)
-
-    def __exit__(self, *_: object) -> None:
-        _waits.reset(self._token)
 
 
 @cache
@@ -209,7 +199,7 @@ class Kernel(CPUDispatcher):
 
     def is_quick(self, args: Any) -> bool:
         """Whether the interpreter is quick enough."""
-        return not _waits.get() and self.rounds * size(args) <= LARGE
+        return not waits.get() and self.rounds * size(args) <= LARGE
 
     def is_missing(self, args: Any) -> bool:
         """Whether there is no machine code yet, and another process makes it."""

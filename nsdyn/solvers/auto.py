@@ -240,7 +240,8 @@ class Auto(Options):
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
-        return self._explained(problem, self._solved(problem, r0, self.tol))
+        solution = self._solved(problem, r0, self.tol)
+        return solution if solution.status is Status.CONVERGED else self._explained(problem, solution)
 
     def balanced(self, problem: FC3D, r0: Array, before: Array) -> Solution:
         """Solve the problem from r0, which is no solution where it changes velocities of contacts that hold by much.
@@ -274,15 +275,17 @@ class Auto(Options):
         if not nc:
             return Solution.judge(problem, r, self.tol, 0, clock() - start)
         if blocks is None:
-            most = TUNING.cost * TUNING.sweeps
-            whole = problem.csr, problem.q, problem.mu, problem.scales, problem.q_norm
-            count, error, residual = _start.by_matrix(whole, r, u, self.aims[1], most)
+            W, given = problem.csr, (problem.q, problem.mu, problem.scales, problem.q_norm, r, u)
+            if nc == 1:
+                count, error, residual = _start.alone(W[2], *given)
+            else:
+                count, error, residual = _start.by_matrix(*W, *given, self.aims[1], TUNING.cost * TUNING.sweeps)
             left = not (error <= self.tol and residual <= self.tol)
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))
-            given = problem.q, problem.mu, problem.scales
+            factors = blocks.arrays, problem.q, problem.mu, problem.scales
             found, left, count, error, residual = _start.by_factors(
-                blocks.arrays, *given, r, u, before, label, islands, *self.aims, LIMITS
+                *factors, r, u, before, label, islands, *self.aims, LIMITS
             )
             error /= problem.q_norm
         if left:
@@ -298,6 +301,8 @@ class Auto(Options):
                     search.run(r0 is not None and bool(x.any()))
                     r[i], count = x, count + search.count
             _, error, residual, u = problem.solved(r, self.tol)
+        if error <= self.tol and residual <= self.tol:
+            return Solution(r, u, Status.CONVERGED, error, residual, count, clock() - start)
         otherwise = Status.LOOSE
         if (worst := max(error, residual)) > self.loose:
             otherwise = Status.STALLED if worst <= max(FLOOR, problem.round_off(r)) else Status.MAX_ITERATIONS

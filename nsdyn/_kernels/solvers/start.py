@@ -187,20 +187,23 @@ def widest(blocks, label):
     return out, found
 
 
-@kernel(rounds=1000)
-def by_matrix(problem, r, u, tol, most):
-    """Solve (W, q, mu, scales, q_norm) in place of r: lone contacts in closed form, others by sweeps.
+@kernel
+def alone(W, q, mu, scales, q_norm, r, u):
+    """Solve a problem of one contact into r; u = W r + q into u. Returns 1 and measures, as `by_matrix`."""
+    closed_form(W[0], q, mu, r, u)
+    top, residual = cones.measures(scales, u, r, mu)
+    return 1, top / q_norm, residual
 
-    W = (indptr, indices, data) in blocks. The sweeps are at most so many, with momentum, and on all islands at once.
-    Returns their number, the error of the literature and the residual of r; its u = W r + q is in u.
+
+@kernel(rounds=1000)
+def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most):
+    """Solve a problem in place of r: lone contacts in closed form, others by sweeps.
+
+    W = (indptr, indices, data) in blocks; arrays by themselves, since those in tuples take numba twice as long. The
+    sweeps are at most so many, with momentum, and on all islands at once. Returns their number, the error of the
+    literature and the residual of r; its u = W r + q is in u.
     """
-    W, q, mu, scales, q_norm = problem
-    indptr, _, data = W
-    nc, count = mu.size, 0
-    if nc == 1:
-        closed_form(data[0], q, mu, r, u)
-        top, residual = cones.measures(scales, u, r, mu)
-        return 1, top / q_norm, residual
+    W, nc, count = (indptr, indices, data), mu.size, 0
     given.velocity(W, q, r, u)
     best = cones.measure_at(scales, u, r, mu, q_norm)
     if not best <= tol:
