@@ -174,7 +174,7 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     power = (r[:, 1:] * u).sum(axis=1)
     if flight is not None and flight.timed:
         # Of what strikes and rests then it is the mean slip, and by Frémond's law of all that impacts push.
-        mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1)
+        mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1) - drag * flight.unsure
         power = np.where(fremond | (c["restitution"] > 0.0), np.fmin(power, mean), power)
     yield worst_of("friction", power / at_play(poses), power, step, names)
     most = _rubbed(r, mu, u)

@@ -17,6 +17,9 @@ ROLLS = 12.0
 """How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
 for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
 
+TILTS = math.cos(0.2)
+"""Cosine of the angle by which the normal of a contact may turn in half a move: from one feature of corners to the next
+it jumps, and how fast what was there parted says nothing of what is here."""
 
 TURNS = 0.5
 """Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
@@ -62,7 +65,7 @@ def begin_velocities(place, begin, here, carried, transport, u):
         if k >= 0:
             d, m = minus(p, row(old_point, k)), row(old_normal, k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
-            there = dot(d, d) <= ROLLS * ROLLS * far * far and dot(m, n) > 0.5
+            there = dot(d, d) <= ROLLS * ROLLS * far * far and dot(m, n) > TILTS
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
