@@ -14,8 +14,9 @@ from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled"]
 
-LEAP = 0.005
-"""Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 1e-12 rad."""
+LEAP = 0.005, 0.05
+"""Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 3e-11 or 3e-7 rad. The latter
+where more than `COARSE` is to be turned, and where the flow is a step's errs by as much."""
 
 COARSE = 0.5, 1e-7
 """Turn of one step of a method of sixth order, rad, and what it then errs at worst, rad."""
@@ -308,7 +309,8 @@ def tumbled(quaternion: Array, turning: Array, inertia: Array, time: Array) -> t
 
     while (some := np.flatnonzero(left > 0.0)).size:
         y = np.concatenate([out[some], w[some]], axis=1)
-        h = np.minimum(left[some], LEAP / np.maximum(np.linalg.norm(w[some], axis=1), 1e-300))
+        speed = np.maximum(np.linalg.norm(w[some], axis=1), 1e-300)
+        h = np.minimum(left[some], np.where(time[some] * speed > COARSE[0], *LEAP[::-1]) / speed)
         left[some] -= h
         h = h[:, None]
         first = rate(y, some)

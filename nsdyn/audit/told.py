@@ -132,7 +132,10 @@ def _partings(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -
     links = (poses.frame[poses.pair] >= poses.free).any(axis=0)
     some = np.flatnonzero(pushes & ~bouncing(c, step) & ~links & ~np.isnan(met.after).any(axis=1))
     turning = max(theta := float(t.meta["theta"]), 1.0 - theta) * t.dt * met.bent + flight.unsure
-    off = np.minimum(c["u"], met.after)[:, 0] - turning - SLOW
+    # An impulse that would change no velocity by as much is nothing: what solvers leave.
+    masses = np.append(1.0 / np.array(poses.scene["masses"]), np.zeros(poses.x.shape[1] - poses.free + 1))
+    slowed = c["impulse"][:, 0] * masses[poses.frame[poses.pair]].sum(axis=0)
+    off = np.minimum(np.minimum(c["u"], met.after)[:, 0], slowed) - turning - SLOW
     figure = off / np.maximum(np.abs(met.before[:, 0]), CREEP)
     return worst_of("partings", figure[some], off[some], step[some] + 1, poses.named(*poses.pair[:, some]))
 
