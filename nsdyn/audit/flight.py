@@ -15,8 +15,8 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled"]
 
 LEAP = 0.005, 0.05
-"""Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 3e-11 or 3e-7 rad. The latter
-where more than `COARSE` is to be turned, and where the flow is a step's errs by as much."""
+"""Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 3e-11 or 3e-7 rad. The
+latter where more than the turn of `COARSE` is to be made."""
 
 COARSE = 0.5, 1e-7
 """Turn of one step of a method of sixth order, rad, and what it then errs at worst, rad."""
