@@ -181,10 +181,10 @@ def _pieces(pieces: Sequence[Any], nv: int) -> Columns:
 def _of_bodies(group: str, acted: Sequence[Any]) -> Columns:
     """Columns of what was done to the free bodies in the moves of steps, by a name of `ON_BODIES`."""
     out = {}
-    for name, kind in {**OF_MOVES, ON_BODIES[group]: "f8"}.items():
-        none = np.empty(0 if name in OF_MOVES else (0, 6), kind)
-        out[f"{group}/{name}"] = np.concatenate([none, *(getattr(a, name) for a in acted if a)]).astype(kind)
-    return out
+    for name in OF_MOVES:
+        columns = [getattr(a, name) for a in acted if a]
+        out[f"{group}/{name}"] = np.concatenate([np.empty(0), *columns]).astype(OF_MOVES[name])
+    return out | {f"{group}/{ON_BODIES[group]}": np.concatenate([np.empty((0, 6)), *(a.done for a in acted if a)])}
 
 
 def _merged(columns: Columns, every: int) -> Columns:

@@ -23,7 +23,7 @@ from nsdyn.tools.naming import counted
 if TYPE_CHECKING:
     from nsdyn.stepping.untold import Untold
 
-__all__ = ["Pieces", "Start", "State", "Step", "Touch", "Wrenches"]
+__all__ = ["OnBodies", "Pieces", "Start", "State", "Step", "Touch"]
 
 
 class State(NamedTuple):
@@ -104,64 +104,34 @@ class Pieces(NamedTuple):
         return Pieces(begin, duration, contacts, moves, np.stack([a.joints[:, first:] for a in done], axis=1))
 
 
-class Wrenches(NamedTuple):
-    """External wrenches on free bodies in the moves of a step, those that are not 0.
+class OnBodies(NamedTuple):
+    """What was done to free bodies in the moves of a step and is not 0: external wrenches, or lifts by projections.
 
     Attributes
     ----------
     body : ndarray of int, shape (m,)
     time, duration : ndarray, shape (m,)
-        s after the beginning of the step; s of the move.
-    impulse : ndarray, shape (m, 6)
-        Force and moment about the centre of mass, world axes, N·s and N·m·s.
+        Of the move, s: when its impulses acted, after the beginning of the step, and how long it was. Lifts are at its
+        end, θ durations after its time.
+    done : ndarray, shape (m, 6)
+        World axes. Of wrenches force and moment about the centre of mass, N·s and N·m·s; of lifts the displacement of
+        that, m, and the rotation vector, rad, which leave both momenta as they are.
     """
 
     body: NDArray[np.int64]
     time: Array
     duration: Array
-    impulse: Array
+    done: Array
 
     @staticmethod
-    def of(moves: Moves) -> Wrenches | None:
-        """From wrenches as of `Impulses`; None without any."""
-        return None if (rows := _not_0(moves)) is None else Wrenches(*rows)
-
-
-class Lifts(NamedTuple):
-    """Displacements of free bodies by the projections at the ends of the moves of a step, those that are not 0.
-
-    Attributes
-    ----------
-    body : ndarray of int, shape (m,)
-    time, duration : ndarray, shape (m,)
-        Of the move, as `Wrenches` has them: it ends θ duration after its time.
-    shift : ndarray, shape (m, 6)
-        Of the centre of mass, m, and rotation vector, rad, world axes. The momentum and the angular momentum stay.
-    """
-
-    body: NDArray[np.int64]
-    time: Array
-    duration: Array
-    shift: Array
-
-    @staticmethod
-    def of(moves: Moves) -> Lifts | None:
-        """From lifts as of `Impulses`; None without any."""
-        return None if (rows := _not_0(moves)) is None else Lifts(*rows)
-
-
-Moves = list[tuple[float, float, Array | None]]
-"""When the impulses of each move of a step acted, how long it was, and what it did to all free bodies, (free, 6)."""
-
-
-def _not_0(moves: Moves) -> tuple[NDArray[np.int64], Array, Array, Array] | None:
-    """What is not 0 of the moves of a step: bodies, times, durations, and what was done to each; None of nothing."""
-    acted = [(time, h, did, np.flatnonzero(did.any(axis=1))) for time, h, did in moves if did is not None]
-    if not acted:
-        return None
-    time, duration = (np.repeat([a[k] for a in acted], [a[3].size for a in acted]) for k in (0, 1))
-    rows = np.concatenate([did[some] for *_, did, some in acted])
-    return np.concatenate([some for *_, some in acted]), time, duration, rows
+    def of(moves: list[tuple[float, float, Array | None]]) -> OnBodies | None:
+        """From when impulses acted, how long moves were, and (free, 6) as of `Impulses`; None without any."""
+        some = [(time, h, done, np.flatnonzero(done.any(axis=1))) for time, h, done in moves if done is not None]
+        if not some:
+            return None
+        time, duration = (np.repeat([a[k] for a in some], [a[3].size for a in some]) for k in (0, 1))
+        done = np.concatenate([rows[which] for *_, rows, which in some])
+        return OnBodies(np.concatenate([which for *_, which in some]), time, duration, done)
 
 
 class Touch(NamedTuple):
@@ -229,10 +199,8 @@ class Step:
         the world's origin, N·s and N m s.
     pieces : Pieces or None
         What the step was cut into; None where it was made in one, and in scenes without articulations.
-    wrenches : Wrenches or None
-        On free bodies; None where there are none.
-    lifts : Lifts or None
-        Of free bodies, by projections; None where there are none.
+    wrenches, lifts : OnBodies or None
+        External wrenches on free bodies, and displacements of these by projections; None where there are none.
     created : float
         Energy that impacts created, J, summed over islands of contacts: 0 but for `Newton`'s law with friction or in
         chains, and `Poisson`'s with several restitutions (`nsdyn.stepping.impacts`).
@@ -275,8 +243,8 @@ class Step:
     joints: Array | None
     links: Array
     pieces: Pieces | None
-    wrenches: Wrenches | None
-    lifts: Lifts | None
+    wrenches: OnBodies | None
+    lifts: OnBodies | None
     created: float
     ledger: Ledger
     gauss: gauss.Certificate

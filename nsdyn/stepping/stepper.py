@@ -38,7 +38,7 @@ from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
 from nsdyn.stepping.response import NEW
-from nsdyn.stepping.state import Lifts, Pieces, Start, State, Step, Wrenches
+from nsdyn.stepping.state import OnBodies, Pieces, Start, State, Step
 from nsdyn.stepping.system import check_options, system_of
 from nsdyn.stepping.untold import Untold
 from nsdyn.tools import callbacks
@@ -406,8 +406,8 @@ class Stepper:
             joints=joints,
             links=acted.links,
             pieces=pieces,
-            wrenches=Wrenches.of([(a.when(self.theta), a.duration, a.wrench) for a in done]),
-            lifts=Lifts.of([(a.when(self.theta), a.duration, a.lift) for a in done]),
+            wrenches=OnBodies.of([(a.when(self.theta), a.duration, a.wrench) for a in done]),
+            lifts=OnBodies.of([(a.when(self.theta), a.duration, a.lift) for a in done]),
             created=acted.created,
             ledger=ledger,
             gauss=certificate,

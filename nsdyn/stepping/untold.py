@@ -15,7 +15,7 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.problem.gauss import Certificate
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.flat import Flat
-from nsdyn.stepping.state import State, Step, Wrenches
+from nsdyn.stepping.state import OnBodies, State, Step
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -102,10 +102,10 @@ class Untold(NamedTuple):
         works, joints, links = flat.motion.told(self.before.of_trees, own)
         return works, joints[:, 6 * d.free :], links
 
-    def _wrenches(self) -> Wrenches | None:
+    def _wrenches(self) -> OnBodies | None:
         """What acted on free bodies besides contacts."""
         motion, ((time,), (duration,)) = self.flat.motion, self._times(1)
-        return None if motion is None else Wrenches.of([(time, duration, motion.half.wrench())])
+        return None if motion is None else OnBodies.of([(time, duration, motion.half.wrench())])
 
     def _times(self, *shape: int) -> tuple[Array, Array]:
         """When the impulses of as many contacts acted, s after the beginning of the step, and how long it lasts."""

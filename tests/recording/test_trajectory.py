@@ -120,12 +120,12 @@ def rows(n: int, links: bool = False, seed: int = 0):
                 body=np.arange(2),
                 time=np.full(2, DT / 2),
                 duration=np.full(2, DT),
-                impulse=rng.normal(size=(2, 6)),
+                done=rng.normal(size=(2, 6)),
             )
             if k % 2
             else None,
             lifts=SimpleNamespace(
-                body=np.arange(1), time=np.full(1, DT / 2), duration=np.full(1, DT), shift=rng.normal(size=(1, 6))
+                body=np.arange(1), time=np.full(1, DT / 2), duration=np.full(1, DT), done=rng.normal(size=(1, 6))
             )
             if k % 3
             else None,
