@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from nsdyn._kernels.compiled import clock
+from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import start as _start
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator, operator
@@ -173,7 +174,10 @@ class Search:
         self._note(max(error, residual), 0, 0)
 
     def run(self, warm: bool) -> None:
-        """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits."""
+        """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits.
+
+        What is no more than loose is mostly nearer in its cones.
+        """
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
         for k in range(TUNING.rounds):
@@ -194,6 +198,9 @@ class Search:
             self.best, self.r[:] = self._kept
         if self.best <= self.tol:
             self.converge(self.sharp)
+        if _cones.into_cones(self.r, self.problem.mu, inside := np.empty_like(self.r)):
+            _, error, residual, _ = self.problem.solved(inside, self.tol)
+            self._note(max(error, residual), 0, 0, inside)
 
 
 def sharp(tol: float) -> float:

@@ -13,6 +13,7 @@ import nsdyn as nd
 from nsdyn._kernels.problem import linear
 from nsdyn.literature._kernels import interior as kernels
 from nsdyn.problem.operators import Local, Velocity
+from nsdyn.problem.solution import Status
 from nsdyn.solvers import auto
 
 LANDING = Path(__file__).resolve().parents[2] / "demos" / "bench" / "landing.py"
@@ -98,6 +99,16 @@ def test_what_is_out_of_reach_is_loose_and_accepted():
     strict = nd.solve(problem, tol=1e-300)
     assert strict.status is nd.Status.STALLED and not strict.accepted
     assert nd.solvers.Auto(tol=1e-3)(problem).converged
+
+
+def test_what_is_loose_is_in_its_cones(rng):
+    """Also where the start is good enough and outside of them."""
+    problem = kicked_stack(24)
+    r0 = rng.normal(size=3 * problem.nc)
+    found = nd.solvers.Auto(loose=1e6).loosely(problem, r0)
+    r, most = found.r.reshape(-1, 3), problem.mu * found.r[0::3]
+    assert found.status is Status.LOOSE and np.abs(r0).max() > 0.1 * np.abs(r).max() > 0.0
+    assert (r[:, 0] >= 0.0).all() and (np.hypot(r[:, 1], r[:, 2]) <= most + 1e-15 * np.abs(r).max()).all()
 
 
 def test_what_does_not_fall_is_not_worked_on():
