@@ -17,7 +17,7 @@ from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["energies", "momenta", "plain"]
 
-PARALLEL = 1e-6
+PARALLEL = 1e-8
 """Square of the angle between normals, rad², that count as one."""
 
 
