@@ -21,6 +21,10 @@ latter where more than the turn of `COARSE` is to be made."""
 COARSE = 0.5, 1e-7
 """Turn of one step of a method of sixth order, rad, and what it then errs at worst, rad."""
 
+NAMED = 0.1
+"""Of the radius of the smaller body, how far contacts go on it in half a step under the same name: 0.05, and as much
+again for what it moves."""
+
 KEPT = 1e-9
 """Of the smallest extent of a body, how far it may have moved since its contacts were looked for where it rests."""
 
@@ -185,12 +189,16 @@ def _wander(poses: Poses) -> Array:
     """How fast each contact comes from where it was last, or goes to where it is next, (contacts,), m/s.
 
     By its key, and by its pair if of that it pushes alone: what goes far, as around the rim of a coin, has other keys.
+    Round ones that are new come from no farther than one would have their names: rims are shared out anew as they turn.
     """
     c, (i, j) = poses.contacts, poses.pair
     when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
     pair, pushes = i * len(poses.names) + j, c["impulse"][:, 0] > 0.0
     group = np.unique(np.stack([pair, when]), axis=1, return_inverse=True)[1].ravel()
     alone = pushes & (np.bincount(group, pushes)[group] == 1.0)
+    new = np.unique(c["key"], return_index=True)[1]
+    far = NAMED * poses.bounding_radius[poses.pair].min(axis=0) / (0.5 * poses.trajectory.dt)
+    out[new] = np.where(poses.rounding[poses.pair].sum(axis=0) > 0.0, far, 0.0)[new]
     for name in (c["key"], np.where(alone, pair, -1 - np.arange(pair.size))):
         order = np.lexsort((when, name))
         way = np.linalg.norm(np.diff(c["point"][order], axis=0), axis=1)
