@@ -115,7 +115,7 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
     if flight is not None and flight.timed:
         far = np.linalg.norm(flight.pushes.shift.reshape(-1, 2, 3), axis=2)
         shift, turn = np.moveaxis(flight.pushes.summed((t.steps, free), far), 2, 0)
-        amount = np.maximum(flight.astray + shift - flight.unknown, (flight.turn + turn) * radius)
+        amount = np.maximum(flight.astray + shift - flight.unknown, (flight.turn - flight.flow + turn) * radius)
     else:
         before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
         moved = rotate(q[:-1], before[..., :3]) + rotate(q[1:], after[..., :3])
