@@ -260,7 +260,7 @@ REFUSED = ("overlap at the start", "must", "is not possible", "in each other")
 
 
 def outcome(
-    scene: nd.Scene, how: dict[str, Any], conserves: bool, steps: int, bars: dict[str, float]
+    scene: nd.Scene, how: dict[str, Any], conserves: bool, steps: int, bars: dict[str, float] = BARS
 ) -> tuple[str, dict[str, float]]:
     """What came of a scene in a word or a sentence, and its figures."""
     solver = Measured()

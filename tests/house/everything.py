@@ -57,6 +57,10 @@ def shapes() -> None:
     touches = detector.touches(Poses(x, R), Poses(near, R), memory)
     detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none)[0], Poses(near, R))
     detector.carry(touches.contacts, Poses(near, R), Poses(x, R))
+    # A ball beside the border of a face of a box, deep in that.
+    k = next(b for b, g in enumerate(geoms) if g.name == "1-0")
+    near[k + 1], R[k] = near[k] + (0.1 + 1e-5, 0.0, 0.14 + 0.05), np.eye(3)
+    detector.find(near, R, np.full(len(x), 0.1), none)
     # One box tilted over the edge of another.
     near[1] += (0.08, 0.0, 0.1)
     R[1] = checks.rotation(np.array([0.0, 0.15, 0.0, 0.99]))

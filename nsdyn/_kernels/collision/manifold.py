@@ -26,12 +26,22 @@ from nsdyn._kernels.collision.clipping import Room, merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
 from nsdyn._kernels.collision.geometry import Found, Placed, smaller
-from nsdyn._kernels.collision.kinds import HALFSPACE, POLYTOPE, SPHERE, has_ends, is_round, segment, side
+from nsdyn._kernels.collision.kinds import (
+    HALFSPACE,
+    POLYTOPE,
+    SPHERE,
+    deepest_vertex,
+    has_corner,
+    has_ends,
+    is_round,
+    segment,
+    side,
+)
 from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, closest, crossing, edge, ends, segments, touch
 from nsdyn._kernels.collision.separation import SAME, SHARP, separation
 from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_world, unit
+from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_local, to_world, unit
 
 SWEPT = 0.5
 """Of the radius of a round geom: to Coal it is its axis, from which the normal is, as long as that is outside."""
@@ -64,19 +74,19 @@ def apart(geometry, i, j, margin):
 
 
 @in_place
-def of_features(geometry, i, j, n, angle, margin, out, at):
+def of_features(geometry, i, j, n, angle, face, margin, out, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
 
-    The first one has the least gap. Ends of round segments that the margin holds follow.
+    The first one has the least gap. Ends of round segments that the margin holds follow. `face` as of `beside`.
     """
-    count = closest_features(geometry, i, j, n, angle, out, at)
+    count = closest_features(geometry, i, j, n, angle, face, out, at)
     if has_ends(geometry, i) or has_ends(geometry, j):
         count = ends(geometry, i, j, row(out.normal, at), margin, out, at, count)
     return count
 
 
 @in_place
-def closest_features(geometry, i, j, n, angle, out, at):
+def closest_features(geometry, i, j, n, angle, face, out, at):
     """Contacts of the features that are outermost along n, where they are closest; returns their number.
 
     It is 0 if no edges of two polytopes separate as well as n does.
@@ -95,29 +105,38 @@ def closest_features(geometry, i, j, n, angle, out, at):
                 return 1
     if geometry.kind[i] == POLYTOPE and geometry.kind[j] == POLYTOPE:
         return 1 if crossing(geometry, i, j, n, out, at) else 0
+    if geometry.kind[i] == POLYTOPE and is_round(geometry, j):
+        return beside(geometry, i, j, i, n, face, out, at)
+    if geometry.kind[j] == POLYTOPE and is_round(geometry, i):
+        return beside(geometry, i, j, j, n, face, out, at)
     smooth(geometry, i, j, n, lines, out, at)
     return 1
 
 
 @in_place
-def beside(geometry, i, j, g, face, m, margin, out, at):
-    """Contacts of a round geom and that edge of a face of polytope g, with normal m, that is closest; their number."""
-    lines = segment(geometry, i, m, ANGLE), segment(geometry, j, times(-1.0, m), ANGLE)
-    q, end, radius, _ = lines[1] if g == i else lines[0]
+def beside(geometry, i, j, g, n, face, out, at):
+    """Contacts of a round geom and the edge of polytope g that is closest to it; returns their number.
+
+    Edges are those of a face, a row of its own, or if that is -1 of all faces around the corner outermost along n.
+    """
+    out_of = n if g == i else times(-1.0, n)
+    q, end, radius, _ = segment(geometry, i + j - g, times(-1.0, out_of), ANGLE)
     e, length2 = unit(minus(end, q))
-    round_line, best, least = (q, end, radius, True), lines[0], math.inf
-    face, c = geometry.face_ptr[g] + face, row(geometry.t, g)
-    for k in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
-        u, v = side(geometry, g, face, k)
-        p, tip = along(c, 1.0, to_world(geometry.R, g, u)), along(c, 1.0, to_world(geometry.R, g, v))
-        d, length1 = unit(minus(tip, p))
-        s, r = closest(p, d, length1, q, e, length2)
-        away = minus(along(q, r, e), along(p, s, d))
-        if dot(away, away) < least:
-            least, best = dot(away, away), (p, tip, 0.0, True)
+    round_line, best, least = (q, end, radius, True), (q, end, 0.0, True), math.inf
+    c, top = row(geometry.t, g), deepest_vertex(geometry, g, to_local(geometry.R, g, out_of)) - geometry.vertex_ptr[g]
+    for f in range(geometry.face_ptr[g], geometry.face_ptr[g + 1]):
+        if f != geometry.face_ptr[g] + face if face >= 0 else not has_corner(geometry, f, top):
+            continue
+        for k in range(geometry.loop_ptr[f], geometry.loop_ptr[f + 1]):
+            u, v = side(geometry, g, f, k)
+            p, tip = along(c, 1.0, to_world(geometry.R, g, u)), along(c, 1.0, to_world(geometry.R, g, v))
+            d, length1 = unit(minus(tip, p))
+            s, r = closest(p, d, length1, q, e, length2)
+            away = minus(along(q, r, e), along(p, s, d))
+            if dot(away, away) < least:
+                least, best = dot(away, away), (p, tip, 0.0, True)
     lines = (best, round_line) if g == i else (round_line, best)
-    count = segments(geometry, i, j, lines, m, out, at)
-    return ends(geometry, i, j, row(out.normal, at), margin, out, at, count) if count > 0 else 0
+    return segments(geometry, i, j, lines, n, out, at)
 
 
 @in_place
@@ -134,7 +153,7 @@ def begin(geometry, i, j, given, out, at):
         face1, face2 = reference_face(geometry, i, j, n, ANGLE)
         if face1 >= 0 or face2 >= 0:
             return 0, False, n, face1, face2
-    first = max(1, of_features(geometry, i, j, n, ANGLE, given.margin, out, at))
+    first = max(1, of_features(geometry, i, j, n, ANGLE, -1, given.margin, out, at))
     exact = row(out.normal, at)
     if known and given.trusted and out.gap[at] <= given.slack:
         # Rounding off a sliver of contact beside an edge turns the normal: a face may separate better.
@@ -162,11 +181,7 @@ def pair_contacts(geometry, i, j, given, room, out, at):
             lowest = min(lowest, room.heights[k])
         # What is deepest is not over the face: beside one the features are seen more sharply.
         if lowest > separation(geometry, i, j, m)[0] + SAME * smaller(geometry, i, j):
-            g, face = (i, face1) if face1 >= 0 else (j, face2)
-            if geometry.kind[g] == POLYTOPE and is_round(geometry, i + j - g):
-                first = beside(geometry, i, j, g, face, m, margin, out, at)
-            else:
-                first = of_features(geometry, i, j, n, SHARP, margin, out, at)
+            first = of_features(geometry, i, j, n, SHARP, max(face1, face2), margin, out, at)
             if first == 0:  # another face separates better
                 face1, face2 = reference_face(geometry, i, j, best_normal(geometry, i, j, m), WIDE)
                 count, m = over_face(geometry, i, j, margin, face1, face2, room)
