@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import brentq
 from test_contacts import BOX, CYLINDER, PRISM, ROCK, about, detector, random_rotation, solid, support
 
+from nsdyn.audit.touching import from_surface
 from nsdyn.collision.contacts import ContactMemory
 from nsdyn.scene import shapes
 
@@ -220,6 +221,23 @@ def test_what_is_round_beside_a_face_meets_its_edge(shape, swapped):
             np.testing.assert_allclose(c.normal, np.tile(-n if swapped else n, (len(c.gap), 1)), rtol=0, atol=1e-9)
             middle = np.array([0.5, 0.5]) - 0.5 * depth * radius * n[1:]
             np.testing.assert_allclose(c.point[:, 1:], np.tile(middle, (len(c.gap), 1)), rtol=0, atol=1e-9)
+
+
+def test_cylinders_side_by_side_touch_where_both_are(rng):
+    """Almost parallel ones, of which one ends beside the other: its rim touches that side, no point beyond its end."""
+    a, b = shapes.cylinder(0.4, 0.3), shapes.cylinder(0.35, 0.5)
+    pair, closed = detector(a, b), 0
+    for _ in range(200):
+        tilt, lean = 10.0 ** rng.uniform(-4.0, -1.0), 10.0 ** rng.uniform(-7.0, -3.0) * rng.choice((-1.0, 1.0))
+        R = np.array([np.eye(3), about((1, 0, 0), tilt) @ about((0, 1, 0), lean)])
+        x = np.array([[0.0, 0.0, 0.0], [0.75 - 1e-5, 0.0, rng.uniform(-0.3, 0.3)]])
+        c, _ = pair.find(x, R, np.zeros(2), ContactMemory.empty())
+        for k in np.flatnonzero(c.gap <= 0.0):
+            closed += 1
+            for shape, there, turn in zip((a, b), x, R, strict=True):
+                off = from_surface(solid(shape), ((c.point[k] - there) @ turn)[None])[0]
+                assert off <= -1.01 * c.gap.min() + 1e-8, (tilt, lean, x[1, 2], c.point[k])
+    assert closed > 150
 
 
 @pytest.mark.parametrize(("inset", "on_face"), [(0.005, False), (0.1, True)])

@@ -33,6 +33,7 @@ from nsdyn._kernels.collision.kinds import (
     deepest_vertex,
     has_corner,
     has_ends,
+    has_rim,
     is_round,
     segment,
     side,
@@ -110,6 +111,15 @@ def closest_features(geometry, i, j, n, angle, face, out, at):
     if geometry.kind[j] == POLYTOPE and is_round(geometry, i):
         return beside(geometry, i, j, j, n, face, out, at)
     smooth(geometry, i, j, n, lines, out, at)
+    if lines[0][3] and lines[1][3] and has_rim(geometry, i) and has_rim(geometry, j):
+        # The rim of either may touch the side of the other.
+        (p1, q1, radius1, _), (p2, q2, radius2, _) = lines
+        for rim in range(2):
+            smooth(geometry, i, j, n, ((p1, q1, radius1, rim == 1), (p2, q2, radius2, rim == 0)), out, at + 1)
+            if out.gap[at + 1] > out.gap[at]:
+                put(out.point, at, row(out.point, at + 1))
+                put(out.normal, at, row(out.normal, at + 1))
+                out.gap[at] = out.gap[at + 1]
     return 1
 
 
