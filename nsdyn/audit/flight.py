@@ -12,7 +12,7 @@ from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["CONJUGATE", "Flight", "angles", "spins", "tumbled"]
+__all__ = ["CONJUGATE", "Flight", "angles", "least", "spins", "tumbled"]
 
 LEAP = 0.005, 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 3e-11 or 3e-7 rad. The
@@ -145,7 +145,7 @@ class Flight:
             unknown,
             turn,
             8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2),
-            COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / _least(poses),
+            COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / least(poses),
             _lifted(poses, pushes, then, turning),
             Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),
             np.bincount(row[met], doubt[met], len(n)).astype(float),
@@ -189,7 +189,7 @@ def _wander(poses: Poses) -> Array:
     """How fast each contact comes from where it was last, or goes to where it is next, (contacts,), m/s.
 
     By its key, and by its pair if of that it pushes alone: what goes far, as around the rim of a coin, has other keys.
-    Round ones that are new come from no farther than one would have their names: rims are shared out anew as they turn.
+    Of several, round ones that are new come from no farther than they would have their names: rims are shared out anew.
     """
     c, (i, j) = poses.contacts, poses.pair
     when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
@@ -198,7 +198,7 @@ def _wander(poses: Poses) -> Array:
     alone = pushes & (np.bincount(group, pushes)[group] == 1.0)
     new = np.unique(c["key"], return_index=True)[1]
     far = NAMED * poses.bounding_radius[poses.pair].min(axis=0) / (0.5 * poses.trajectory.dt)
-    out[new] = np.where(poses.rounding[poses.pair].sum(axis=0) > 0.0, far, 0.0)[new]
+    out[new] = np.where(~alone & (poses.rounding[poses.pair].sum(axis=0) > 0.0), far, 0.0)[new]
     for name in (c["key"], np.where(alone, pair, -1 - np.arange(pair.size))):
         order = np.lexsort((when, name))
         way = np.linalg.norm(np.diff(c["point"][order], axis=0), axis=1)
@@ -211,11 +211,11 @@ def _wander(poses: Poses) -> Array:
 
 def _fastest(poses: Poses, levers: Array) -> Array:
     """Most that free bodies may turn in each step, (n, free), rad/s."""
-    out: Array = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / _least(poses)
+    out: Array = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least(poses)
     return out
 
 
-def _least(poses: Poses) -> Array:
+def least(poses: Poses) -> Array:
     """Least moments of inertia of free bodies, (free,), kg m²."""
     return np.array(np.linalg.eigvalsh(_inertias(poses))[:, 0])
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
-from nsdyn.audit.flight import Flight, spins
+from nsdyn.audit.flight import Flight, least, spins
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.pushes import GIVEN, UNTIMED, together
 from nsdyn.audit.retraced import Retraced
@@ -154,10 +154,9 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
     if not (poses.free and t.meta.get("external_force", True)):
         left["external"] = np.abs(e.external - of_trees.get("external", nothing))
-    least = np.linalg.eigvalsh(np.array(poses.scene["inertias"]).reshape(-1, 3, 3))[:, 0]
     spin = np.linalg.norm(spins(poses), axis=2)
     spin = np.maximum(spin[1:], spin[:-1]) + flight.levers
-    unknown = (flight.turn * spin * spin) @ (1.0 / least)
+    unknown = (flight.turn * spin * spin) @ (1.0 / least(poses))
     left["projection"] = np.abs(e.projection - flight.lifted - (nothing if found is None else found.energy)) - unknown
     names = list(left)
     off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt

@@ -75,23 +75,25 @@ def apart(geometry, i, j, margin):
 
 
 @in_place
-def of_features(geometry, i, j, n, angle, face, margin, out, at):
+def of_features(geometry, i, j, n, face, margin, out, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
 
-    The first one has the least gap. Ends of round segments that the margin holds follow. `face` as of `beside`.
+    The first one has the least gap. Ends of round segments that the margin holds follow. `face` as of `beside`: where n
+    is its normal features are seen more sharply.
     """
-    count = closest_features(geometry, i, j, n, angle, face, out, at)
+    count = closest_features(geometry, i, j, n, face, out, at)
     if has_ends(geometry, i) or has_ends(geometry, j):
         count = ends(geometry, i, j, row(out.normal, at), margin, out, at, count)
     return count
 
 
 @in_place
-def closest_features(geometry, i, j, n, angle, face, out, at):
+def closest_features(geometry, i, j, n, face, out, at):
     """Contacts of the features that are outermost along n, where they are closest; returns their number.
 
     It is 0 if no edges of two polytopes separate as well as n does.
     """
+    angle = SHARP if face >= 0 else ANGLE
     lines = edge(geometry, i, n, angle), edge(geometry, j, times(-1.0, n), angle)
     if lines[0][3] and lines[1][3]:
         count = segments(geometry, i, j, lines, n, out, at)
@@ -163,7 +165,7 @@ def begin(geometry, i, j, given, out, at):
         face1, face2 = reference_face(geometry, i, j, n, ANGLE)
         if face1 >= 0 or face2 >= 0:
             return 0, False, n, face1, face2
-    first = max(1, of_features(geometry, i, j, n, ANGLE, -1, given.margin, out, at))
+    first = max(1, of_features(geometry, i, j, n, -1, given.margin, out, at))
     exact = row(out.normal, at)
     if known and given.trusted and out.gap[at] <= given.slack:
         # Rounding off a sliver of contact beside an edge turns the normal: a face may separate better.
@@ -189,9 +191,9 @@ def pair_contacts(geometry, i, j, given, room, out, at):
         lowest = math.inf
         for k in range(count):
             lowest = min(lowest, room.heights[k])
-        # What is deepest is not over the face: beside one the features are seen more sharply.
+        # What is deepest is not over the face.
         if lowest > separation(geometry, i, j, m)[0] + SAME * smaller(geometry, i, j):
-            first = of_features(geometry, i, j, n, SHARP, max(face1, face2), margin, out, at)
+            first = of_features(geometry, i, j, n, max(face1, face2), margin, out, at)
             if first == 0:  # another face separates better
                 face1, face2 = reference_face(geometry, i, j, best_normal(geometry, i, j, m), WIDE)
                 count, m = over_face(geometry, i, j, margin, face1, face2, room)

@@ -197,11 +197,25 @@ def alone(W, q, mu, scales, q_norm, r, u):
 
 @kernel(rounds=1000)
 def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most):
-    """Solve a problem in place of r: lone contacts in closed form, others by sweeps.
+    """Solve a problem in place of r: lone contacts in closed form, others by sweeps on all islands at once.
 
-    W = (indptr, indices, data) in blocks; arrays by themselves, since those in tuples take numba twice as long. The
-    sweeps are at most so many, with momentum, and on all islands at once. Returns their number, the error of the
-    literature and the residual of r; its u = W r + q is in u.
+    Returns the number of sweeps, the error of the literature and the residual of r, m/s. Arrays stand by themselves:
+    those in tuples take numba twice as long.
+
+    Parameters
+    ----------
+    indptr, indices, data : ndarray
+        W in blocks, as of `FC3D.csr`.
+    q : ndarray, shape (3 nc,)
+        m/s.
+    mu, scales : ndarray, shape (nc,)
+    q_norm : float
+        m/s.
+    r, u : ndarray, shape (3 nc,)
+        Where it begins and what it finds, N·s, and into u W r + q.
+    tol : float
+    most : int
+        Sweeps.
     """
     W, nc, count = (indptr, indices, data), mu.size, 0
     given.velocity(W, q, r, u)
