@@ -69,6 +69,11 @@ UNKNOWN = np.empty(0)
 LIMITS = (DENSE, *TUNING.small)
 """What `_start.by_factors` takes."""
 
+IN_TURN = TUNING.cost * TUNING.sweeps, TUNING.length, TUNING.small[0]
+"""What `_start.by_matrix` takes."""
+
+CONVERGED = Status.CONVERGED  # to look it up takes 70 ns
+
 
 class Search:
     """The best impulse of one island so far, and what it has cost.
@@ -182,10 +187,10 @@ class Search:
             self.converge(self.tol)
         for k in range(TUNING.rounds):
             last, length = TUNING.length**k, TUNING.length ** (k + 1)
+            if not self.over and k > 0:  # what a few steps more solve needs neither sweeps nor a path
+                self.newton(last, self.tol)
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
                 self.sweep(TUNING.sweeps)
-            if not self.over and k > 1:  # what a few steps more solve needs no path
-                self.newton(last, self.tol)
             if not self.over and k > 1:
                 self.follow(length)
             if not self.over:
@@ -215,10 +220,11 @@ class Auto(Options):
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
     step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
-    the first misses the loose tolerance is left, and all begins from nothing. From the third on Newton first gets as
-    long as in the last, and then the path of smoothed laws is followed, for as long as Newton gets after it. All go on
-    where they were; sweeps and Newton begin anew where another has found better. A problem given by W alone, which need
-    not be symmetric, has the sweeps of the first round in one kernel call, and the same means after.
+    the first misses the loose tolerance is left, and all begins from nothing. From the second on Newton first gets as
+    long as in the last, and from the third on the path of smoothed laws is followed, for as long as Newton gets after
+    it. All go on where they were; sweeps and Newton begin anew where another has found better. A problem given by W
+    alone, which need not be symmetric, has the sweeps of the first round in one kernel call, with Newton in turn where
+    that costs no more, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
@@ -248,7 +254,7 @@ class Auto(Options):
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         solution = self._solved(problem, r0, self.tol)
-        return solution if solution.status is Status.CONVERGED else self._explained(problem, solution)
+        return solution if solution.status is CONVERGED else self._explained(problem, solution)
 
     def balanced(self, problem: FC3D, r0: Array, before: Array) -> Solution:
         """Solve the problem from r0, which is no solution where it changes velocities of contacts that hold by much.
@@ -277,16 +283,16 @@ class Auto(Options):
 
     def _solved(self, problem: FC3D, r0: Array | None, large: float, before: Array = UNKNOWN) -> Solution:
         """Solve the problem from r0, islands that take more than a kernel call to the tolerance `large`."""
-        start, nc, blocks = clock(), problem.nc, problem.blocks
+        start, nc, blocks = clock(), problem.mu.size, problem.blocks
         r, u = np.zeros(3 * nc) if r0 is None else problem.impulse(r0).copy(), np.empty(3 * nc)
         if not nc:
             return Solution.judge(problem, r, self.tol, 0, clock() - start)
         if blocks is None:
-            W, given = problem.csr, (problem.q, problem.mu, problem.scales, problem.q_norm, r, u)
+            W, q, mu, scales, q_norm = problem.csr, problem.q, problem.mu, problem.scales, problem.q_norm
             if nc == 1:
-                count, error, residual = _start.alone(W[2], *given)
+                count, error, residual = _start.alone(W[2], q, mu, scales, q_norm, r, u)
             else:
-                count, error, residual = _start.by_matrix(*W, *given, self.aims[1], TUNING.cost * TUNING.sweeps)
+                count, error, residual = _start.by_matrix(*W, q, mu, scales, q_norm, r, u, self.aims[1], *IN_TURN)
             left = not (error <= self.tol and residual <= self.tol)
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))
@@ -309,7 +315,7 @@ class Auto(Options):
                     r[i], count = x, count + search.count
             _, error, residual, u = problem.solved(r, self.tol)
         if error <= self.tol and residual <= self.tol:
-            return Solution(r, u, Status.CONVERGED, error, residual, count, clock() - start)
+            return Solution(r, u, CONVERGED, error, residual, count, clock() - start)
         otherwise = Status.LOOSE
         if (worst := max(error, residual)) > self.loose:
             otherwise = Status.STALLED if worst <= max(FLOOR, problem.round_off(r)) else Status.MAX_ITERATIONS

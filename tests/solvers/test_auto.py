@@ -297,3 +297,14 @@ def test_a_warm_start_that_leads_nowhere_is_left(scale):
     solution = solver(problem, start)
     assert solution.converged
     assert np.array_equal(solution.r, solver(problem).r)
+
+
+@pytest.mark.parametrize("seed", [2, 18, 28, 49])
+def test_few_contacts_by_w_alone_take_one_kernel_call(seed, monkeypatch):
+    """Up to 6 contacts of one body that turns easily: sweeps alone creep, 1280 were not enough."""
+    rng = np.random.default_rng(seed)
+    nc = 2 + seed % 5
+    H = rng.normal(size=(6, 3 * nc))
+    W = H.T @ np.diag([1.0, 1.0, 1.0, 30.0, 30.0, 30.0]) @ H
+    monkeypatch.setattr(auto, "Search", None)
+    assert nd.solve(nd.FC3D(W, H.T @ rng.normal(size=6), np.full(nc, 0.5))).converged

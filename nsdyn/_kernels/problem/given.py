@@ -22,3 +22,18 @@ def velocity(W, q, r, u):
     """u = W r + q, into u (3 nc,)."""
     for c in range(W[0].size - 1):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(W, q, r, c)
+
+
+@in_place
+def stiffened(W, A, S):
+    """I + A W for blocks A (nc, 3, 3), into S (3 nc, 3 nc)."""
+    indptr, indices, data = W
+    S[:] = 0.0
+    for c in range(A.shape[0]):
+        for p in range(indptr[c], indptr[c + 1]):
+            d, B, w = 3 * indices[p], A[c], data[p]
+            for i in range(3):
+                for j in range(3):
+                    S[3 * c + i, d + j] = B[i, 0] * w[0, j] + B[i, 1] * w[1, j] + B[i, 2] * w[2, j]
+    for i in range(S.shape[0]):
+        S[i, i] += 1.0

@@ -17,6 +17,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.problem import given
 from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, velocity, velocity_change
 from nsdyn._kernels.problem.cones import measure_at, measures
 from nsdyn._kernels.problem.linear import factorise, substitute
@@ -215,6 +216,47 @@ def dense(problem, r, enough, near, penalty, most):
             copy(kept, y)
             relative_velocity(blocks, y, u)
             u += own
+    return count, best
+
+
+@kernel
+def impulses(problem, r, enough, penalty, most):
+    """`dense` for (W, q, mu, scales, q_norm) with a W that is given: the unknown y is the change of the impulses.
+
+    (I + A W) dy = P - r - y, u = W y + W r + q.
+    """
+    W, q, mu, scales, q_norm = problem
+    n = q.size
+    y, kept, own, shown, P, step = np.zeros(n), np.zeros(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    A, S = np.empty((mu.size, 3, 3)), np.empty((n, n))
+    pivot, low, end = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    given.velocity(W, q, r, own)
+    u, estimate, best = own.copy(), r.copy(), measure_at(scales, own, r, mu, q_norm)
+    count, inner, before = 0, 0, np.inf
+    while best > enough and count < most and penalty > LEAST:
+        if inner == 0:
+            rho = penalty / scales
+            projected(u, estimate, rho, mu, P, step)
+        stiffness(u, estimate, rho, mu, A)
+        given.stiffened(W, A, S)
+        if not factorise(S, pivot, low, end):
+            break
+        step -= y
+        substitute(S, pivot, low, end, step)
+        y += step
+        count += 1
+        given.velocity(W, own, y, u)
+        projected(u, estimate, rho, mu, P, step)
+        given.velocity(W, q, P, shown)
+        so_far = penalty, inner + 1, before, best
+        verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)
+        penalty, inner, before, best = so_far
+        if verdict == SETTLED:
+            y -= step
+            copy(y, kept)
+        elif verdict == FAILED:
+            copy(kept, y)
+            given.velocity(W, own, y, u)
     return count, best
 
 

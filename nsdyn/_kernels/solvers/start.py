@@ -187,7 +187,7 @@ def widest(blocks, label):
     return out, found
 
 
-@kernel
+@in_place
 def alone(W, q, mu, scales, q_norm, r, u):
     """Solve a problem of one contact into r; u = W r + q into u. Returns 1 and measures, as `by_matrix`."""
     closed_form(W[0], q, mu, r, u)
@@ -195,12 +195,37 @@ def alone(W, q, mu, scales, q_norm, r, u):
     return 1, top / q_norm, residual
 
 
-@kernel(rounds=1000)
-def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most):
-    """Solve a problem in place of r: lone contacts in closed form, others by sweeps on all islands at once.
+@kernel
+def in_turn(problem, r, measure, tol, limits):
+    """Sweeps with momentum on all islands at once, then Newton, in place of r, of that measure; how many of both.
 
-    Returns the number of sweeps, the error of the literature and the residual of r, m/s. Arrays stand by themselves:
-    those in tuples take numba twice as long.
+    Newton gets `length` steps and every time twice as many, after sweeps of as much work: a factorisation of a W that
+    couples all contacts takes that of nc sweeps. Sweeps go on where they were, or begin anew where Newton gained.
+    """
+    (W, q, mu, scales, q_norm), (most, length, penalty) = problem, limits
+    nc, count, sweeps = mu.size, 0, (0, 0, measure, 0.5)
+    begun, y, x, t = (W, nesterov.steps_of_matrix(W, mu), q, mu, scales, q_norm), r.copy(), r.copy(), np.ones(nc)
+    while sweeps[2] > tol and sweeps[0] < most:
+        end = sweeps[0] + CHECK * math.ceil(length * nc * nc * nc / W[1].size / CHECK)
+        sweeps = nesterov.solve_matrix(begun, (r, y, x, t), sweeps, (tol, min(end, most), CHECK, most))
+        if sweeps[2] > tol and end <= most:
+            used, measure = newton.impulses(problem, r, tol, penalty, length)
+            count += used
+            if measure < sweeps[2]:
+                copy(r, y)
+                copy(r, x)
+                t[:] = 1.0
+                sweeps = sweeps[0], sweeps[0], measure, 0.5
+        length *= 2
+    return sweeps[0] + count
+
+
+@in_place(rounds=1000)
+def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most, length, penalty):
+    """Solve a problem in place of r: lone contacts in closed form, others `in_turn`.
+
+    Returns the number of sweeps and factorisations, the error of the literature and the residual of r, m/s. Arrays
+    stand by themselves: those in tuples take numba twice as long.
 
     Parameters
     ----------
@@ -214,21 +239,21 @@ def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most):
     r, u : ndarray, shape (3 nc,)
         Where it begins and what it finds, N·s, and into u W r + q.
     tol : float
-    most : int
-        Sweeps.
+    most, length : int
+        Sweeps, and Newton steps of the first time.
+    penalty : float
     """
-    W, nc, count = (indptr, indices, data), mu.size, 0
+    W, count = (indptr, indices, data), 0
     given.velocity(W, q, r, u)
-    best = cones.measure_at(scales, u, r, mu, q_norm)
-    if not best <= tol:
-        for c in range(nc):
+    top, residual = cones.measures(scales, u, r, mu)
+    if not (residual <= tol and top <= tol * q_norm):
+        for c in range(mu.size):
             if indptr[c + 1] == indptr[c] + 1:
                 at = slice(3 * c, 3 * c + 3)
                 closed_form(data[indptr[c]], q[at], mu[c : c + 1], r[at], u[at])
         given.velocity(W, q, r, u)
         best = cones.measure_at(scales, u, r, mu, q_norm)
-        begun, state = (W, nesterov.steps_of_matrix(W, mu), q, mu, scales, q_norm), (r, r.copy(), r.copy(), np.ones(nc))
-        count, _, best, _ = nesterov.solve_matrix(begun, state, (0, 0, best, 0.5), (tol, most, CHECK, most))
+        count = in_turn((W, q, mu, scales, q_norm), r, best, tol, (most, length, penalty))
         given.velocity(W, q, r, u)
-    top, residual = cones.measures(scales, u, r, mu)
+        top, residual = cones.measures(scales, u, r, mu)
     return count, top / q_norm, residual
