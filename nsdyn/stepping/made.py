@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +20,12 @@ from nsdyn.stepping.flat import Found, looked, matrices, vectors, velocity
 from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
 from nsdyn.stepping.instant import Instant, System
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
-from nsdyn.stepping.projection import Placed
-from nsdyn.stepping.response import Reach, Response
+from nsdyn.stepping.trial import Trial
 from nsdyn.tools.arrays import Array, Bools, Index
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["Made"]
 
-NOTHING = np.empty(0)
+NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
 
 class Made(NamedTuple):
@@ -69,9 +65,7 @@ class Made(NamedTuple):
     end_key: int
     whole: bool
 
-    def values(
-        self, s: System, begin: Instant, t: float, h: float, motion: Motion | None
-    ) -> tuple[Half, Reach, Response]:
+    def values(self, s: System, begin: Instant, t: float, h: float, motion: Motion | None) -> Trial:
         """The move of h s from the time t as values; its motion where Python knows of it."""
         d, (n, nv), f, w, p = s.dynamics, self.size, self.floats, self.work, begin.position
         b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
@@ -87,25 +81,28 @@ class Made(NamedTuple):
             position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
         else:
             end, position = motion.placement, motion.position
-        moved = Placed(position, end, found, d.limits(end), memory, where, True)
+        twists = vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)
+        found_there = found, d.limits(end), memory, where
+        moved = Instant(position, velocity(b, self.size, _col.V), end, *found_there, begin.warm, twists, ())
         if goes:
             memory_there = ContactMemory(self.end.names, self.end.points, self.end_key)
             moved = moved._replace(contacts=self.end.contacts(), memory=memory_there, looked=looked(b, _col.LOOKED, n))
         first = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv + _col.IMPULSE * self.status.size
-        response = Response(
+        return Trial(
             partial(self._answer, s, begin, met, (half.forces.m, half.forces.minv)),
+            half=half,
             v=velocity(w, self.size, _col.V_PLUS),
             impulse=NOTHING if motion is None else motion.impulse,
-            v_end=velocity(b, self.size, _col.V),
             trees=() if motion is None else motion.ends,
-            twists=(vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)),
             moved=moved,
+            contacts=met,
+            slots=NO_SLOTS,
             normal=f[first : first + 3 * self.status.size : 3],
+            memory=memory,
         )
-        return half, Reach(met, None, found, memory, where), response
 
     def _answer(self, s: System, begin: Instant, met: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:
-        """What is met, its problem, and the impulses, by the names of `Response`."""
+        """What is met, its problem, and the impulses, by the names of `Trial`."""
         (n, nv), nc, f, w = self.size, self.status.size, self.floats, self.work
         a, own = f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :], w[_col.FRAME_WORK * n :]
         own = own[_col.COORDINATE_WORK * nv :]

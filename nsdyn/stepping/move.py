@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.workless import SOLVES
-from nsdyn.collision.contacts import Poses
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.ball_joints import SHARES
@@ -17,16 +19,37 @@ from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.half import Callbacks, Half, Loads, corrected, first_half
 from nsdyn.stepping.instant import Instant, System, among, take
 from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
-from nsdyn.stepping.projection import Placed, place
-from nsdyn.stepping.response import NEW, Begun, Reach, Response, Trial
+from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.stepping.solving import Way
+from nsdyn.stepping.trial import NEW, Begun, Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["attempt", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+
+
+class Reach(NamedTuple):
+    """What the second half of a move may need, of what was found where its impulses act.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    joints : JointRows or None
+    found : ContactSet
+        All that was found.
+    memory : ContactMemory
+    looked : Looked
+    """
+
+    contacts: ContactSet
+    joints: JointRows | None
+    found: ContactSet
+    memory: ContactMemory
+    looked: Looked
+
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
@@ -59,7 +82,7 @@ def trial(
     t, h : float
         s.
     barred : ndarray of int, optional
-        Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
+        Codes, as of `others`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
     begun : Begun
     """
@@ -72,47 +95,44 @@ def trial(
         made = s.mover.respond(s, begin, t, h, barred, half)
     if made is None:
         made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
-    half, _, response = made
-    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+    if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
         return trial(s, lambda _: None, begin, t, h, barred, Begun(again))
     return _met(s, begin, made, barred)
 
 
-def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple[Half, Reach, Response]:
+def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial:
     """The move from its first half, stage by stage."""
     reach = _reachable(s, begin, half, barred)
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
     rough = barred is None
-    half, response = _respond(s, begin, half, reach, barred, None, rough)
+    m = _respond(s, begin, half, reach, barred, None, rough)
     missed = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
-        r, moved, middle = response.solution.r, response.moved, half.middle.placement
-        real, memory, missed = shown(s, response.met, r, moved, reach.memory, middle, half.fast, missed)
-        same = real is response.met.contacts and not response.otherwise
+        half, r = m.half, m.solution.r
+        real, memory, missed = shown(s, m.met, r, m.moved, reach.memory, half.middle.placement, half.fast, missed)
+        same = real is m.contacts and not m.otherwise
         if same and not rough:
             break
         rough = not same and left > 0
         reach = reach._replace(contacts=real, memory=memory)
-        half, response = _respond(s, begin, half, reach, barred, response, rough)
-    return half, reach, response
+        m = _respond(s, begin, half, reach, barred, m, rough)
+    return m
 
 
-def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: Index | None) -> Trial:
-    """What a move runs into."""
-    half, reach, response = made
-    h, moved = half.h, response.moved
-    unmet, until = None, h
-    if barred is not None:
-        limits = moved.limits
-        if limits.size and not barred.size and _few.least(limits) >= -s.closed:
-            limits = NOTHING
-        r, slots = response.normal, NO_SLOTS if reach.joints is None else reach.joints.slot
-        unmet = others(s, moved.contacts, reach.contacts, r, limits, slots)
-        if half.fast and not barred.size:
-            first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
-            own = begin.contacts, moved.contacts, (first, second, third), reach.memory
-            until = touched(s, *own, h, half.reach / half.ahead)
-    return Trial(half, reach, response, unmet, until)
+def _met(s: System, begin: Instant, m: Trial, barred: Index | None) -> Trial:
+    """The move with what it runs into."""
+    half, moved, until = m.half, m.moved, m.half.h
+    if barred is None:
+        return m.but(hits=NO_SLOTS, limit=np.inf, touched=until)
+    limits = moved.limits
+    if limits.size and not barred.size and _few.least(limits) >= -s.closed:
+        limits = NOTHING
+    hits, limit = others(s, moved.contacts, m.contacts, m.normal, limits, m.slots)
+    if half.fast and not barred.size:
+        first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
+        own = begin.contacts, moved.contacts, (first, second, third), m.memory
+        until = touched(s, *own, half.h, half.reach / half.ahead)
+    return m.but(hits=hits, limit=limit, touched=until)
 
 
 def attempt(
@@ -140,14 +160,11 @@ def attempt(
         reach = _reachable(s, begin, half, NO_SLOTS)
         if skip.any():
             reach = reach._replace(contacts=take(reach.contacts, ~skip[s.nodes(reach.contacts)]))
-        half, response = _respond(s, begin, half, reach, NO_SLOTS, None, rough, label)
-    else:
-        half, reach, response = made
-    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+        made = _respond(s, begin, half, reach, NO_SLOTS, None, rough, label)
+    if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
         return attempt(s, begin, again, None, label, skip, NEW, rough)
-    slots, moved = NO_SLOTS if reach.joints is None else reach.joints.slot, response.moved
-    unmet = others(s, moved.contacts, reach.contacts, response.normal, moved.limits, slots)
-    return Trial(half, reach, response, unmet, half.h)
+    hits, limit = others(s, made.moved.contacts, made.contacts, made.normal, made.moved.limits, made.slots)
+    return made.but(hits=hits, limit=limit, touched=made.half.h)
 
 
 def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> Reach:
@@ -175,10 +192,10 @@ def _respond(
     half: Half,
     reach: Reach,
     barred: Index | None,
-    last: Response | None,
+    last: Trial | None,
     rough: bool,
     label: Index | None = None,
-) -> tuple[Half, Response]:
+) -> Trial:
     """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
 
     The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve:
@@ -209,15 +226,17 @@ def _respond(
             impulse = met.rows.full.momentum(solution.r + impact.r)
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.driven)
         twists, same = d.twists(there, v_end), s.unmoved(looked, there, near)
+        moved = Instant(end, v_end, there, found, NOTHING, reach.memory, looked, begin.warm, twists, ())
         if same:
-            moved = Placed(end, there, found, d.limits(there), reach.memory, looked, True)
+            moved = moved._replace(limits=d.limits(there))
         else:
-            moved = place(d, s.detector, end, there, reach.memory, s.look(looked, there.x, there.R, near))
-        ending = _ending(s, half, alone, solution.r, moved, v_end) if left and met.stays.any() else None
+            moved = found_at(s, moved, s.look(looked, there.x, there.R, near))
+        ending = _ending(s, half, alone, solution.r, moved) if left and met.stays.any() else None
         if ending is None:
             break
         (alone, off), known = ending, solution
-    return half, Response(
+    return Trial(
+        half=half,
         met=met,
         impact=impact,
         kick=kick,
@@ -228,11 +247,12 @@ def _respond(
         couple=couple,
         v=v,
         impulse=impulse,
-        v_end=v_end,
         trees=trees,
-        twists=twists,
         moved=moved,
+        contacts=reach.contacts,
+        slots=NO_SLOTS if reach.joints is None else reach.joints.slot,
         normal=solution.r[0 : 3 * reach.contacts.gap.size : 3],
+        memory=reach.memory,
     )
 
 
@@ -254,9 +274,7 @@ def _encounter(
     return met.lasting(pair, begin.warm, before, s.closed, half.h, impact is not None), impact, kick
 
 
-def _ending(
-    s: System, half: Half, met: Encounter, r: Array, moved: Placed, v_end: Array
-) -> tuple[Encounter, Bools] | None:
+def _ending(s: System, half: Half, met: Encounter, r: Array, moved: Instant) -> tuple[Encounter, Bools] | None:
     """What is met with the gaps that rows end with, and which rows these are; None where they end as they should."""
     d, there, joints = s.dynamics, moved.placement, met.joints
     gap = s.detector.gaps(met.contacts, moved.contacts, Poses(there.x, there.R))
@@ -264,8 +282,8 @@ def _ending(
         gap = np.concatenate((gap, _limits(s, joints, there)))
     if (off := met.off(gap, r, s.closed)) is None:
         return None
-    parts = parting(d, moved.contacts, there, v_end, moved.position.driven_x, half.surfaces[2])
-    rates = NOTHING if joints is None else d.joints.rates(joints.slot, v_end)
+    parts = parting(d, moved.contacts, there, moved.v, moved.position.driven_x, half.surfaces[2])
+    rates = NOTHING if joints is None else d.joints.rates(joints.slot, moved.v)
     further = met.corrected(gap, off, r, s.closed, half.ahead, (moved.contacts.key, parts, rates))
     return None if further is None else (further, off)
 
@@ -278,7 +296,7 @@ def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:
     return np.where(joints.mu > 0.0, np.inf, gaps)
 
 
-def _resume(met: Encounter, slides: Bools, last: Response) -> None:
+def _resume(met: Encounter, slides: Bools, last: Trial) -> None:
     """Start from what the last look has left: impulses and slip of contacts that are still there, and joint rows."""
     key, r, rows = last.met.contacts.key, last.solution.r.reshape(-1, 3), last.met.joints
     nc = met.contacts.gap.size

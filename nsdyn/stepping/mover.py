@@ -20,8 +20,8 @@ from nsdyn.stepping.flat import Acted, Found, looked, packed, put, velocity
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.made import Made
-from nsdyn.stepping.response import Reach, Response
 from nsdyn.stepping.solving import again
+from nsdyn.stepping.trial import Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["NO_PAIRS", "Mover"]
@@ -216,7 +216,7 @@ class Mover:
 
     def respond(
         self, s: System, begin: Instant, t: float, h: float, barred: Index, half: Half | None = None
-    ) -> tuple[Half, Reach, Response] | None:
+    ) -> Trial | None:
         """The move of h s from the time t, with `barred` as of `trial`; None where the kernel does not make it.
 
         Its first `half` is known where there are trees, or forces of the user.

@@ -20,9 +20,9 @@ from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.made import Made
 from nsdyn.stepping.mover import NO_PAIRS, Mover
-from nsdyn.stepping.response import Begun
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
+from nsdyn.stepping.trial import Begun
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Quiet"]
@@ -90,7 +90,7 @@ class Quiet:
         if made is None:
             return Begun(half)
         move = made.values(s, state.instant, state.next_t - s.dt, s.dt, motion)
-        return Begun(move[0], move)
+        return Begun(move.half, move)
 
     def _next(self, old: Flat, certify: Certify) -> Flat | None:
         """The next state, None where more may happen."""

@@ -37,9 +37,9 @@ from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
-from nsdyn.stepping.response import NEW
 from nsdyn.stepping.state import OnBodies, Pieces, Start, State, Step
 from nsdyn.stepping.system import check_options, system_of
+from nsdyn.stepping.trial import NEW
 from nsdyn.stepping.untold import Untold
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
