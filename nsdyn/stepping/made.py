@@ -117,7 +117,6 @@ class Made(NamedTuple):
             None,
             rows,
             self.met.frame,
-            None,
             met.mu,
             met.restitution,
             self.head[_col.HEAD : _col.HEAD + nc],

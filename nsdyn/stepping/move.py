@@ -203,10 +203,9 @@ def _respond(
     and that is left to see who asks.
     """
     d, middle, forces, found, looked = s.dynamics, half.middle, half.forces, reach.found, reach.looked
-    met, impact, kick = _encounter(s, begin, half, reach, barred, label)
+    met, impact, kick = _encounter(s, begin, half, reach, label)
     slides = foresee(met)
     if last is not None:
-        met = met.otherwise()
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if rough or barred is None else (SOLVES, last is not None)
@@ -257,14 +256,14 @@ def _respond(
 
 
 def _encounter(
-    s: System, begin: Instant, half: Half, reach: Reach, barred: Index | None, label: Index | None
+    s: System, begin: Instant, half: Half, reach: Reach, label: Index | None
 ) -> tuple[Encounter, Impact | None, Array | float]:
     """What the second half meets, with impacts that it catches and their change of v."""
-    d, contacts, closing = s.dynamics, reach.contacts, s.closing(half.h, barred is None)
+    d, contacts = s.dynamics, reach.contacts
     start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     every, at = d.with_actuators(reach.joints, half.forces), half.middle.seen(reach.looked)
     where = half.reach, half.surfaces[1:], half.h, half.ahead
-    met = Encounter.of(d, contacts, every, at, half.forces, start, *where, closing)
+    met = Encounter.of(d, contacts, every, at, half.forces, start, *where)
     impact: Impact | None = None
     kick: Array | float = 0.0
     if label is None:
