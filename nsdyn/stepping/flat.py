@@ -39,20 +39,23 @@ class Found(NamedTuple):
         Points, normals, points in both frames; gaps, mu, restitution; frames; scales; H.
     integers : ndarray of int, shape (9 nc + 2,)
         Both geoms, both frames, keys; blocks, their starts; the size of H and whether rows are made.
+    next_key : int
+        As of `ContactMemory`.
     """
 
     floats: Array
     integers: Index
+    next_key: int
 
     def of(self, nc: int) -> Found:
         """The same, with as many contacts as there are in a room for more."""
-        return Found(self.floats, self.integers[: _col.FOUND_NAMES * nc + 2])
+        return self._replace(integers=self.integers[: _col.FOUND_NAMES * nc + 2])
 
     def anew(self) -> Found:
         """The same, for other rows."""
         integers = self.integers.copy()
         integers[_col.MADE - 2] = 0
-        return Found(self.floats.copy(), integers)
+        return self._replace(floats=self.floats.copy(), integers=integers)
 
     @property
     def nc(self) -> int:
@@ -68,6 +71,11 @@ class Found(NamedTuple):
     def points(self) -> Array:
         """As of `ContactMemory`."""
         return self.floats[: 12 * self.nc].reshape(4, -1, 3)
+
+    @property
+    def memory(self) -> ContactMemory:
+        """What it takes to recognise them."""
+        return ContactMemory(self.names, self.points, self.next_key)
 
     @property
     def scalars(self) -> Array:
@@ -111,7 +119,6 @@ class Flat(NamedTuple):
     status : ndarray of int8, shape (nc,)
     met, found : Found
         Where the impulses acted, and where the step ended.
-    next_key : int
     opening : Opening, optional
     like : Instant
         What is no column is that of this one. With trees it is also where the next motion begins.
@@ -129,7 +136,6 @@ class Flat(NamedTuple):
     status: NDArray[np.int8]
     met: Found
     found: Found
-    next_key: int
     opening: Opening | None
     like: Instant
     masses: tuple[Array, Array]
@@ -167,8 +173,7 @@ class Flat(NamedTuple):
         (floats, acted, status), found = given
         floats[: _col.BOUND] = 0.0
         floats[_col.KINETIC], floats[_col.POTENTIAL] = state.energies
-        key = s.memory.next_key
-        own = floats, acted, status, found, found, key, state.opening, s, masses, None
+        own = floats, acted, status, found, found, state.opening, s, masses, None
         return cls(state.origin, state.dt, state.count, *own)
 
     def frame(self, first: int, width: int) -> Array:
@@ -195,7 +200,7 @@ class Flat(NamedTuple):
             position=self.position,
             placement=Placement(x, R, self.like.placement.links),
             contacts=self.found.contacts(),
-            memory=ContactMemory(self.found.names, self.found.points, self.next_key),
+            memory=self.found.memory,
             warm=Warm(self.acted[:nc], self.acted[nc:], force, self.status, self.like.warm.joints),
             twists=self.twists,
             energies=self.of_trees,
@@ -256,7 +261,8 @@ def packed(s: Instant, rate: Array, wide: int) -> tuple[Acted, Found] | None:
     if not (np.array_equal(m.points[0], c.point) and np.array_equal(m.points[1], c.normal)):
         return None
     floats = [m.points.ravel(), c.gap, c.mu, c.restitution, np.empty((_col.ROWS - _col.FRAMES + wide) * nc)]
-    found = Found(np.concatenate(floats), np.concatenate((m.names.ravel(), np.zeros(4 * nc + 2, np.int64))))
+    integers = np.concatenate((m.names.ravel(), np.zeros(4 * nc + 2, np.int64)))
+    found = Found(np.concatenate(floats), integers, m.next_key)
     turns = np.concatenate((p.quaternion, np.zeros((s.placement.x.shape[0] - p.x.shape[0], 4))))
     columns = s.placement.x, turns, s.placement.R, *s.twists, *s.looked, s.v, rate, w.force
     room = np.empty(_col.RESULTS), *[column.ravel() for column in columns]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement
 from nsdyn.problem.fc3d import FC3D
@@ -44,9 +44,6 @@ class Made(NamedTuple):
     flags : ndarray of bool, shape (FLAGS, nc)
     found, met, end : Found
         What was found where the impulses acted, what of that was met, and what was found at the end.
-    next_key : int
-        That after `found`; at the end it is of `end_key`.
-    end_key : int
     whole : bool
         Whether it is all that was asked for: if not, a move as long as the step, which meets an event.
     """
@@ -61,8 +58,6 @@ class Made(NamedTuple):
     found: Found
     met: Found
     end: Found
-    next_key: int
-    end_key: int
     whole: bool
 
     def values(self, s: System, begin: Instant, t: float, h: float, motion: Motion | None) -> Trial:
@@ -70,7 +65,7 @@ class Made(NamedTuple):
         d, (n, nv), f, w, p = s.dynamics, self.size, self.floats, self.work, begin.position
         b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = self.found.contacts() if went else begin.contacts
-        memory = ContactMemory(self.found.names, self.found.points, self.next_key) if went else begin.memory
+        memory = self.found.memory if went else begin.memory
         half = self._half(s, begin, t, h) if motion is None else motion.half
         reach, fast = w[_col.REACH * n : _col.LOOKED_THERE * n], bool(self.head[_col.FAST])
         half = half.known(velocity(b, self.size, _col.RATE), reach, fast, not went)
@@ -85,8 +80,9 @@ class Made(NamedTuple):
         found_there = found, d.limits(end), memory, where
         moved = Instant(position, velocity(b, self.size, _col.V), end, *found_there, begin.warm, twists, ())
         if goes:
-            memory_there = ContactMemory(self.end.names, self.end.points, self.end_key)
-            moved = moved._replace(contacts=self.end.contacts(), memory=memory_there, looked=looked(b, _col.LOOKED, n))
+            moved = moved._replace(
+                contacts=self.end.contacts(), memory=self.end.memory, looked=looked(b, _col.LOOKED, n)
+            )
         first = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv + _col.IMPULSE * self.status.size
         return Trial(
             partial(self._answer, s, begin, met, (half.forces.m, half.forces.minv)),

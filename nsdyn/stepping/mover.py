@@ -99,7 +99,6 @@ class Mover:
         self,
         old: Acted,
         begun: Found,
-        next_key: int,
         length: tuple[float, float],
         direction: Array = NOTHING,
         barred: Index = NO_PAIRS,
@@ -114,7 +113,6 @@ class Mover:
         old : Acted
         begun : Found
             Contacts there.
-        next_key : int
         length : (float, float)
         direction : ndarray
         barred : ndarray of int
@@ -142,10 +140,10 @@ class Mover:
                 self._arrays,
                 detector.searches,
                 old,
-                tuple(begun),
+                begun[:2],
                 new,
                 rooms,
-                next_key,
+                begun.next_key,
                 direction,
                 barred,
                 work,
@@ -232,7 +230,7 @@ class Mover:
             return None
         old, begun = given
         begun = begun.anew() if self._dynamics.trees else begun
-        made = self(old, begun, begin.memory.next_key, (h, s.depth), barred=barred, motion=motion)
+        made = self(old, begun, (h, s.depth), barred=barred, motion=motion)
         return None if made is None else made.values(s, begin, t, h, motion)
 
     def _set(self, length: tuple[float, float]) -> None:
@@ -245,7 +243,7 @@ class Mover:
 
     def is_ready(self, old: Acted, begun: Found) -> bool:
         """Whether the kernel is compiled; if not, another process does that."""
-        found, detector = tuple(begun), self._detector
+        found, detector = begun[:2], self._detector
         given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
         work = self._rooms(False, False)[2]
         Mover.ready = is_ready(_quiet.quiet, *given, work, (_meeting.DONE, False, detector.asks, False))
@@ -281,7 +279,7 @@ class Mover:
         """What is made so far, as large as it is."""
         (floats, acted, status), (own, head, flags) = new, work
         nc, went, goes = int(head[_col.MET]), floats[_col.WENT] > 0.0, floats[_col.GOES] > 0.0
-        found = Found(*rooms[0]).of(int(head[_col.MIDDLE])) if went else begun
+        found = Found(*rooms[0], int(head[_col.KEY_MIDDLE])).of(int(head[_col.MIDDLE])) if went else begun
         if nc != status.size:
             floats, acted, status = floats[: self._acted + _col.CONTACT * nc], acted[: 2 * nc], status[:nc]
         return Made(
@@ -293,10 +291,8 @@ class Mover:
             head,
             flags,
             found,
-            Found(*rooms[1]).of(nc) if head[_col.SOME] else found,
-            Found(*rooms[2]).of(int(head[_col.END])) if goes else found,
-            int(head[_col.KEY_MIDDLE]),
-            int(head[_col.KEY_END if goes else _col.KEY_MIDDLE]),
+            Found(*rooms[1], found.next_key).of(nc) if head[_col.SOME] else found,
+            Found(*rooms[2], int(head[_col.KEY_END])).of(int(head[_col.END])) if goes else found,
             whole,
         )
 

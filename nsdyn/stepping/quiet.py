@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactMemory, Poses
+from nsdyn.collision.contacts import Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
@@ -122,7 +122,7 @@ class Quiet:
         """A step that the kernel has made; what it has made of one that meets an event is kept."""
         direction = old.opening.d if old.opening else NOTHING
         begun = old.floats, old.acted, old.status
-        made = self._mover(begun, found, old.next_key, self._length, direction, NO_PAIRS, True, self._moves, motion)
+        made = self._mover(begun, found, self._length, direction, NO_PAIRS, True, self._moves, motion)
         if made is not None:
             some = made.floats[_col.WENT] or made.floats[_col.GOES] or made.head[_col.SOME]
             self._moves = bool(some)
@@ -146,7 +146,7 @@ class Quiet:
         floats = made.floats
         if not math.isfinite(floats[_col.KINETIC] + floats[_col.POTENTIAL]):
             return None
-        state = floats, made.acted, made.status, made.met, made.end, made.end_key, old.opening, like, masses, motion
+        state = floats, made.acted, made.status, made.met, made.end, old.opening, like, masses, motion
         out = Flat(old.origin, old.dt, old.count + 1, *state)
         if made.head[_col.FAST] and self._passes(old, out, made):
             return None
@@ -166,8 +166,7 @@ class Quiet:
         s, n, w = self._system, self._system.dynamics.frames, made.work
         there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.REACH * n].reshape(n, 3, 3))
         places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
-        memory = ContactMemory(made.found.names, made.found.points, made.next_key)
-        own = old.found.contacts(), new.found.contacts(), places, memory
+        own = old.found.contacts(), new.found.contacts(), places, made.found.memory
         return touched(s, *own, s.dt, reach / (s.theta * s.dt)) < s.dt
 
     def _is_ready(self, old: Flat) -> bool:
