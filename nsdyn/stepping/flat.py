@@ -49,13 +49,13 @@ class Found(NamedTuple):
 
     def of(self, nc: int) -> Found:
         """The same, with as many contacts as there are in a room for more."""
-        return self._replace(integers=self.integers[: _col.FOUND_NAMES * nc + 2])
+        return Found(self.floats, self.integers[: _col.FOUND_NAMES * nc + 2], self.next_key)
 
     def anew(self) -> Found:
         """The same, for other rows."""
         integers = self.integers.copy()
         integers[_col.MADE - 2] = 0
-        return self._replace(floats=self.floats.copy(), integers=integers)
+        return Found(self.floats.copy(), integers, self.next_key)
 
     @property
     def nc(self) -> int:

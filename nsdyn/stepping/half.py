@@ -126,11 +126,6 @@ class Half(_Half):
         out: Array = self.h * np.concatenate((force, turn), axis=1)
         return out
 
-    def known(self, rate: Array, reach: Array, fast: bool, same: bool) -> Half:
-        """The same with what has been found."""
-        self.__dict__.update(rate=rate, reach=reach, fast=fast, same=same)
-        return self
-
 
 def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
     """Half a free flow from the time t, and the forces there, as callbacks say at the velocity v⁻."""

@@ -309,7 +309,7 @@ class Islands:
         if turned.dv.size:
             of_contacts = kept[: a.met.contacts.gap.size]
             turned = turned._replace(impulse=turned.impulse[of_contacts], work=turned.work[of_contacts])
-        return a.but(
+        return a._replace(
             couple=turned,
             met=a.met.take(kept),
             impact=None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Made"]
 
-NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+NOTHING = np.empty(0)
 
 
 class Made(NamedTuple):
@@ -62,13 +61,11 @@ class Made(NamedTuple):
 
     def values(self, s: System, begin: Instant, t: float, h: float, motion: Motion | None) -> Trial:
         """The move of h s from the time t as values; its motion where Python knows of it."""
-        d, (n, nv), f, w, p = s.dynamics, self.size, self.floats, self.work, begin.position
+        d, (n, _), f, w, p = s.dynamics, self.size, self.floats, self.work, begin.position
         b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = self.found.contacts() if went else begin.contacts
         memory = self.found.memory if went else begin.memory
         half = self._half(s, begin, t, h) if motion is None else motion.half
-        reach, fast = w[_col.REACH * n : _col.LOOKED_THERE * n], bool(self.head[_col.FAST])
-        half = half.known(velocity(b, self.size, _col.RATE), reach, fast, not went)
         where = looked(w, _col.LOOKED_THERE, n) if went else begin.looked
         met = self.met.contacts() if self.head[_col.SOME] else found
         end, position = Placement(vectors(b, _col.X, n), matrices(b, _col.R, n), ()), p
@@ -83,18 +80,14 @@ class Made(NamedTuple):
             moved = moved._replace(
                 contacts=self.end.contacts(), memory=self.end.memory, looked=looked(b, _col.LOOKED, n)
             )
-        first = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv + _col.IMPULSE * self.status.size
         return Trial(
-            partial(self._answer, s, begin, met, (half.forces.m, half.forces.minv)),
             half=half,
             v=velocity(w, self.size, _col.V_PLUS),
             impulse=NOTHING if motion is None else motion.impulse,
             trees=() if motion is None else motion.ends,
             moved=moved,
-            contacts=met,
-            slots=NO_SLOTS,
-            normal=f[first : first + 3 * self.status.size : 3],
             memory=memory,
+            **self._answer(s, begin, met, (half.forces.m, half.forces.minv)),
         )
 
     def _answer(self, s: System, begin: Instant, met: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:

@@ -110,7 +110,7 @@ def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
         half, r = m.half, m.solution.r
         real, memory, missed = shown(s, m.met, r, m.moved, reach.memory, half.middle.placement, half.fast, missed)
-        same = real is m.contacts and not m.otherwise
+        same = real is m.met.contacts and not m.otherwise
         if same and not rough:
             break
         rough = not same and left > 0
@@ -121,18 +121,25 @@ def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial
 
 def _met(s: System, begin: Instant, m: Trial, barred: Index | None) -> Trial:
     """The move with what it runs into."""
-    half, moved, until = m.half, m.moved, m.half.h
     if barred is None:
-        return m.but(hits=NO_SLOTS, limit=np.inf, touched=until)
+        return m
+    half, moved = m.half, m.moved
     limits = moved.limits
     if limits.size and not barred.size and _few.least(limits) >= -s.closed:
         limits = NOTHING
-    hits, limit = others(s, moved.contacts, m.contacts, m.normal, limits, m.slots)
-    if half.fast and not barred.size:
-        first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
-        own = begin.contacts, moved.contacts, (first, second, third), m.memory
-        until = touched(s, *own, half.h, half.reach / half.ahead)
-    return m.but(hits=hits, limit=limit, touched=until)
+    m = _run_into(s, m, limits)
+    if not half.fast or barred.size:
+        return m
+    first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
+    own = begin.contacts, moved.contacts, (first, second, third), m.memory
+    return m._replace(touched=touched(s, *own, half.h, half.reach / half.ahead))
+
+
+def _run_into(s: System, m: Trial, limits: Array) -> Trial:
+    """The move with what strikes where it ends, of contacts and such gaps of joint limits."""
+    slots = NO_SLOTS if m.met.joints is None else m.met.joints.slot
+    hits, limit = others(s, m.moved.contacts, m.met.contacts, m.normal, limits, slots)
+    return m._replace(hits=hits, limit=limit)
 
 
 def attempt(
@@ -163,8 +170,7 @@ def attempt(
         made = _respond(s, begin, half, reach, NO_SLOTS, None, rough, label)
     if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
         return attempt(s, begin, again, None, label, skip, NEW, rough)
-    hits, limit = others(s, made.moved.contacts, made.contacts, made.normal, made.moved.limits, made.slots)
-    return made.but(hits=hits, limit=limit, touched=made.half.h)
+    return _run_into(s, made, made.moved.limits)
 
 
 def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> Reach:
@@ -248,9 +254,6 @@ def _respond(
         impulse=impulse,
         trees=trees,
         moved=moved,
-        contacts=reach.contacts,
-        slots=NO_SLOTS if reach.joints is None else reach.joints.slot,
-        normal=solution.r[0 : 3 * reach.contacts.gap.size : 3],
         memory=reach.memory,
     )
 

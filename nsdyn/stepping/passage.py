@@ -377,7 +377,7 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
     time, least = _sight.first_touch(
         ((c.key, s.detector.codes(c), c.gap), _where(c, there), moved.twists, carried[0], rates),
         (before.key, _where(before, begin.placement), begin.twists, carried[1]),
-        (m.contacts.key, m.normal),
+        (m.met.contacts.key, m.normal),
         limits,
         barred,
         (s.closed, s.solver.tol, s.theta, m.half.h),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+import numpy as np
+
+from nsdyn.collision.contacts import ContactMemory
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -18,16 +19,11 @@ from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["NEW", "Begun", "Trial"]
 
+NO_CODES = np.empty(0, np.int64)
 
-class Trial:
-    """A move: what its contacts do, where it then ends, whatever overlaps there, and what it runs into.
 
-    Of most moves that look for an impact only the end is asked for: the `rest` is made when it is.
-
-    Parameters
-    ----------
-    rest : callable, optional
-        What gives the attributes that are not among the `known`.
+class Trial(NamedTuple):
+    """A move: what its contacts do, where it then ends, and what it runs into.
 
     Attributes
     ----------
@@ -51,12 +47,6 @@ class Trial:
     trees : tuple of Flow
     moved : Instant
         Where the motion ends, whatever overlaps there; what acted last and energies of trees are still to be told.
-    contacts : ContactSet
-        Those met.
-    slots : ndarray of int
-        Joint rows met.
-    normal : ndarray, shape (nc,)
-        Normal impulses of the contacts met, N·s.
     memory : ContactMemory
         Of all that was found where the impulses act.
     hits : ndarray of int
@@ -64,8 +54,8 @@ class Trial:
     limit : float
         How far that may run into each other, m or rad.
     touched : float
-        Time just after a pair that is open where the move begins touches on its way, s; that of the move if none does,
-        if nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
+        Time just after a pair that is open where the move begins touches on its way, s; infinite if none does, if
+        nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
     """
 
     half: Half
@@ -81,27 +71,15 @@ class Trial:
     impulse: Array
     trees: tuple[Flow, ...]
     moved: Instant
-    contacts: ContactSet
-    slots: Index
-    normal: Array
     memory: ContactMemory
-    hits: Index
-    limit: float
-    touched: float
+    hits: Index = NO_CODES
+    limit: float = np.inf
+    touched: float = np.inf
 
-    def __init__(self, rest: Callable[[], dict[str, Any]] = dict, **known: Any) -> None:
-        self.__dict__.update(known, _rest=rest)
-
-    def __getattr__(self, name: str) -> Any:
-        if "_rest" not in self.__dict__:
-            raise AttributeError(f"a move has no {name!r}")
-        self.__dict__.update(self.__dict__.pop("_rest")() | self.__dict__)
-        return getattr(self, name)
-
-    def but(self, **what: Any) -> Trial:
-        """The same with other values."""
-        rest = self.__dict__.get("_rest", dict)
-        return Trial(**{**self.__dict__, "rest": rest, **what})
+    @property
+    def normal(self) -> Array:
+        """Normal impulses of the contacts met, (nc,), N·s."""
+        return self.solution.r[0 : 3 * self.met.contacts.gap.size : 3]
 
 
 class Begun(NamedTuple):
