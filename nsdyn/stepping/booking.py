@@ -82,7 +82,7 @@ def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Pa
         trees = begin.energies, half, a.v, a.trees, a.impulse, end.position
         own, energies = tree_works(s, *trees, acted, own, left)
         if a.impact is not None:
-            works.append(_struck(s, a, a.impact, a.impulse))
+            works.append(_struck(s, a, a.impact))
     end = end._replace(warm=warm, energies=energies)
     return Passage(end, half.rate, clear, [impulses], [(a.problem, a.solution)], [own, *works])
 
@@ -139,10 +139,10 @@ def tree_works(
     return Works.total(works), tuple(energies)
 
 
-def _struck(s: System, a: Trial, impact: Impact, impulse: Array) -> Works:
+def _struck(s: System, a: Trial, impact: Impact) -> Works:
     """What the rows that work on the trees in two parts do, at two mean velocities, and not at that of the forces."""
     full, v, struck = a.met.rows.full, a.half.middle.v, a.half.middle.v + a.kick
     first, second = full.momentum(impact.r), full.momentum(a.solution.r)
     booked = 0.5 * (first * (v + struck) + second * (struck + a.v))
     own = zip((t.coordinates for t in s.dynamics.trees), a.trees, strict=True)
-    return Works(integration=sum(float(impulse[k] @ end.mean - booked[k].sum()) for k, end in own))
+    return Works(integration=sum(float(a.impulse[k] @ end.mean - booked[k].sum()) for k, end in own))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
-from nsdyn.collision.contacts import ContactSet
+from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement
@@ -204,8 +204,8 @@ class Encounter(NamedTuple):
     def take(self, kept: Bools) -> Encounter:
         """Some of the rows, for what they did."""
         nc, full = self.contacts.gap.size, self.rows.full
-        rows, contacts = np.repeat(kept, 3), ContactSet._make([column[kept[:nc]] for column in self.contacts])
-        own = Rows(full._replace(block=full.block[kept], start=full.start[kept]), {}, *NO_CLUTCHES)
+        rows, contacts = np.repeat(kept, 3), take(self.contacts, kept[:nc])
+        own = Rows(full.of(kept), {}, *NO_CLUTCHES)
         return self._replace(
             contacts=contacts,
             joints=self.joints and self.joints.take(kept[nc:]),

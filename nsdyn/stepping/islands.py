@@ -15,7 +15,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import islands as _islands
 from nsdyn._kernels.stepping.quiet_checks import GAIN
-from nsdyn.collision.contacts import ContactSet, Poses
+from nsdyn.collision.contacts import ContactSet, Poses, take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -295,10 +295,10 @@ class Islands:
         limits = a.moved.limits
         if limits.size:
             limits = np.where(left[d.joints.block[d.joints.limits]], limits, np.inf)
-        contacts = ContactSet._make([column[there] for column in a.moved.contacts])
+        contacts = take(a.moved.contacts, there)
         rows, blocks = np.repeat(kept, 3), a.met.rows.blocks
         problem = FC3D.from_blocks(
-            blocks._replace(block=blocks.block[kept], start=blocks.start[kept]),
+            blocks.of(kept),
             a.problem.q[rows],
             a.problem.mu[kept],
             a.problem.scales[kept],

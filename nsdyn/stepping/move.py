@@ -10,14 +10,14 @@ from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.workless import SOLVES
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, take
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.half import Callbacks, Half, Loads, corrected, first_half
-from nsdyn.stepping.instant import Instant, System, among, take
+from nsdyn.stepping.instant import Instant, System, among
 from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
 from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.rounds import Impact

@@ -6,13 +6,13 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn.collision.contacts import Looked
+from nsdyn.collision.contacts import Looked, take
 from nsdyn.dynamics.values import Forces
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Auto
-from nsdyn.stepping.instant import Instant, System, take
+from nsdyn.stepping.instant import Instant, System
 from nsdyn.tools.arrays import Array
 
 __all__ = ["found", "project"]

@@ -13,18 +13,17 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import sight as _sight
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry, joined, take
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.half import Half
-from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
+from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = [
-    "approach",
     "caught",
     "caught_limits",
     "followed",
@@ -124,17 +123,15 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
     return code[hit], float(limit[hit].min(initial=np.inf))
 
 
-def approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) -> Array:
-    """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s; driven bodies at rest."""
-    out = np.empty(contacts.gap.size)
-    where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, placement.x
-    _touching.approach(where, d.twists(placement, v), out)
-    return out
-
-
 def parting(d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array) -> Array:
-    """The same where driven bodies at such positions (nd, 3) and surfaces have such twists (surfaces, 2, 3)."""
-    return approach(d, contacts, there, v) + moved_by(d, contacts, driven_x, surfaces)
+    """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s.
+
+    Driven bodies are at such positions (nd, 3), they and surfaces have such twists (surfaces, 2, 3).
+    """
+    out = np.empty(contacts.gap.size)
+    where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
+    _touching.approach(where, d.twists(there, v), out)
+    return out + moved_by(d, contacts, driven_x, surfaces)
 
 
 def moved_by(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:
@@ -275,6 +272,4 @@ def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
 
 def _merged(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSet:
     """Contacts of both, sorted by their pairs."""
-    both = ContactSet._make(np.concatenate(columns) for columns in zip(one, other, strict=True))
-    order = np.argsort(detector.codes(both), kind="stable")
-    return ContactSet._make(column[order] for column in both)
+    return detector.ordered(joined((one, other)))
