@@ -122,8 +122,6 @@ class Flat(NamedTuple):
     opening : Opening, optional
     like : Instant
         What is no column is that of this one. With trees it is also where the next motion begins.
-    masses : two ndarrays
-        M̃ and its inverse, as of `Forces`.
     motion : Motion, optional
         Of the trees in the step.
     """
@@ -138,7 +136,6 @@ class Flat(NamedTuple):
     found: Found
     opening: Opening | None
     like: Instant
-    masses: tuple[Array, Array]
     motion: Motion | None
 
     @property
@@ -165,7 +162,7 @@ class Flat(NamedTuple):
         return kinetic, potential
 
     @classmethod
-    def of(cls, state: State, masses: tuple[Array, Array], wide: int) -> Flat | None:
+    def of(cls, state: State, wide: int) -> Flat | None:
         """The same as arrays; None where contacts are remembered that are not there. Rows of W have `wide` numbers."""
         s = state.instant
         if (given := packed(s, state.rate, wide)) is None:
@@ -173,7 +170,7 @@ class Flat(NamedTuple):
         (floats, acted, status), found = given
         floats[: _col.BOUND] = 0.0
         floats[_col.KINETIC], floats[_col.POTENTIAL] = state.energies
-        own = floats, acted, status, found, found, state.opening, s, masses, None
+        own = floats, acted, status, found, found, state.opening, s, None
         return cls(state.origin, state.dt, state.count, *own)
 
     def frame(self, first: int, width: int) -> Array:
@@ -234,7 +231,10 @@ class Flat(NamedTuple):
     def problem(self, d: Dynamics) -> FC3D:
         """The problem of the step."""
         b, norm = self.contact(_col.FREE, 3), float(self.floats[_col.NORM])
-        return FC3D.prepared(self.met.blocks(d, self.masses), b, self.met.scalars[1], self.met.scales, norm)
+        masses = d.masses[3:]
+        if self.motion is not None:
+            masses = self.motion.half.forces.m, self.motion.half.forces.minv
+        return FC3D.prepared(self.met.blocks(d, masses), b, self.met.scalars[1], self.met.scales, norm)
 
     def solution(self, tol: float) -> Solution:
         """Its solution, to a solver's tolerance or accepted all the same."""

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn.collision.contacts import Looked
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Forces, Middle, Position
@@ -42,7 +41,6 @@ class _Half(NamedTuple):
     """What a `Half` is given."""
 
     s: System
-    looked: Looked
     h: float
     ahead: float
     end: float
@@ -59,8 +57,6 @@ class Half(_Half):
     Attributes
     ----------
     s : System
-    looked : Looked
-        Where contacts were looked for that were found where the move begins.
     h, ahead : float
         The move and its second half, s.
     end : float
@@ -93,11 +89,6 @@ class Half(_Half):
         """Whether that is so far that it might go unseen."""
         fast: bool = _few.most(self.reach) > FAST * self.s.smallest
         return fast
-
-    @cached_property
-    def same(self) -> bool:
-        """Whether the contacts found where the move begins are those of there."""
-        return self.s.unmoved(self.looked, self.middle.placement, self.reach)
 
     @property
     def driven(self) -> tuple[Array, Array]:
@@ -153,7 +144,7 @@ def _under(
 ) -> Half:
     """The first half of a move of h s until the time `end` under the forces given."""
     forces = s.dynamics.forces(middle, end, h, *given, begin.warm.joints)
-    return Half(s, begin.looked, h, s.theta * h, end, middle, forces, forces.foreseen, surfaces, given)
+    return Half(s, h, s.theta * h, end, middle, forces, forces.foreseen, surfaces, given)
 
 
 def _same(one: Any, other: Any) -> bool:

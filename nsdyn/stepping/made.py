@@ -32,8 +32,6 @@ class Made(NamedTuple):
 
     Attributes
     ----------
-    size : (int, int)
-        Frames and coordinates.
     floats, acted, status : ndarray
         The state at the end, as of `Flat`.
     work : ndarray
@@ -47,7 +45,6 @@ class Made(NamedTuple):
         Whether it is all that was asked for: if not, a move as long as the step, which meets an event.
     """
 
-    size: tuple[int, int]
     floats: Array
     acted: Index
     status: NDArray[np.int8]
@@ -61,7 +58,8 @@ class Made(NamedTuple):
 
     def values(self, s: System, begin: Instant, t: float, h: float, motion: Motion | None) -> Trial:
         """The move of h s from the time t as values; its motion where Python knows of it."""
-        d, (n, _), f, w, p = s.dynamics, self.size, self.floats, self.work, begin.position
+        d, f, w, p = s.dynamics, self.floats, self.work, begin.position
+        n, _ = size = d.frames, d.n
         b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = self.found.contacts() if went else begin.contacts
         memory = self.found.memory if went else begin.memory
@@ -75,14 +73,14 @@ class Made(NamedTuple):
             end, position = motion.placement, motion.position
         twists = vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)
         found_there = found, d.limits(end), memory, where
-        moved = Instant(position, velocity(b, self.size, _col.V), end, *found_there, begin.warm, twists, ())
+        moved = Instant(position, velocity(b, size, _col.V), end, *found_there, begin.warm, twists, ())
         if goes:
             moved = moved._replace(
                 contacts=self.end.contacts(), memory=self.end.memory, looked=looked(b, _col.LOOKED, n)
             )
         return Trial(
             half=half,
-            v=velocity(w, self.size, _col.V_PLUS),
+            v=velocity(w, size, _col.V_PLUS),
             impulse=NOTHING if motion is None else motion.impulse,
             trees=() if motion is None else motion.ends,
             moved=moved,
@@ -92,7 +90,8 @@ class Made(NamedTuple):
 
     def _answer(self, s: System, begin: Instant, met: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:
         """What is met, its problem, and the impulses, by the names of `Trial`."""
-        (n, nv), nc, f, w = self.size, self.status.size, self.floats, self.work
+        n, nv = size = s.dynamics.frames, s.dynamics.n
+        nc, f, w = self.status.size, self.floats, self.work
         a, own = f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :], w[_col.FRAME_WORK * n :]
         own = own[_col.COORDINATE_WORK * nv :]
         rows = Rows(self.met.blocks(s.dynamics, masses), {}, *NO_CLUTCHES)
@@ -119,7 +118,7 @@ class Made(NamedTuple):
         )
         couple = NO_COUPLE
         if self.head[_col.TURNED]:
-            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, self.size, _col.TURN)
+            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, size, _col.TURN)
             couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
         return {
             "met": encounter,
@@ -134,10 +133,11 @@ class Made(NamedTuple):
 
     def _half(self, s: System, begin: Instant, t: float, h: float) -> Half:
         """The first half of a move of h s of free bodies from the time t."""
-        d, n, w = s.dynamics, self.size[0], self.work
+        d, w = s.dynamics, self.work
+        n, _ = size = d.frames, d.n
         x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
         there = Placement(x, matrices(w, _col.R_THERE, n), ())
-        middle = Middle(begin.position.moved(x, quaternion), velocity(w, self.size, _col.V_THERE), there, ())
-        v_free = velocity(w, self.size, _col.V_FREE)
+        middle = Middle(begin.position.moved(x, quaternion), velocity(w, size, _col.V_THERE), there, ())
+        v_free = velocity(w, size, _col.V_FREE)
         forces = Forces(v_free, v_free, d.no_load, *d.masses[3:], ())
-        return Half(s, begin.looked, h, s.theta * h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)
+        return Half(s, h, s.theta * h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)

@@ -178,7 +178,7 @@ def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> R
     middle, v = half.middle, half.forces.foreseen
     x, R, _ = middle.placement
     looked, found, memory = begin.looked, begin.contacts, begin.memory
-    if not half.same:
+    if not s.unmoved(looked, half.middle.placement, half.reach):
         looked = s.look(looked, x, R, half.reach)
         found, memory = s.detector.find(*looked, memory)
     contacts, joints = found, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)

@@ -86,7 +86,6 @@ class Mover:
         for view, given in zip(views[_col.M : _col.MINV + 1], (m, minv), strict=True):
             view[: given.size] = given
         self._dynamics, self._solver, self._detector, self._size = d, solver, s.detector, (d.frames, d.n)
-        self.still = m, minv
         self._smallest, self._dt, self._length, self._most = s.smallest, s.dt, (s.dt, s.depth), 0
         n, nv = self._size
         self._acted = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv
@@ -283,7 +282,6 @@ class Mover:
         if nc != status.size:
             floats, acted, status = floats[: self._acted + _col.CONTACT * nc], acted[: 2 * nc], status[:nc]
         return Made(
-            self._size,
             floats,
             acted,
             status,

@@ -71,7 +71,7 @@ class Quiet:
         if self._left > 0:
             self._left -= 1
             return None
-        old = now if isinstance(now, Flat) else Flat.of(now, self._mover.still, self._mover.wide)
+        old = now if isinstance(now, Flat) else Flat.of(now, self._mover.wide)
         if old is not None:
             if not (Mover.ready or self._is_ready(old)):
                 return None
@@ -100,7 +100,7 @@ class Quiet:
         if not s.dynamics.trees and callbacks is None:
             if (made := self._made(old, old.found, None)) is None:
                 return None
-            return self._told(old, made, old.like, old.masses, None, certify)
+            return self._told(old, made, old.like, None, certify)
         begin = old.begin()
         half = first_half(s, begin, t, s.dt, callbacks)
         motion, self._tried = Motion(begin, half), (old, half, None, None)
@@ -112,11 +112,10 @@ class Quiet:
             if (again := motion.corrected(callbacks)) is None:
                 break
             motion, callbacks = again, None
-        b, size = made.floats[_col.RESULTS :], made.size
+        b, size = made.floats[_col.RESULTS :], (s.dynamics.frames, s.dynamics.n)
         if (like := motion.ended(velocity(b, size, _col.V), looked(b, _col.LOOKED, size[0]))) is None:
             return None
-        forces = motion.half.forces
-        return self._told(old, made, like, (forces.m, forces.minv), motion, certify)
+        return self._told(old, made, like, motion, certify)
 
     def _made(self, old: Flat, found: Found, motion: Motion | None) -> Made | None:
         """A step that the kernel has made; what it has made of one that meets an event is kept."""
@@ -138,7 +137,6 @@ class Quiet:
         old: Flat,
         made: Made,
         like: Instant,
-        masses: tuple[Array, Array],
         motion: Motion | None,
         certify: Certify,
     ) -> Flat | None:
@@ -146,7 +144,7 @@ class Quiet:
         floats = made.floats
         if not math.isfinite(floats[_col.KINETIC] + floats[_col.POTENTIAL]):
             return None
-        state = floats, made.acted, made.status, made.met, made.end, old.opening, like, masses, motion
+        state = floats, made.acted, made.status, made.met, made.end, old.opening, like, motion
         out = Flat(old.origin, old.dt, old.count + 1, *state)
         if made.head[_col.FAST] and self._passes(old, out, made):
             return None
