@@ -88,7 +88,7 @@ def collide(
     contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     here = Middle(at.position, at.v, at.placement, ())
-    start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
+    start = at._replace(contacts=contacts)
     met = Encounter.of(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
     resting = s.resting(met, at.placement, rate)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)

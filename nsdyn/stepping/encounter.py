@@ -20,7 +20,7 @@ but in moves that are cut where bodies touch.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,12 @@ from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
-from nsdyn.dynamics.values import Forces, Middle, Placement
+from nsdyn.dynamics.values import Forces, Middle
 from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
+
+if TYPE_CHECKING:
+    from nsdyn.stepping.instant import Instant
 
 __all__ = ["Closing", "Encounter", "foresee"]
 
@@ -122,7 +125,7 @@ class Encounter(NamedTuple):
         joints: JointRows | None,
         middle: Middle,
         forces: Forces,
-        begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
+        begin: Instant,
         reach: Array,
         surfaces: tuple[Array, Array],
         h: float,
@@ -138,7 +141,7 @@ class Encounter(NamedTuple):
         joints : JointRows, optional
         middle : Middle
         forces : Forces
-        begin : (contacts, positions of driven bodies, placement, twists, velocity, warm start)
+        begin : Instant
             Where the step begins.
         reach : ndarray, shape (frames,)
             How far points of the frames move in about half a step, m.
@@ -147,18 +150,17 @@ class Encounter(NamedTuple):
         h, ahead : float
             The move, and h₂, s.
         """
-        there = middle.placement
-        old, driven_x, place, twists, v_begin, warm = begin
+        there, old, warm = middle.placement, begin.contacts, begin.warm
         rows, frame = dynamics.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
-        carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
+        carried = dynamics.surfaces.velocities(old, begin.position.driven_x, surfaces[0])
         _law.local_velocities(
             full.arrays,
-            (v_begin, middle.v, forces.v),
+            (begin.v, middle.v, forces.v),
             (carried, *transport, rows.press),
-            (old.key, old.point, old.normal, place.x, *twists, reach),
+            (old.key, old.point, old.normal, begin.placement.x, *begin.twists, reach),
             (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
             (warm.key, warm.force, h),
             ahead,
@@ -233,20 +235,18 @@ class Encounter(NamedTuple):
         out[0] -= self.quickening
         return out
 
-    def lasting(
-        self, pair: Index, warm: Warm, before: tuple[ContactSet, Array], closed: float, h: float, struck: bool
-    ) -> Encounter:
-        """The same with what persists of what there was `before`, contacts and gaps of joint rows; nothing if `struck`.
+    def lasting(self, pair: Index, begin: Instant, limits: Array, closed: float, h: float, struck: bool) -> Encounter:
+        """The same with what persists of what there was where the move begins; nothing if `struck`.
 
-        The codes of their pairs are `pair` (nc,), what they were in the last move `warm` tells; this one takes h s.
+        There joint rows have the gaps `limits`. The codes of pairs are `pair` (nc,), the move takes h s.
         """
-        contacts, limits = before
+        contacts, warm = begin.contacts, begin.warm
         nc, rows = self.contacts.gap.size, self.end_gap.size
         stays, sticks, was = np.empty(rows, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
-        last, begin = (warm.key, warm.pair, warm.status), (contacts.key, contacts.gap, closed, h)
+        last, before = (warm.key, warm.pair, warm.status), (contacts.key, contacts.gap, closed, h)
         pressed = NEVER if self.joints is None else (warm.joints[self.joints.slot, 0] > 0.0) & (self.joints.mu == 0.0)
         names, given = (self.contacts.key, pair), ((limits, pressed), self.begun, self.end_gap)
-        _persistence.persists(names, last, begin, *given, struck, (stays, sticks, was))
+        _persistence.persists(names, last, before, *given, struck, (stays, sticks, was))
         return self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(rows))
 
     def turned(self, dv: Array, r: Array) -> Encounter:

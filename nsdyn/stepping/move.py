@@ -263,17 +263,16 @@ def _encounter(
 ) -> tuple[Encounter, Impact | None, Array | float]:
     """What the second half meets, with impacts that it catches and their change of v."""
     d, contacts = s.dynamics, reach.contacts
-    start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
     every, at = d.with_actuators(reach.joints, half.forces), half.middle.seen(reach.looked)
     where = half.reach, half.surfaces[1:], half.h, half.ahead
-    met = Encounter.of(d, contacts, every, at, half.forces, start, *where)
+    met = Encounter.of(d, contacts, every, at, half.forces, begin, *where)
     impact: Impact | None = None
     kick: Array | float = 0.0
     if label is None:
         met, impact, kick = caught_impacts(s, met, half.middle.placement, half.rate, half.h)
-    before = begin.contacts, _limits(s, met.joints, begin.placement)
+    limits = _limits(s, met.joints, begin.placement)
     pair = s.detector.codes(contacts)
-    return met.lasting(pair, begin.warm, before, s.closed, half.h, impact is not None), impact, kick
+    return met.lasting(pair, begin, limits, s.closed, half.h, impact is not None), impact, kick
 
 
 def _ending(s: System, half: Half, met: Encounter, r: Array, moved: Instant) -> tuple[Encounter, Bools] | None:
