@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
     from nsdyn.stepping.between import Motion
 
-__all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "put", "vectors", "velocity"]
+__all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "put", "solved", "vectors", "velocity"]
 
 
 Acted = tuple[Array, Index, NDArray[np.int8]]
@@ -228,20 +228,12 @@ class Flat(NamedTuple):
         """Where the frames are."""
         return Poses(self.frame(_col.X, 3), self.frame(_col.R, 9).reshape(-1, 3, 3))
 
-    def problem(self, d: Dynamics) -> FC3D:
-        """The problem of the step."""
-        b, norm = self.contact(_col.FREE, 3), float(self.floats[_col.NORM])
+    def solved(self, d: Dynamics, tol: float) -> tuple[FC3D, Solution]:
+        """The problem of the step and its solution, as of the function `solved`."""
         masses = d.masses[3:]
         if self.motion is not None:
             masses = self.motion.half.forces.m, self.motion.half.forces.minv
-        return FC3D.prepared(self.met.blocks(d, masses), b, self.met.scalars[1], self.met.scales, norm)
-
-    def solution(self, tol: float) -> Solution:
-        """Its solution, to a solver's tolerance or accepted all the same."""
-        error, residual, count, time = self.floats[_col.ERROR : _col.CERTIFIED].tolist()
-        r, u = self.contact(_col.IMPULSE, 3), self.contact(_col.U, 3)
-        status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE
-        return Solution(r, u, status, error, residual, int(count), time)
+        return solved(self.floats, self.contact(0, _col.CONTACT), self.met, self.met.blocks(d, masses), tol)
 
     def state(self) -> State:
         """The state as the general step takes it."""
@@ -268,6 +260,18 @@ def packed(s: Instant, rate: Array, wide: int) -> tuple[Acted, Found] | None:
     room = np.empty(_col.RESULTS), *[column.ravel() for column in columns]
     more = np.empty((_col.CONTACT - _col.IMPULSE) * w.key.size)
     return (np.concatenate((*room, more)), acted, w.status), found
+
+
+def solved(floats: Array, acted: Array, met: Found, blocks: Blocks, tol: float) -> tuple[FC3D, Solution]:
+    """The problem of contacts met and its solution, to a solver's tolerance or accepted all the same.
+
+    From the results and the columns of contacts of a state.
+    """
+    r, u, b = (acted[k * met.nc : (k + 3) * met.nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
+    problem = FC3D.prepared(blocks, b, met.scalars[1], met.scales, float(floats[_col.NORM]))
+    error, residual, count, time = floats[_col.ERROR : _col.CERTIFIED].tolist()
+    status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE
+    return problem, Solution(r, u, status, error, residual, int(count), time)
 
 
 def vectors(f: Array, k: int, n: int) -> Array:

@@ -11,11 +11,9 @@ from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement
-from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.between import Motion
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.flat import Found, looked, matrices, vectors, velocity
+from nsdyn.stepping.flat import Found, looked, matrices, solved, vectors, velocity
 from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
 from nsdyn.stepping.instant import Instant, System
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
@@ -96,10 +94,7 @@ class Made(NamedTuple):
         own = own[_col.COORDINATE_WORK * nv :]
         rows = Rows(self.met.blocks(s.dynamics, masses), {}, *NO_CLUTCHES)
         slides, stays, sticks = self.flags[:3, :nc]
-        r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
-        problem = FC3D.prepared(rows.full, q, met.mu, self.met.scales, float(f[_col.NORM]))
-        error, residual, count, time = f[_col.ERROR : _col.CERTIFIED].tolist()
-        status = Status.CONVERGED if max(error, residual) <= s.solver.tol else Status.LOOSE
+        problem, solution = solved(f, a, self.met, rows.full, s.solver.tol)
         encounter = Encounter(
             met,
             None,
@@ -126,7 +121,7 @@ class Made(NamedTuple):
             "kick": 0.0,
             "slides": slides,
             "problem": problem,
-            "solution": Solution(r, u, status, error, residual, int(count), time),
+            "solution": solution,
             "otherwise": False,
             "couple": couple,
         }

@@ -11,12 +11,11 @@ from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn._kernels.stepping import quiet_meeting as _meeting
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Acted, Found, looked, packed, put, velocity
+from nsdyn.stepping.flat import Acted, Found, looked, packed, put, solved, velocity
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.made import Made
@@ -298,8 +297,7 @@ class Mover:
         """Solve the problem of a step where the kernel does not; whether that is an answer."""
         nc, floats, met, masses = made.status.size, made.floats, made.met, self._views[_col.M : _col.MINV + 1]
         own, a = made.work[self._own :], floats[self._acted :]
-        b, norm = a[_col.FREE * nc : _col.U_END * nc], float(floats[_col.NORM])
-        problem = FC3D.prepared(met.blocks(self._dynamics, (masses[0], masses[1])), b, met.scalars[1], met.scales, norm)
+        problem, _ = solved(floats, a, met, met.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)
         r, last = a[_col.IMPULSE * nc : _col.U * nc], self._solution if made.head[_col.SOLVED] else None
         start = own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc] if last is None else r.copy()
         solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], False)

@@ -148,13 +148,13 @@ class Quiet:
         out = Flat(old.origin, old.dt, old.count + 1, *state)
         if made.head[_col.FAST] and self._passes(old, out, made):
             return None
-        if floats[_col.SUSPECT]:
-            problem, solution = out.problem(self._system.dynamics), out.solution(self._system.solver.tol)
-            if self._paradoxes.met(problem, solution, out.dt, out.coordinate(_col.RATE)):
-                return None
+        if floats[_col.CERTIFIED] and not floats[_col.SUSPECT]:
+            return out
+        problem, solution = out.solved(self._system.dynamics, self._system.solver.tol)
+        if floats[_col.SUSPECT] and self._paradoxes.met(problem, solution, out.dt, out.coordinate(_col.RATE)):
+            return None
         if not floats[_col.CERTIFIED]:
-            solution = out.solution(self._system.solver.tol)
-            certificate, opening = certify(out.problem(self._system.dynamics), solution.r, solution.u, old.opening)
+            certificate, opening = certify(problem, solution.r, solution.u, old.opening)
             floats[_col.GAP : _col.WENT] = certificate
             out = out._replace(opening=opening)
         return out

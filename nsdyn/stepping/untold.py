@@ -68,7 +68,7 @@ class Untold(NamedTuple):
         if name in ("contacts", "frame", "contact_status", "contact_time", "contact_duration"):
             return _contacts(flat.met.names, flat.met.floats, flat.status, self._times(self.nc))
         if name in ("problem", "solution"):
-            return {"problem": flat.problem(self.dynamics), "solution": flat.solution(self.scheme[1])}
+            return dict(zip(("problem", "solution"), flat.solved(self.dynamics, self.scheme[1]), strict=True))
         if name in ("ledger", "joints", "links"):
             works, joints, links = self._booked()
             ledger = Ledger.of(self.before.energies, self.flat.energies, works)
