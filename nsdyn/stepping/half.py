@@ -9,8 +9,9 @@ of forces are those on the mean velocity, too: a force that is perpendicular to 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -37,21 +38,8 @@ Loads = Callable[[float], Callbacks]
 """What they say at a time, s."""
 
 
-class _Half(NamedTuple):
-    """What a `Half` is given."""
-
-    s: System
-    h: float
-    ahead: float
-    end: float
-    middle: Middle
-    forces: Forces
-    foreseen: Array
-    surfaces: tuple[Array, Array, Array]
-    given: Given
-
-
-class Half(_Half):
+@dataclass(frozen=True, eq=False)
+class Half:
     """The first half of a move.
 
     Attributes
@@ -71,6 +59,16 @@ class Half(_Half):
     given : (Wrenches or None, Controls)
         What the callbacks say.
     """
+
+    s: System
+    h: float
+    ahead: float
+    end: float
+    middle: Middle
+    forces: Forces
+    foreseen: Array
+    surfaces: tuple[Array, Array, Array]
+    given: Given
 
     @cached_property
     def rate(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -226,7 +227,7 @@ def _respond(
         v = v if impact is None else v + kick
         impulse, v = met.rows.response(solution.r, v)
         if label is None and (limited := d.within_limits(middle, forces, v)) is not forces:
-            return _respond(s, begin, half._replace(forces=limited), reach, barred, last, rough)
+            return _respond(s, begin, replace(half, forces=limited), reach, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.driven)

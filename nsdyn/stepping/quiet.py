@@ -15,7 +15,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
 from nsdyn.stepping.flat import Flat, Found, looked, velocity
-from nsdyn.stepping.half import Half, Loads, first_half
+from nsdyn.stepping.half import Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.made import Made
@@ -27,7 +27,7 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["Quiet"]
 
-NOTHING_TRIED = None, None, None, None
+NOTHING_TRIED = None, None, None
 
 Certify = Callable[[FC3D, Array, Array, Opening | None], tuple[Certificate, Opening | None]]
 
@@ -60,7 +60,7 @@ class Quiet:
         self._loads, self._paradoxes = loads, paradoxes
         mover.numbers[_col.FEWEST] = FEW if paradoxes.possible else -1.0
         self._length = system.dt, system.depth
-        self._tried: tuple[Flat | None, Half | None, Made | None, Motion | None] = NOTHING_TRIED
+        self._tried: tuple[Flat | None, Made | None, Motion | None] = NOTHING_TRIED
         self._pause = self._left = 0
         if polish:
             mover.numbers[_col.WEAK] = math.nan
@@ -76,7 +76,7 @@ class Quiet:
             if not (Mover.ready or self._is_ready(old)):
                 return None
             new = self._next(old, certify)
-            if new is not None or self._tried[2] is not None:
+            if new is not None or self._tried[1] is not None:
                 self._pause = 0
                 return None if new is None else (old, new)
         self._left, self._pause = self._pause, min(2 * self._pause + 1, PAUSE)
@@ -84,11 +84,11 @@ class Quiet:
 
     def begun(self, state: State) -> Begun:
         """What the last attempt at a step from a state has found of it."""
-        s, (old, half, made, motion) = self._system, self._tried
+        s, (old, made, motion) = self._system, self._tried
         if old is not None:
             self._mover.given = state.instant, ((old.floats, old.acted, old.status), old.found)
         if made is None:
-            return Begun(half)
+            return Begun(None if motion is None else motion.half)
         move = made.values(s, state.instant, state.next_t - s.dt, s.dt, motion)
         return Begun(move.half, move)
 
@@ -102,8 +102,8 @@ class Quiet:
                 return None
             return self._told(old, made, old.like, None, certify)
         begin = old.begin()
-        half = first_half(s, begin, t, s.dt, callbacks)
-        motion, self._tried = Motion(begin, half), (old, half, None, None)
+        motion = Motion(begin, first_half(s, begin, t, s.dt, callbacks))
+        self._tried = old, None, motion
         while True:
             # Rows of trees change whatever moves: those of the last step are still to be told.
             found = old.found.anew() if s.dynamics.trees else old.found
@@ -126,9 +126,8 @@ class Quiet:
             some = made.floats[_col.WENT] or made.floats[_col.GOES] or made.head[_col.SOME]
             self._moves = bool(some)
             if not made.whole:
-                half = None if motion is None else motion.half
-                if half is self._tried[1]:  # not with what callbacks say of the motion itself
-                    self._tried = old, half, made, motion
+                if motion is self._tried[2]:  # not with what callbacks say of the motion itself
+                    self._tried = old, made, motion
                 return None
         return made
 
