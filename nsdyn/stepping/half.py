@@ -45,8 +45,8 @@ class Half:
     Attributes
     ----------
     s : System
-    h, ahead : float
-        The move and its second half, s.
+    h : float
+        The move, s.
     end : float
         Time at the end of the move, s.
     middle : Middle
@@ -62,13 +62,17 @@ class Half:
 
     s: System
     h: float
-    ahead: float
     end: float
     middle: Middle
     forces: Forces
     foreseen: Array
     surfaces: tuple[Array, Array, Array]
     given: Given
+
+    @property
+    def ahead(self) -> float:
+        """Its second half, s."""
+        return self.s.theta * self.h
 
     @cached_property
     def rate(self) -> Array:
@@ -142,7 +146,7 @@ def _under(
 ) -> Half:
     """The first half of a move of h s until the time `end` under the forces given."""
     forces = s.dynamics.forces(middle, end, h, *given, begin.warm.joints)
-    return Half(s, h, s.theta * h, end, middle, forces, forces.foreseen, surfaces, given)
+    return Half(s, h, end, middle, forces, forces.foreseen, surfaces, given)
 
 
 def _same(one: Any, other: Any) -> bool:

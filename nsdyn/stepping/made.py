@@ -135,4 +135,4 @@ class Made(NamedTuple):
         middle = Middle(begin.position.moved(x, quaternion), velocity(w, size, _col.V_THERE), there, ())
         v_free = velocity(w, size, _col.V_FREE)
         forces = Forces(v_free, v_free, d.no_load, *d.masses[3:], ())
-        return Half(s, h, s.theta * h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)
+        return Half(s, h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)

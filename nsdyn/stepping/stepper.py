@@ -353,7 +353,7 @@ class Stepper:
             depth = self._prescribed.check(begin, end.position, end.placement, times)
             if depth > self.closed:
                 return None
-        untold = Untold(after, before, (self.theta, self.system.solver.tol), self.dynamics)
+        untold = Untold(after, before, self.system)
         step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
         self._now = after
         return step
