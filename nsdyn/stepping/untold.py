@@ -65,9 +65,8 @@ class Untold(NamedTuple):
         if name in ("contacts", "frame", "contact_status", "contact_time", "contact_duration"):
             return _contacts(flat.met.names, flat.met.floats, flat.status, self._times(self.nc))
         if name in ("problem", "solution"):
-            return dict(
-                zip(("problem", "solution"), flat.solved(self.system.dynamics, self.system.solver.tol), strict=True)
-            )
+            problem, solution = flat.solved(self.system.dynamics, self.system.solver.tol)
+            return {"problem": problem, "solution": solution}
         if name in ("ledger", "joints", "links"):
             works, joints, links = self._booked()
             ledger = Ledger.of(self.before.energies, self.flat.energies, works)
