@@ -135,6 +135,11 @@ class Candidates:
         """One number for the pair of geoms of every contact, shape (nc,)."""
         return contacts.geom1 * len(self._cores) + contacts.geom2
 
+    def ordered(self, contacts: ContactSet) -> ContactSet:
+        """Contacts sorted by their pairs, those of one as they come."""
+        order = np.argsort(self.codes(contacts), kind="stable")
+        return ContactSet._make([column[order] for column in contacts])
+
     def ask(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and ask Coal for the distances of the candidate pairs."""
         self._renew(x, R, reach)

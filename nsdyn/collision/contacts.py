@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from nsdyn._kernels.collision import advancement
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.naming import counted
 
-__all__ = ["ContactMemory", "ContactSet", "Looked", "Poses", "Touches", "carry"]
+__all__ = ["ContactMemory", "ContactSet", "Looked", "Poses", "Touches", "carry", "joined", "take"]
 
 
 class ContactSet(NamedTuple):
@@ -123,6 +124,16 @@ class Touches(NamedTuple):
     contacts: ContactSet
     fraction: Array
     memory: ContactMemory
+
+
+def take(contacts: ContactSet, kept: Bools) -> ContactSet:
+    """Some of the contacts."""
+    return contacts if kept.all() else ContactSet._make([column[kept] for column in contacts])
+
+
+def joined(some: Iterable[ContactSet]) -> ContactSet:
+    """Contacts one after the other."""
+    return ContactSet._make([np.concatenate(columns) for columns in zip(*some, strict=True)])
 
 
 def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None = None) -> ContactSet:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Blocks"]
 
@@ -54,6 +54,10 @@ class Blocks(NamedTuple):
     def nc(self) -> int:
         """Number of contacts."""
         return len(self.block)
+
+    def of(self, some: Bools) -> Blocks:
+        """The factors of some contacts."""
+        return self._replace(block=self.block[some], start=self.start[some])
 
     def relative_velocity(self, v: Array) -> Array:
         """u = Hᵀ v, shape (3 nc,)."""

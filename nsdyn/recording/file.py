@@ -151,15 +151,11 @@ def extend(path: Path, columns: Columns, state: Saved | None = None) -> None:
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns]:
     """(meta, scene, columns) of a file, as `nsdyn.Trajectory` has them; errors as of `nsdyn.Trajectory.load`."""
-    return _read(path)[:3]
+    return read_state(path)[:3]
 
 
 def read_state(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Saved | None]:
     """(meta, scene, columns, last state and the row it belongs to, if there is any) of a file; errors as of `read`."""
-    return _read(path)
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Saved | None]:
     if not is_file(path):
         raise FileNotFoundError(f"no such recording: {path}")
     if not h5py.is_hdf5(path):

@@ -16,8 +16,8 @@ from nsdyn.stepping.half import Half
 from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import Instant, System
 from nsdyn.stepping.projection import project
-from nsdyn.stepping.response import Response, Trial
 from nsdyn.stepping.rounds import Impact
+from nsdyn.stepping.trial import Trial
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement
 
@@ -53,10 +53,10 @@ class Passage(NamedTuple):
     path: Sequence[Placement] = ()
 
 
-def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -> Passage:
+def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Passage:
     """The move to a position without overlap, and what was done on its way; of the nodes `left`, if not of all."""
-    d, half, a = s.dynamics, tried.half, tried.response
-    placed = project(d, s.detector, a.moved, half.forces, s.closed)
+    d, half = s.dynamics, a.half
+    end, clear = project(s, a.moved, half.forces)
     v = half.middle.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
@@ -69,34 +69,22 @@ def finish(s: System, begin: Instant, tried: Trial, left: Bools | None = None) -
     if arrived.any():
         warm = warm._replace(status=np.where(arrived, OPEN, warm.status))
     works = []
-    v_end, twists = a.v_end, a.twists
-    if placed is not a.moved:
-        v_end, lifted = d.lift(a.moved.position, placed.position, v_end)
-        twists = d.twists(placed.placement, v_end)
+    if end is not a.moved:
+        v_end, lifted = d.lift(a.moved.position, end.position, end.v)
         works.append(Works(projection=lifted))
-        impulses = impulses._replace(lift=d.shifted(a.moved.position, placed.position))
-        for t, q, there in zip(d.trees, a.moved.position.trees, placed.position.trees, strict=True):
+        impulses = impulses._replace(lift=d.shifted(a.moved.position, end.position))
+        for t, q, there in zip(d.trees, a.moved.position.trees, end.position.trees, strict=True):
             impulses.joints[4, t.coordinates] = displacement(t.model, q, there)
+        end = end._replace(v=v_end, twists=d.twists(end.placement, v_end))
     energies: Energies = ()
     if d.trees:
         acted = impulses.joints, impulses.links
-        trees = begin.energies, half, a.v, a.trees, a.impulse, placed.position
+        trees = begin.energies, half, a.v, a.trees, a.impulse, end.position
         own, energies = tree_works(s, *trees, acted, own, left)
         if a.impact is not None:
-            works.append(_struck(s, half, a, a.impact, a.impulse))
-    end = Instant(
-        placed.position,
-        v_end,
-        placed.placement,
-        placed.contacts,
-        placed.limits,
-        placed.memory,
-        placed.looked,
-        warm,
-        twists,
-        energies,
-    )
-    return Passage(end, half.rate, placed.clear, [impulses], [(a.problem, a.solution)], [own, *works])
+            works.append(_struck(s, a, a.impact))
+    end = end._replace(warm=warm, energies=energies)
+    return Passage(end, half.rate, clear, [impulses], [(a.problem, a.solution)], [own, *works])
 
 
 def tree_works(
@@ -151,10 +139,10 @@ def tree_works(
     return Works.total(works), tuple(energies)
 
 
-def _struck(s: System, half: Half, a: Response, impact: Impact, impulse: Array) -> Works:
+def _struck(s: System, a: Trial, impact: Impact) -> Works:
     """What the rows that work on the trees in two parts do, at two mean velocities, and not at that of the forces."""
-    full, v, struck = a.met.rows.full, half.middle.v, half.middle.v + a.kick
+    full, v, struck = a.met.rows.full, a.half.middle.v, a.half.middle.v + a.kick
     first, second = full.momentum(impact.r), full.momentum(a.solution.r)
     booked = 0.5 * (first * (v + struck) + second * (struck + a.v))
     own = zip((t.coordinates for t in s.dynamics.trees), a.trees, strict=True)
-    return Works(integration=sum(float(impulse[k] @ end.mean - booked[k].sum()) for k, end in own))
+    return Works(integration=sum(float(a.impulse[k] @ end.mean - booked[k].sum()) for k, end in own))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
+from nsdyn.collision.contacts import take
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Middle, Placement
 from nsdyn.problem.fc3d import FC3D
@@ -12,7 +13,7 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.impacts import Round
 from nsdyn.stepping.impulses import Impulses, account
-from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Instant, System, among, take
+from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Instant, System, among
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.tools.arrays import Array, Bools
@@ -32,7 +33,7 @@ def caught_impacts(
     if struck is None:
         return met, None, 0.0
     # Rows that turn with their bodies are no approach.
-    resting = s.resting(met.contacts, met.joints, met.restitution, there, rate)
+    resting = s.resting(met, there, rate)
     resting = np.where(struck, resting, resting + 2.0 * np.abs(met.local[3, 0::3]))
     closed = struck | (met.end_gap <= s.closed)
     while True:
@@ -58,7 +59,7 @@ def striking(s: System, met: Encounter, there: Placement, rate: Array, h: float)
     if not s.elastic or not met.mu.size:
         return None
     u_begin, u = met.local[:2, 0::3]
-    resting = s.resting(met.contacts, met.joints, met.restitution, there, rate)
+    resting = s.resting(met, there, rate)
     struck: Bools = (met.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, met, h)
     return struck if struck.any() else None
 
@@ -87,9 +88,9 @@ def collide(
     contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
     here = Middle(at.position, at.v, at.placement, ())
-    start = contacts, at.position.driven_x, at.placement, at.twists, at.v, at.warm
+    start = at._replace(contacts=contacts)
     met = Encounter.of(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
-    resting = s.resting(contacts, joints, met.restitution, at.placement, rate)
+    resting = s.resting(met, at.placement, rate)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
     depth[:nc] = s.deep(contacts)
     if s.depth >= DEEP:

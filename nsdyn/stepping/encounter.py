@@ -20,21 +20,22 @@ but in moves that are cut where bodies touch.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
-from nsdyn.collision.contacts import ContactSet
+from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
-from nsdyn.dynamics.values import Forces, Middle, Placement
-from nsdyn.problem.fc3d import FC3D
+from nsdyn.dynamics.values import Forces, Middle
 from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
+
+if TYPE_CHECKING:
+    from nsdyn.stepping.instant import Instant
 
 __all__ = ["Closing", "Encounter", "foresee"]
 
@@ -75,8 +76,6 @@ class Encounter(NamedTuple):
     rows : Rows
     frame : ndarray, shape (nc, 3, 3)
         Rows (n, t1, t2), world axes.
-    alike : FC3D or None
-        A problem that differs in its velocities only.
     mu, restitution : ndarray, shape (rows,)
     place : ndarray of int, shape (nc,)
         Where the contacts stand in the warm start, -1 for new ones.
@@ -98,17 +97,12 @@ class Encounter(NamedTuple):
         What persists, and across its normal too; what contacts were: `nsdyn._kernels.stepping.persistence.persists`.
     late : ndarray, shape (rows,)
         How much faster than foreseen they part where the move ends, m/s, as far as that is known.
-    slides : ndarray of bool, shape (nc,), optional
-        Which contacts slide through the step, where that is foreseen already.
-    posed : FC3D, optional
-        The problem of that, where it is posed already.
     """
 
     contacts: ContactSet
     joints: JointRows | None
     rows: Rows
     frame: Array
-    alike: FC3D | None
     mu: Array
     restitution: Array
     place: Index
@@ -122,8 +116,6 @@ class Encounter(NamedTuple):
     sticks: Bools = NEVER
     was: NDArray[np.int8] = UNKNOWN
     late: Array = NOTHING
-    slides: Bools | None = None
-    posed: FC3D | None = None
 
     @classmethod
     def of(
@@ -133,12 +125,11 @@ class Encounter(NamedTuple):
         joints: JointRows | None,
         middle: Middle,
         forces: Forces,
-        begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
+        begin: Instant,
         reach: Array,
         surfaces: tuple[Array, Array],
         h: float,
         ahead: float,
-        closing: Closing | None = None,
     ) -> Encounter:
         """Relative velocities of a step at its contacts and joint rows.
 
@@ -150,7 +141,7 @@ class Encounter(NamedTuple):
         joints : JointRows, optional
         middle : Middle
         forces : Forces
-        begin : (contacts, positions of driven bodies, placement, twists, velocity, warm start)
+        begin : Instant
             Where the step begins.
         reach : ndarray, shape (frames,)
             How far points of the frames move in about half a step, m.
@@ -158,25 +149,18 @@ class Encounter(NamedTuple):
             Twists of what moves as prescribed, when the impulses act and at the end.
         h, ahead : float
             The move, and h₂, s.
-        closing : Closing, optional
-            Given, the problem of contacts alone is posed in the same call of a kernel.
         """
-        there = middle.placement
-        old, driven_x, place, twists, v_begin, warm = begin
+        there, old, warm = middle.placement, begin.contacts, begin.warm
         rows, frame = dynamics.rows(contacts, there, forces, joints)
-        full, nc = rows.full, contacts.gap.size
-        if closing is not None and rows.blocks is full and full.nc == nc and not dynamics.surfaces.count:
-            velocities = v_begin, middle.v, forces.v
-            return cls._posed(contacts, (rows, frame), velocities, there.x, begin, reach, h, closing)
-        nr = full.nc
+        full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
-        carried = dynamics.surfaces.velocities(old, driven_x, surfaces[0])
+        carried = dynamics.surfaces.velocities(old, begin.position.driven_x, surfaces[0])
         _law.local_velocities(
             full.arrays,
-            (v_begin, middle.v, forces.v),
+            (begin.v, middle.v, forces.v),
             (carried, *transport, rows.press),
-            (old.key, old.point, old.normal, place.x, *twists, reach),
+            (old.key, old.point, old.normal, begin.placement.x, *begin.twists, reach),
             (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
             (warm.key, warm.force, h),
             ahead,
@@ -191,7 +175,6 @@ class Encounter(NamedTuple):
             joints,
             rows,
             frame,
-            None,
             mu,
             restitution,
             where,
@@ -200,51 +183,6 @@ class Encounter(NamedTuple):
             end_gap,
             transport[0],
             transport[1] - transport[0],
-        )
-
-    @classmethod
-    def _posed(
-        cls,
-        c: ContactSet,
-        made: tuple[Rows, Array],
-        velocities: tuple[Array, Array, Array],
-        x: Array,
-        begin: tuple[ContactSet, Array, Placement, tuple[Array, Array], Array, Warm],
-        reach: Array,
-        h: float,
-        closing: Closing,
-    ) -> Encounter:
-        """Contacts alone of bodies that nothing constrains nor drives, with their problem; made = (rows, frames)."""
-        (rows, frame), (old, _, place, twists, _, warm) = made, begin
-        full, nc = rows.full, c.gap.size
-        scales, local, end_gap, b = np.empty(nc), np.empty((5, 3 * nc)), np.empty(nc), np.empty(3 * nc)
-        where, slides = np.empty(nc, np.int64), np.empty(nc, np.bool_)
-        _blocks.delassus_scales(full.arrays, scales)
-        norm, good = _law.pose(
-            full.arrays,
-            (c.key, c.frame1, c.frame2, c.point, frame, c.gap, x),
-            (old.key, old.point, old.normal, place.x, *twists, reach),
-            velocities,
-            (warm.key, warm.force, h, warm.status),
-            (c.mu, c.restitution, tuple(closing)),
-            scales,
-            (local, end_gap, where, slides, b),
-        )
-        posed = FC3D.prepared(full, b, c.mu, scales, norm) if good else FC3D.from_blocks(full, b, c.mu)
-        return cls(
-            c,
-            None,
-            rows,
-            frame,
-            None,
-            c.mu,
-            c.restitution,
-            where,
-            warm.status,
-            local,
-            end_gap,
-            slides=slides,
-            posed=posed,
         )
 
     def changed(self, dv: Array, struck: Bools) -> Encounter:
@@ -256,7 +194,7 @@ class Encounter(NamedTuple):
         local[3, np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3)] = 0.0
         end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
         rebound = np.where(struck, np.maximum(local[1, 0::3], 0.0), 0.0)
-        return self.otherwise()._replace(local=local, end_gap=end_gap, rebound=rebound, slides=None)
+        return self._replace(local=local, end_gap=end_gap, rebound=rebound)
 
     def offsets(self, slides: Bools, closing: Closing) -> Array:
         """b, shape (3 rows,), m/s, where the contacts `slides` (nc,) slide through."""
@@ -268,21 +206,18 @@ class Encounter(NamedTuple):
     def take(self, kept: Bools) -> Encounter:
         """Some of the rows, for what they did."""
         nc, full = self.contacts.gap.size, self.rows.full
-        rows, contacts = np.repeat(kept, 3), ContactSet._make([column[kept[:nc]] for column in self.contacts])
-        own = Rows(full._replace(block=full.block[kept], start=full.start[kept]), {}, *NO_CLUTCHES)
+        rows, contacts = np.repeat(kept, 3), take(self.contacts, kept[:nc])
+        own = Rows(full.of(kept), {}, *NO_CLUTCHES)
         return self._replace(
             contacts=contacts,
             joints=self.joints and self.joints.take(kept[nc:]),
             rows=own,
-            alike=None,
             frame=self.frame[kept[:nc]],
             mu=self.mu[kept],
             restitution=self.restitution[kept],
             place=self.place[kept[:nc]],
             local=self.local[:, rows],
             end_gap=self.end_gap[kept],
-            slides=None,
-            posed=None,
             transport=self.transport[rows] if self.transport.size else NOTHING,
             quickening=self.quickening[rows] if self.quickening.size else NOTHING,
             stays=self.stays[kept],
@@ -300,22 +235,19 @@ class Encounter(NamedTuple):
         out[0] -= self.quickening
         return out
 
-    def lasting(
-        self, pair: Index, warm: Warm, before: tuple[ContactSet, Array], closed: float, h: float, struck: bool
-    ) -> Encounter:
-        """The same with what persists of what there was `before`, contacts and gaps of joint rows; nothing if `struck`.
+    def lasting(self, pair: Index, begin: Instant, limits: Array, closed: float, h: float, struck: bool) -> Encounter:
+        """The same with what persists of what there was where the move begins; nothing if `struck`.
 
-        The codes of their pairs are `pair` (nc,), what they were in the last move `warm` tells; this one takes h s.
+        There joint rows have the gaps `limits`. The codes of pairs are `pair` (nc,), the move takes h s.
         """
-        contacts, limits = before
+        contacts, warm = begin.contacts, begin.warm
         nc, rows = self.contacts.gap.size, self.end_gap.size
         stays, sticks, was = np.empty(rows, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
-        last, begin = (warm.key, warm.pair, warm.status), (contacts.key, contacts.gap, closed, h)
+        last, before = (warm.key, warm.pair, warm.status), (contacts.key, contacts.gap, closed, h)
         pressed = NEVER if self.joints is None else (warm.joints[self.joints.slot, 0] > 0.0) & (self.joints.mu == 0.0)
         names, given = (self.contacts.key, pair), ((limits, pressed), self.begun, self.end_gap)
-        some = _persistence.persists(names, last, begin, *given, struck, (stays, sticks, was))
-        out = self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(rows))
-        return out.otherwise() if some else out
+        _persistence.persists(names, last, before, *given, struck, (stays, sticks, was))
+        return self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(rows))
 
     def turned(self, dv: Array, r: Array) -> Encounter:
         """The same with couples that change v by dv (n,), and impulses to start from."""
@@ -323,7 +255,7 @@ class Encounter(NamedTuple):
         if dv.size:
             local[2] += self.rows.full.relative_velocity(dv)
         local[4] = r
-        return self.otherwise()._replace(local=local)
+        return self._replace(local=local)
 
     def corrected(
         self, gap: Array, off: Bools, r: Array, closed: float, ahead: float, ended: tuple[Index, Array, Array]
@@ -338,23 +270,19 @@ class Encounter(NamedTuple):
         if not _law.end_otherwise(off, gap, *own, end_gap, late):
             return None
         local[4] = r
-        return self.otherwise()._replace(end_gap=end_gap, late=late, local=local)
+        return self._replace(end_gap=end_gap, late=late, local=local)
 
     def sharing(self, angle: Array, r: Array) -> Encounter:
         """The same with the friction of ball joints parted by angles (balls,), and impulses to start from."""
         rows, local = self.rows.sharing(angle), self.local.copy()
         local[2] += rows.press - self.rows.press
         local[4] = r
-        return self.otherwise()._replace(rows=rows, local=local)
+        return self._replace(rows=rows, local=local)
 
     def off(self, gap: Array, r: Array, closed: float) -> Bools | None:
         """Which rows stay and are pressed by r, but end with a gap (rows,); None if none do."""
         out = np.empty(gap.size, np.bool_)
         return out if _law.off(gap, r, self.stays, closed, out) else None
-
-    def otherwise(self) -> Encounter:
-        """The same where the problem is not as it was posed."""
-        return self._replace(alike=self.posed or self.alike, posed=None)
 
 
 def _of_joints(
@@ -371,8 +299,6 @@ def _of_joints(
 
 def foresee(met: Encounter) -> Bools:
     """Which contacts slide through the step, by the friction foreseen."""
-    if met.slides is not None:
-        return met.slides
     slides = np.empty(met.frame.shape[0], np.bool_)
     _law.foresee(met.rows.full.arrays, met.mu, met.place, met.status, met.local, slides)
     return slides

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from nsdyn.collision.contacts import ContactSet
+from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.problem import cones
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import NotConverged, Solution, Status
 from nsdyn.recording import fclib
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.instant import take
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import as_path, check_folder

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
     from nsdyn.stepping.between import Motion
 
-__all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "put", "vectors", "velocity"]
+__all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "put", "solved", "vectors", "velocity"]
 
 
 Acted = tuple[Array, Index, NDArray[np.int8]]
@@ -39,20 +39,23 @@ class Found(NamedTuple):
         Points, normals, points in both frames; gaps, mu, restitution; frames; scales; H.
     integers : ndarray of int, shape (9 nc + 2,)
         Both geoms, both frames, keys; blocks, their starts; the size of H and whether rows are made.
+    next_key : int
+        As of `ContactMemory`.
     """
 
     floats: Array
     integers: Index
+    next_key: int
 
     def of(self, nc: int) -> Found:
         """The same, with as many contacts as there are in a room for more."""
-        return Found(self.floats, self.integers[: _col.FOUND_NAMES * nc + 2])
+        return Found(self.floats, self.integers[: _col.FOUND_NAMES * nc + 2], self.next_key)
 
     def anew(self) -> Found:
         """The same, for other rows."""
         integers = self.integers.copy()
         integers[_col.MADE - 2] = 0
-        return Found(self.floats.copy(), integers)
+        return Found(self.floats.copy(), integers, self.next_key)
 
     @property
     def nc(self) -> int:
@@ -68,6 +71,11 @@ class Found(NamedTuple):
     def points(self) -> Array:
         """As of `ContactMemory`."""
         return self.floats[: 12 * self.nc].reshape(4, -1, 3)
+
+    @property
+    def memory(self) -> ContactMemory:
+        """What it takes to recognise them."""
+        return ContactMemory(self.names, self.points, self.next_key)
 
     @property
     def scalars(self) -> Array:
@@ -111,12 +119,9 @@ class Flat(NamedTuple):
     status : ndarray of int8, shape (nc,)
     met, found : Found
         Where the impulses acted, and where the step ended.
-    next_key : int
     opening : Opening, optional
     like : Instant
         What is no column is that of this one. With trees it is also where the next motion begins.
-    masses : two ndarrays
-        M̃ and its inverse, as of `Forces`.
     motion : Motion, optional
         Of the trees in the step.
     """
@@ -129,10 +134,8 @@ class Flat(NamedTuple):
     status: NDArray[np.int8]
     met: Found
     found: Found
-    next_key: int
     opening: Opening | None
     like: Instant
-    masses: tuple[Array, Array]
     motion: Motion | None
 
     @property
@@ -159,7 +162,7 @@ class Flat(NamedTuple):
         return kinetic, potential
 
     @classmethod
-    def of(cls, state: State, masses: tuple[Array, Array], wide: int) -> Flat | None:
+    def of(cls, state: State, wide: int) -> Flat | None:
         """The same as arrays; None where contacts are remembered that are not there. Rows of W have `wide` numbers."""
         s = state.instant
         if (given := packed(s, state.rate, wide)) is None:
@@ -167,8 +170,7 @@ class Flat(NamedTuple):
         (floats, acted, status), found = given
         floats[: _col.BOUND] = 0.0
         floats[_col.KINETIC], floats[_col.POTENTIAL] = state.energies
-        key = s.memory.next_key
-        own = floats, acted, status, found, found, key, state.opening, s, masses, None
+        own = floats, acted, status, found, found, state.opening, s, None
         return cls(state.origin, state.dt, state.count, *own)
 
     def frame(self, first: int, width: int) -> Array:
@@ -195,7 +197,7 @@ class Flat(NamedTuple):
             position=self.position,
             placement=Placement(x, R, self.like.placement.links),
             contacts=self.found.contacts(),
-            memory=ContactMemory(self.found.names, self.found.points, self.next_key),
+            memory=self.found.memory,
             warm=Warm(self.acted[:nc], self.acted[nc:], force, self.status, self.like.warm.joints),
             twists=self.twists,
             energies=self.of_trees,
@@ -226,17 +228,12 @@ class Flat(NamedTuple):
         """Where the frames are."""
         return Poses(self.frame(_col.X, 3), self.frame(_col.R, 9).reshape(-1, 3, 3))
 
-    def problem(self, d: Dynamics) -> FC3D:
-        """The problem of the step."""
-        b, norm = self.contact(_col.FREE, 3), float(self.floats[_col.NORM])
-        return FC3D.prepared(self.met.blocks(d, self.masses), b, self.met.scalars[1], self.met.scales, norm)
-
-    def solution(self, tol: float) -> Solution:
-        """Its solution, to a solver's tolerance or accepted all the same."""
-        error, residual, count, time = self.floats[_col.ERROR : _col.CERTIFIED].tolist()
-        r, u = self.contact(_col.IMPULSE, 3), self.contact(_col.U, 3)
-        status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE
-        return Solution(r, u, status, error, residual, int(count), time)
+    def solved(self, d: Dynamics, tol: float) -> tuple[FC3D, Solution]:
+        """The problem of the step and its solution, as of the function `solved`."""
+        masses = d.masses[3:]
+        if self.motion is not None:
+            masses = self.motion.half.forces.m, self.motion.half.forces.minv
+        return solved(self.floats, self.contact(0, _col.CONTACT), self.met, self.met.blocks(d, masses), tol)
 
     def state(self) -> State:
         """The state as the general step takes it."""
@@ -256,12 +253,25 @@ def packed(s: Instant, rate: Array, wide: int) -> tuple[Acted, Found] | None:
     if not (np.array_equal(m.points[0], c.point) and np.array_equal(m.points[1], c.normal)):
         return None
     floats = [m.points.ravel(), c.gap, c.mu, c.restitution, np.empty((_col.ROWS - _col.FRAMES + wide) * nc)]
-    found = Found(np.concatenate(floats), np.concatenate((m.names.ravel(), np.zeros(4 * nc + 2, np.int64))))
+    integers = np.concatenate((m.names.ravel(), np.zeros(4 * nc + 2, np.int64)))
+    found = Found(np.concatenate(floats), integers, m.next_key)
     turns = np.concatenate((p.quaternion, np.zeros((s.placement.x.shape[0] - p.x.shape[0], 4))))
     columns = s.placement.x, turns, s.placement.R, *s.twists, *s.looked, s.v, rate, w.force
     room = np.empty(_col.RESULTS), *[column.ravel() for column in columns]
     more = np.empty((_col.CONTACT - _col.IMPULSE) * w.key.size)
     return (np.concatenate((*room, more)), acted, w.status), found
+
+
+def solved(floats: Array, acted: Array, met: Found, blocks: Blocks, tol: float) -> tuple[FC3D, Solution]:
+    """The problem of contacts met and its solution, to a solver's tolerance or accepted all the same.
+
+    From the results and the columns of contacts of a state.
+    """
+    r, u, b = (acted[k * met.nc : (k + 3) * met.nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
+    problem = FC3D.prepared(blocks, b, met.scalars[1], met.scales, float(floats[_col.NORM]))
+    error, residual, count, time = floats[_col.ERROR : _col.CERTIFIED].tolist()
+    status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE
+    return problem, Solution(r, u, status, error, residual, int(count), time)
 
 
 def vectors(f: Array, k: int, n: int) -> Array:

@@ -9,13 +9,13 @@ of forces are those on the mean velocity, too: a force that is perpendicular to 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn.collision.contacts import Looked
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Forces, Middle, Position
@@ -38,31 +38,15 @@ Loads = Callable[[float], Callbacks]
 """What they say at a time, s."""
 
 
-class _Half(NamedTuple):
-    """What a `Half` is given."""
-
-    s: System
-    looked: Looked
-    h: float
-    ahead: float
-    end: float
-    middle: Middle
-    forces: Forces
-    foreseen: Array
-    surfaces: tuple[Array, Array, Array]
-    given: Given
-
-
-class Half(_Half):
+@dataclass(frozen=True, eq=False)
+class Half:
     """The first half of a move.
 
     Attributes
     ----------
     s : System
-    looked : Looked
-        Where contacts were looked for that were found where the move begins.
-    h, ahead : float
-        The move and its second half, s.
+    h : float
+        The move, s.
     end : float
         Time at the end of the move, s.
     middle : Middle
@@ -75,6 +59,20 @@ class Half(_Half):
     given : (Wrenches or None, Controls)
         What the callbacks say.
     """
+
+    s: System
+    h: float
+    end: float
+    middle: Middle
+    forces: Forces
+    foreseen: Array
+    surfaces: tuple[Array, Array, Array]
+    given: Given
+
+    @property
+    def ahead(self) -> float:
+        """Its second half, s."""
+        return self.s.theta * self.h
 
     @cached_property
     def rate(self) -> Array:
@@ -93,11 +91,6 @@ class Half(_Half):
         """Whether that is so far that it might go unseen."""
         fast: bool = _few.most(self.reach) > FAST * self.s.smallest
         return fast
-
-    @cached_property
-    def same(self) -> bool:
-        """Whether the contacts found where the move begins are those of there."""
-        return self.s.unmoved(self.looked, self.middle.placement, self.reach)
 
     @property
     def driven(self) -> tuple[Array, Array]:
@@ -126,11 +119,6 @@ class Half(_Half):
         out: Array = self.h * np.concatenate((force, turn), axis=1)
         return out
 
-    def known(self, rate: Array, reach: Array, fast: bool, same: bool) -> Half:
-        """The same with what has been found."""
-        self.__dict__.update(rate=rate, reach=reach, fast=fast, same=same)
-        return self
-
 
 def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
     """Half a free flow from the time t, and the forces there, as callbacks say at the velocity v⁻."""
@@ -158,7 +146,7 @@ def _under(
 ) -> Half:
     """The first half of a move of h s until the time `end` under the forces given."""
     forces = s.dynamics.forces(middle, end, h, *given, begin.warm.joints)
-    return Half(s, begin.looked, h, s.theta * h, end, middle, forces, forces.foreseen, surfaces, given)
+    return Half(s, h, end, middle, forces, forces.foreseen, surfaces, given)
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -59,7 +59,7 @@ class Round(NamedTuple):
 
     def of(self, part: Bools) -> Round:
         """The impact of some of the contacts alone."""
-        blocks = self.blocks._replace(block=self.blocks.block[part], start=self.blocks.start[part])
+        blocks = self.blocks.of(part)
         return Round(blocks, self.before[np.repeat(part, 3)], self.mu[part], self.e[part], self.hit[part], self.solver)
 
     def after(self, r: Array) -> Array:

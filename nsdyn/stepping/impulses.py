@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
-from nsdyn.collision.contacts import ContactSet
+from nsdyn.collision.contacts import ContactSet, joined
 from nsdyn.dynamics.ledger import Works
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.instant import NOTHING, System
@@ -85,9 +85,7 @@ class Impulses(NamedTuple):
     @staticmethod
     def joined(done: list[Impulses]) -> Impulses:
         """All that acted in a step, one after the other."""
-        contacts = ContactSet._make(
-            np.concatenate(columns) for columns in zip(*(a.contacts for a in done), strict=True)
-        )
+        contacts = joined(a.contacts for a in done)
         columns = list(zip(*done, strict=True))[1:8]
         frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns)
         joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))

@@ -14,7 +14,7 @@ from nsdyn.dynamics.values import Placement, Position
 from nsdyn.scene import checks
 from nsdyn.scene.bodies import Geom
 from nsdyn.stepping.instant import Instant, System
-from nsdyn.stepping.projection import place, project
+from nsdyn.stepping.projection import project
 from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array
 
@@ -51,30 +51,20 @@ def begin(
     at = d.place(position)
     if q is not None:
         _check_limits(d, at)
-    placed = place(d, s.detector, position, at, ContactMemory.empty(), Looked(at.x, at.R, np.zeros(d.frames)))
-    where = _overlap(geoms, placed.contacts, overlap)
+    looked = Looked(at.x, at.R, np.zeros(d.frames))
+    contacts, memory = s.detector.find(*looked, ContactMemory.empty())
+    nobody = np.empty(0, np.int64)
+    warm = Warm(nobody, nobody, np.empty((0, 3)), np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
+    out = Instant(position, velocity, at, contacts, d.limits(at), memory, looked, warm, d.twists(at, velocity), ())
+    where = _overlap(geoms, contacts, overlap)
     if where and not lift:
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=3)
     if lift:
-        placed = project(d, s.detector, placed, d.inertia(position, velocity), s.closed)
-        if not placed.clear:
+        out, clear = project(s, out, d.inertia(position, velocity))
+        if not clear:
             raise ValueError(f"{where}, and nothing moves them apart: they are squeezed")
-    none = np.empty((0, 3))
-    nobody = np.empty(0, np.int64)
-    warm = Warm(nobody, nobody, none, np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
-    at = placed.placement
-    return Instant(
-        placed.position,
-        velocity,
-        at,
-        placed.contacts,
-        placed.limits,
-        placed.memory,
-        placed.looked,
-        warm,
-        d.twists(at, velocity),
-        d.tree_energies(placed.position, velocity),
-    )
+        out = out._replace(twists=d.twists(out.placement, velocity))
+    return out._replace(energies=d.tree_energies(out.position, velocity))
 
 
 def _chosen(d: Dynamics, q: ArrayLike | None, v: ArrayLike | None) -> tuple[Position, Array]:

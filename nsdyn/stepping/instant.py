@@ -13,10 +13,9 @@ from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.solvers import Solver
-from nsdyn.stepping.encounter import Closing
+from nsdyn.stepping.encounter import Closing, Encounter
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -24,7 +23,7 @@ from nsdyn.tools.arrays import Array, Bools, Index
 if TYPE_CHECKING:
     from nsdyn.stepping.mover import Mover
 
-__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Instant", "System", "among", "take"]
+__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Instant", "System", "among"]
 
 NOTHING = np.empty(0)
 
@@ -157,42 +156,26 @@ class System(NamedTuple):
         )
         return least
 
-    def weights(self, contacts: ContactSet, there: Placement, rate: Array) -> Array:
-        """Free accelerations of both bodies of contacts along their normals, added up, shape (nc,), m/s²."""
-        out = np.empty(contacts.gap.size)
-        where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
-        _touching.weights(where, self.dynamics.twists(there, rate), out)
-        return out
-
     @property
     def bounces(self) -> tuple[float, float]:
-        """Half a step, s, and the least 1 - e that counts in it, as of `rests`."""
+        """Half a step, s, and the least 1 - e that counts in it, as of `resting`."""
         return 0.5 * self.dt, 1.0 / EVENTS
 
-    def rests(
-        self, contacts: ContactSet, joints: JointRows | None, restitution: Array, there: Placement, rate: Array
-    ) -> Array:
-        """Speeds of parting up to which contacts, and joint rows, rest at a free acceleration `rate` (n,), m/s.
+    def resting(self, met: Encounter, there: Placement, rate: Array) -> Array:
+        """Speeds of approach up to which what strikes rests afterwards, at a free acceleration `rate` (n,), m/s.
 
-        After an impact that leaves u the flight takes 2 u/a_n, and those that follow e, e², ... times as long: they are
-        over within a step, or the `EVENTS` of it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS).
+        After an impact that leaves u the flight takes 2 u/a_n, with the free accelerations of both bodies along the
+        normal added up, and those that follow e, e², ... times as long: they are over within a step, or the `EVENTS` of
+        it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS). What the solver's tolerance leaves of a velocity is no approach.
         """
-        weight = self.weights(contacts, there, rate)
-        if joints is not None:
-            weight = np.concatenate((weight, np.abs(self.dynamics.joints.rates(joints.slot, rate))))
+        d, c, e = self.dynamics, met.contacts, met.restitution
+        weight, where = np.empty(c.gap.size), (c.frame1, c.frame2, c.point, c.normal, there.x)
+        _touching.weights(where, d.twists(there, rate), weight)
+        if met.joints is not None:
+            weight = np.concatenate((weight, np.abs(d.joints.rates(met.joints.slot, rate))))
         half, least = self.bounces
-        out: Array = half * weight * np.maximum(1.0 - restitution, least)
-        return out
-
-    def resting(
-        self, contacts: ContactSet, joints: JointRows | None, restitution: Array, there: Placement, rate: Array
-    ) -> Array:
-        """Speeds of approach up to which what strikes `rests` afterwards, m/s.
-
-        What the solver's tolerance leaves of a velocity is no approach.
-        """
-        parting = self.rests(contacts, joints, restitution, there, rate)
-        out: Array = self.solver.tol + parting / np.where(restitution > 0.0, restitution, 1.0)
+        parting = half * weight * np.maximum(1.0 - e, least)
+        out: Array = self.solver.tol + parting / np.where(e > 0.0, e, 1.0)
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
@@ -245,11 +228,6 @@ class Instant(NamedTuple):
     warm: Warm
     twists: tuple[Array, Array]
     energies: Energies
-
-
-def take(contacts: ContactSet, kept: Bools) -> ContactSet:
-    """Some of the contacts."""
-    return contacts if kept.all() else ContactSet._make(column[kept] for column in contacts)
 
 
 def among(x: Index, some: Index) -> Bools:

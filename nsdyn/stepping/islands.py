@@ -15,7 +15,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import islands as _islands
 from nsdyn._kernels.stepping.quiet_checks import GAIN
-from nsdyn.collision.contacts import ContactSet, Poses
+from nsdyn.collision.contacts import ContactSet, Poses, take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -27,10 +27,10 @@ from nsdyn.stepping.instant import FAST, JOINT, Instant, System
 from nsdyn.stepping.move import attempt
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import EVENT, WORK, through, turns_far
-from nsdyn.stepping.response import NEW, Begun, Trial
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State
+from nsdyn.stepping.trial import NEW, Begun, Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Islands"]
@@ -112,9 +112,9 @@ class Islands:
         s, begin, d = self.whole, state.instant, self.whole.dynamics
         boxes = self._swept(s, [begin.placement])
         if tried is not None:
-            boxes = self._swept(s, [begin.placement, half.middle.placement, tried.response.moved.placement])
+            boxes = self._swept(s, [begin.placement, half.middle.placement, tried.moved.placement])
         done: dict[tuple[int, ...], tuple[Part, Passage]] = {}
-        key = (begin if tried is None else tried.response.moved).memory.next_key
+        key = (begin if tried is None else tried.moved).memory.next_key
         while True:
             for k in np.flatnonzero(opened).tolist():
                 nodes = np.flatnonzero(label == k)
@@ -223,16 +223,15 @@ class Islands:
 
     def _hit(self, tried: Trial, label: Index, of: Bools) -> Bools:
         """Which islands run into what their move did not meet, of some (islands,)."""
-        out, unmet, joints = np.zeros_like(of), tried.unmet, self.whole.dynamics.joints
-        if unmet is not None:
-            hit = unmet.code[unmet.gap < -unmet.limit]
+        out, hit, joints = np.zeros_like(of), tried.hits, self.whole.dynamics.joints
+        if hit.size:
             nodes = self._node[np.concatenate(np.divmod(hit[hit >= 0], self._node.size))]
             out[label[nodes[nodes >= 0]]] = out[label[joints.block[joints.limits[-1 - hit[hit < 0]]]]] = True
         return out & of
 
-    def _open(self, begin: Instant, tried: Trial, label: Index, opened: Bools) -> None:
+    def _open(self, begin: Instant, a: Trial, label: Index, opened: Bools) -> None:
         """Open the islands that an attempt does not do: they meet an event, or impulses are to be sought once more."""
-        s, d, a = self.whole, self.whole.dynamics, tried.response
+        s, d = self.whole, self.whole.dynamics
         out = [np.empty(0, np.int64)]
         c, found, limits = a.met.contacts, a.moved.contacts, a.moved.limits
         out += self._nodes(found, found.gap < -s.closed)
@@ -246,27 +245,27 @@ class Islands:
             out.append(d.joints.block[a.met.joints.slot[balls[off] - c.gap.size]])
         if not a.solution.converged:
             out += self._nodes(c, np.ones(c.gap.size, np.bool_))
-        half = tried.half
+        half = a.half
         if (struck := striking(s, a.met, half.middle.placement, half.rate, half.h)) is not None:
             out += self._nodes(c, struck[: c.gap.size])
             if a.met.joints is not None:
                 out.append(d.joints.block[a.met.joints.slot[struck[c.gap.size :]]])
-        limited = d.within_limits(tried.half.middle, tried.half.forces, a.v)
-        changed = [x is not y for x, y in zip(limited.trees, tried.half.forces.trees, strict=True)]
+        limited = d.within_limits(a.half.middle, a.half.forces, a.v)
+        changed = [x is not y for x, y in zip(limited.trees, a.half.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
         opened[label[np.concatenate(out)]] = True
         # What passes through something unseen.
-        fast = d.node[:-1][tried.half.reach > FAST * s.smallest] if tried.half.fast else d.node[:0]
+        fast = d.node[:-1][a.half.reach > FAST * s.smallest] if a.half.fast else d.node[:0]
         if not opened[label[fast[fast >= 0]]].all():
-            poses = [Poses(*p[:2]) for p in (begin.placement, tried.half.middle.placement, a.moved.placement)]
+            poses = [Poses(*p[:2]) for p in (begin.placement, a.half.middle.placement, a.moved.placement)]
             known = followed(s, begin.contacts, found)
             for one, other in pairwise(poses):
-                met = s.touches(one, other, tried.reach.memory, known).contacts
+                met = s.touches(one, other, a.memory, known).contacts
                 opened[label[self._nodes(met, np.ones(met.gap.size, np.bool_))[0]]] = True
 
     def _gaining(self, begin: Instant, made: Passage, tried: Trial, label: Index, opened: Bools) -> None:
         """Open the islands whose contacts add energy in a move made: by themselves these take it in pieces."""
-        s, d, a, met = self.whole, self.whole.dynamics, made.done[0], tried.response.met
+        s, d, a, met = self.whole, self.whole.dynamics, made.done[0], tried.met
         if not a.status.size:
             return
         far = turns_far(s, s.dt, a, begin, made.end)
@@ -285,9 +284,9 @@ class Islands:
                 energies.append(np.bincount(label[: d.free], 0.5 * of_bodies, count))
             opened |= gained > GAIN * np.maximum(*energies)
 
-    def _kept(self, tried: Trial, left: Bools, next_key: int) -> Trial:
+    def _kept(self, a: Trial, left: Bools, next_key: int) -> Trial:
         """What an attempt did to the nodes left; new contacts of theirs have keys from `next_key` on."""
-        s, d, a = self.whole, self.whole.dynamics, tried.response
+        s, d = self.whole, self.whole.dynamics
         # What is seen of two islands from afar is of neither.
         stays = np.append(left, True)[d.node]
         kept, there = (stays[c.frame1] & stays[c.frame2] for c in (a.met.contacts, a.moved.contacts))
@@ -296,10 +295,10 @@ class Islands:
         limits = a.moved.limits
         if limits.size:
             limits = np.where(left[d.joints.block[d.joints.limits]], limits, np.inf)
-        contacts = ContactSet._make([column[there] for column in a.moved.contacts])
+        contacts = take(a.moved.contacts, there)
         rows, blocks = np.repeat(kept, 3), a.met.rows.blocks
         problem = FC3D.from_blocks(
-            blocks._replace(block=blocks.block[kept], start=blocks.start[kept]),
+            blocks.of(kept),
             a.problem.q[rows],
             a.problem.mu[kept],
             a.problem.scales[kept],
@@ -310,7 +309,7 @@ class Islands:
         if turned.dv.size:
             of_contacts = kept[: a.met.contacts.gap.size]
             turned = turned._replace(impulse=turned.impulse[of_contacts], work=turned.work[of_contacts])
-        response = a.but(
+        return a._replace(
             couple=turned,
             met=a.met.take(kept),
             impact=None,
@@ -319,4 +318,3 @@ class Islands:
             solution=solution,
             moved=a.moved._replace(contacts=contacts, limits=limits, memory=a.moved.memory._replace(next_key=next_key)),
         )
-        return tried._replace(response=response)

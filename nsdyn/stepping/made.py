@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
 from nsdyn.dynamics.values import Forces, Middle, Placement
-from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.between import Motion
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.flat import Found, looked, matrices, vectors, velocity
+from nsdyn.stepping.flat import Found, looked, matrices, solved, vectors, velocity
 from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
 from nsdyn.stepping.instant import Instant, System
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
-from nsdyn.stepping.projection import Placed
-from nsdyn.stepping.response import Reach, Response
+from nsdyn.stepping.trial import Trial
 from nsdyn.tools.arrays import Array, Bools, Index
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["Made"]
 
@@ -37,8 +30,6 @@ class Made(NamedTuple):
 
     Attributes
     ----------
-    size : (int, int)
-        Frames and coordinates.
     floats, acted, status : ndarray
         The state at the end, as of `Flat`.
     work : ndarray
@@ -48,14 +39,10 @@ class Made(NamedTuple):
     flags : ndarray of bool, shape (FLAGS, nc)
     found, met, end : Found
         What was found where the impulses acted, what of that was met, and what was found at the end.
-    next_key : int
-        That after `found`; at the end it is of `end_key`.
-    end_key : int
     whole : bool
         Whether it is all that was asked for: if not, a move as long as the step, which meets an event.
     """
 
-    size: tuple[int, int]
     floats: Array
     acted: Index
     status: NDArray[np.int8]
@@ -65,21 +52,16 @@ class Made(NamedTuple):
     found: Found
     met: Found
     end: Found
-    next_key: int
-    end_key: int
     whole: bool
 
-    def values(
-        self, s: System, begin: Instant, t: float, h: float, motion: Motion | None
-    ) -> tuple[Half, Reach, Response]:
+    def values(self, s: System, begin: Instant, t: float, h: float, motion: Motion | None) -> Trial:
         """The move of h s from the time t as values; its motion where Python knows of it."""
-        d, (n, nv), f, w, p = s.dynamics, self.size, self.floats, self.work, begin.position
+        d, f, w, p = s.dynamics, self.floats, self.work, begin.position
+        n, _ = size = d.frames, d.n
         b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = self.found.contacts() if went else begin.contacts
-        memory = ContactMemory(self.found.names, self.found.points, self.next_key) if went else begin.memory
+        memory = self.found.memory if went else begin.memory
         half = self._half(s, begin, t, h) if motion is None else motion.half
-        reach, fast = w[_col.REACH * n : _col.LOOKED_THERE * n], bool(self.head[_col.FAST])
-        half = half.known(velocity(b, self.size, _col.RATE), reach, fast, not went)
         where = looked(w, _col.LOOKED_THERE, n) if went else begin.looked
         met = self.met.contacts() if self.head[_col.SOME] else found
         end, position = Placement(vectors(b, _col.X, n), matrices(b, _col.R, n), ()), p
@@ -87,40 +69,37 @@ class Made(NamedTuple):
             position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
         else:
             end, position = motion.placement, motion.position
-        moved = Placed(position, end, found, d.limits(end), memory, where, True)
+        twists = vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)
+        found_there = found, d.limits(end), memory, where
+        moved = Instant(position, velocity(b, size, _col.V), end, *found_there, begin.warm, twists, ())
         if goes:
-            memory_there = ContactMemory(self.end.names, self.end.points, self.end_key)
-            moved = moved._replace(contacts=self.end.contacts(), memory=memory_there, looked=looked(b, _col.LOOKED, n))
-        first = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv + _col.IMPULSE * self.status.size
-        response = Response(
-            partial(self._answer, s, begin, met, (half.forces.m, half.forces.minv)),
-            v=velocity(w, self.size, _col.V_PLUS),
+            moved = moved._replace(
+                contacts=self.end.contacts(), memory=self.end.memory, looked=looked(b, _col.LOOKED, n)
+            )
+        return Trial(
+            half=half,
+            v=velocity(w, size, _col.V_PLUS),
             impulse=NOTHING if motion is None else motion.impulse,
-            v_end=velocity(b, self.size, _col.V),
             trees=() if motion is None else motion.ends,
-            twists=(vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)),
             moved=moved,
-            normal=f[first : first + 3 * self.status.size : 3],
+            memory=memory,
+            **self._answer(s, begin, met, (half.forces.m, half.forces.minv)),
         )
-        return half, Reach(met, None, found, memory, where), response
 
     def _answer(self, s: System, begin: Instant, met: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:
-        """What is met, its problem, and the impulses, by the names of `Response`."""
-        (n, nv), nc, f, w = self.size, self.status.size, self.floats, self.work
+        """What is met, its problem, and the impulses, by the names of `Trial`."""
+        n, nv = size = s.dynamics.frames, s.dynamics.n
+        nc, f, w = self.status.size, self.floats, self.work
         a, own = f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :], w[_col.FRAME_WORK * n :]
         own = own[_col.COORDINATE_WORK * nv :]
         rows = Rows(self.met.blocks(s.dynamics, masses), {}, *NO_CLUTCHES)
         slides, stays, sticks = self.flags[:3, :nc]
-        r, u, q = (a[k * nc : (k + 3) * nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
-        problem = FC3D.prepared(rows.full, q, met.mu, self.met.scales, float(f[_col.NORM]))
-        error, residual, count, time = f[_col.ERROR : _col.CERTIFIED].tolist()
-        status = Status.CONVERGED if max(error, residual) <= s.solver.tol else Status.LOOSE
+        problem, solution = solved(f, a, self.met, rows.full, s.solver.tol)
         encounter = Encounter(
             met,
             None,
             rows,
             self.met.frame,
-            None,
             met.mu,
             met.restitution,
             self.head[_col.HEAD : _col.HEAD + nc],
@@ -134,7 +113,7 @@ class Made(NamedTuple):
         )
         couple = NO_COUPLE
         if self.head[_col.TURNED]:
-            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, self.size, _col.TURN)
+            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, size, _col.TURN)
             couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
         return {
             "met": encounter,
@@ -142,17 +121,18 @@ class Made(NamedTuple):
             "kick": 0.0,
             "slides": slides,
             "problem": problem,
-            "solution": Solution(r, u, status, error, residual, int(count), time),
+            "solution": solution,
             "otherwise": False,
             "couple": couple,
         }
 
     def _half(self, s: System, begin: Instant, t: float, h: float) -> Half:
         """The first half of a move of h s of free bodies from the time t."""
-        d, n, w = s.dynamics, self.size[0], self.work
+        d, w = s.dynamics, self.work
+        n, _ = size = d.frames, d.n
         x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
         there = Placement(x, matrices(w, _col.R_THERE, n), ())
-        middle = Middle(begin.position.moved(x, quaternion), velocity(w, self.size, _col.V_THERE), there, ())
-        v_free = velocity(w, self.size, _col.V_FREE)
+        middle = Middle(begin.position.moved(x, quaternion), velocity(w, size, _col.V_THERE), there, ())
+        v_free = velocity(w, size, _col.V_FREE)
         forces = Forces(v_free, v_free, d.no_load, *d.masses[3:], ())
-        return Half(s, begin.looked, h, s.theta * h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)
+        return Half(s, h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)

@@ -2,31 +2,55 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.workless import SOLVES
-from nsdyn.collision.contacts import Poses
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, take
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.half import Callbacks, Half, Loads, corrected, first_half
-from nsdyn.stepping.instant import Instant, System, among, take
+from nsdyn.stepping.instant import Instant, System, among
 from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
-from nsdyn.stepping.projection import Placed, place
-from nsdyn.stepping.response import NEW, Begun, Reach, Response, Trial
+from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.stepping.solving import Way
+from nsdyn.stepping.trial import NEW, Begun, Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["attempt", "trial"]
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+
+
+class Reach(NamedTuple):
+    """What the second half of a move may need, of what was found where its impulses act.
+
+    Attributes
+    ----------
+    contacts : ContactSet
+    joints : JointRows or None
+    found : ContactSet
+        All that was found.
+    memory : ContactMemory
+    looked : Looked
+    """
+
+    contacts: ContactSet
+    joints: JointRows | None
+    found: ContactSet
+    memory: ContactMemory
+    looked: Looked
+
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
@@ -59,7 +83,7 @@ def trial(
     t, h : float
         s.
     barred : ndarray of int, optional
-        Codes, as of `Unmet`, of what is left alone where it is open, as is all that would become deep, or strike: the
+        Codes, as of `others`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
     begun : Begun
     """
@@ -72,47 +96,51 @@ def trial(
         made = s.mover.respond(s, begin, t, h, barred, half)
     if made is None:
         made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
-    half, _, response = made
-    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+    if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
         return trial(s, lambda _: None, begin, t, h, barred, Begun(again))
     return _met(s, begin, made, barred)
 
 
-def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple[Half, Reach, Response]:
+def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial:
     """The move from its first half, stage by stage."""
     reach = _reachable(s, begin, half, barred)
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
     rough = barred is None
-    half, response = _respond(s, begin, half, reach, barred, None, rough)
+    m = _respond(s, begin, half, reach, barred, None, rough)
     missed = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
-        r, moved, middle = response.solution.r, response.moved, half.middle.placement
-        real, memory, missed = shown(s, response.met, r, moved, reach.memory, middle, half.fast, missed)
-        same = real is response.met.contacts and not response.otherwise
+        half, r = m.half, m.solution.r
+        real, memory, missed = shown(s, m.met, r, m.moved, reach.memory, half.middle.placement, half.fast, missed)
+        same = real is m.met.contacts and not m.otherwise
         if same and not rough:
             break
         rough = not same and left > 0
         reach = reach._replace(contacts=real, memory=memory)
-        half, response = _respond(s, begin, half, reach, barred, response, rough)
-    return half, reach, response
+        m = _respond(s, begin, half, reach, barred, m, rough)
+    return m
 
 
-def _met(s: System, begin: Instant, made: tuple[Half, Reach, Response], barred: Index | None) -> Trial:
-    """What a move runs into."""
-    half, reach, response = made
-    h, moved = half.h, response.moved
-    unmet, until = None, h
-    if barred is not None:
-        limits = moved.limits
-        if limits.size and not barred.size and _few.least(limits) >= -s.closed:
-            limits = NOTHING
-        r, slots = response.normal, NO_SLOTS if reach.joints is None else reach.joints.slot
-        unmet = others(s, moved.contacts, reach.contacts, r, limits, slots)
-        if half.fast and not barred.size:
-            first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
-            own = begin.contacts, moved.contacts, (first, second, third), reach.memory
-            until = touched(s, *own, h, half.reach / half.ahead)
-    return Trial(half, reach, response, unmet, until)
+def _met(s: System, begin: Instant, m: Trial, barred: Index | None) -> Trial:
+    """The move with what it runs into."""
+    if barred is None:
+        return m
+    half, moved = m.half, m.moved
+    limits = moved.limits
+    if limits.size and not barred.size and _few.least(limits) >= -s.closed:
+        limits = NOTHING
+    m = _run_into(s, m, limits)
+    if not half.fast or barred.size:
+        return m
+    first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
+    own = begin.contacts, moved.contacts, (first, second, third), m.memory
+    return m._replace(touched=touched(s, *own, half.h, half.reach / half.ahead))
+
+
+def _run_into(s: System, m: Trial, limits: Array) -> Trial:
+    """The move with what strikes where it ends, of contacts and such gaps of joint limits."""
+    slots = NO_SLOTS if m.met.joints is None else m.met.joints.slot
+    hits, limit = others(s, m.moved.contacts, m.met.contacts, m.normal, limits, slots)
+    return m._replace(hits=hits, limit=limit)
 
 
 def attempt(
@@ -140,14 +168,10 @@ def attempt(
         reach = _reachable(s, begin, half, NO_SLOTS)
         if skip.any():
             reach = reach._replace(contacts=take(reach.contacts, ~skip[s.nodes(reach.contacts)]))
-        half, response = _respond(s, begin, half, reach, NO_SLOTS, None, rough, label)
-    else:
-        half, reach, response = made
-    if (again := corrected(s, begin, half, response.v, callbacks)) is not half:
+        made = _respond(s, begin, half, reach, NO_SLOTS, None, rough, label)
+    if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
         return attempt(s, begin, again, None, label, skip, NEW, rough)
-    slots, moved = NO_SLOTS if reach.joints is None else reach.joints.slot, response.moved
-    unmet = others(s, moved.contacts, reach.contacts, response.normal, moved.limits, slots)
-    return Trial(half, reach, response, unmet, half.h)
+    return _run_into(s, made, made.moved.limits)
 
 
 def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> Reach:
@@ -155,7 +179,7 @@ def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> R
     middle, v = half.middle, half.forces.foreseen
     x, R, _ = middle.placement
     looked, found, memory = begin.looked, begin.contacts, begin.memory
-    if not half.same:
+    if not s.unmoved(looked, half.middle.placement, half.reach):
         looked = s.look(looked, x, R, half.reach)
         found, memory = s.detector.find(*looked, memory)
     contacts, joints = found, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
@@ -175,10 +199,10 @@ def _respond(
     half: Half,
     reach: Reach,
     barred: Index | None,
-    last: Response | None,
+    last: Trial | None,
     rough: bool,
     label: Index | None = None,
-) -> tuple[Half, Response]:
+) -> Trial:
     """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
 
     The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve:
@@ -186,10 +210,9 @@ def _respond(
     and that is left to see who asks.
     """
     d, middle, forces, found, looked = s.dynamics, half.middle, half.forces, reach.found, reach.looked
-    met, impact, kick = _encounter(s, begin, half, reach, barred, label)
+    met, impact, kick = _encounter(s, begin, half, reach, label)
     slides = foresee(met)
     if last is not None:
-        met = met.otherwise()
         _resume(met, slides, last)
     # What catches its impacts is of first order anyway: there only what stops is worth another solve.
     most, back = (0, True) if rough or barred is None else (SOLVES, last is not None)
@@ -204,20 +227,22 @@ def _respond(
         v = v if impact is None else v + kick
         impulse, v = met.rows.response(solution.r, v)
         if label is None and (limited := d.within_limits(middle, forces, v)) is not forces:
-            return _respond(s, begin, half._replace(forces=limited), reach, barred, last, rough)
+            return _respond(s, begin, replace(half, forces=limited), reach, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
         end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.driven)
         twists, same = d.twists(there, v_end), s.unmoved(looked, there, near)
+        moved = Instant(end, v_end, there, found, NOTHING, reach.memory, looked, begin.warm, twists, ())
         if same:
-            moved = Placed(end, there, found, d.limits(there), reach.memory, looked, True)
+            moved = moved._replace(limits=d.limits(there))
         else:
-            moved = place(d, s.detector, end, there, reach.memory, s.look(looked, there.x, there.R, near))
-        ending = _ending(s, half, alone, solution.r, moved, v_end) if left and met.stays.any() else None
+            moved = found_at(s, moved, s.look(looked, there.x, there.R, near))
+        ending = _ending(s, half, alone, solution.r, moved) if left and met.stays.any() else None
         if ending is None:
             break
         (alone, off), known = ending, solution
-    return half, Response(
+    return Trial(
+        half=half,
         met=met,
         impact=impact,
         kick=kick,
@@ -228,35 +253,30 @@ def _respond(
         couple=couple,
         v=v,
         impulse=impulse,
-        v_end=v_end,
         trees=trees,
-        twists=twists,
         moved=moved,
-        normal=solution.r[0 : 3 * reach.contacts.gap.size : 3],
+        memory=reach.memory,
     )
 
 
 def _encounter(
-    s: System, begin: Instant, half: Half, reach: Reach, barred: Index | None, label: Index | None
+    s: System, begin: Instant, half: Half, reach: Reach, label: Index | None
 ) -> tuple[Encounter, Impact | None, Array | float]:
     """What the second half meets, with impacts that it catches and their change of v."""
-    d, contacts, closing = s.dynamics, reach.contacts, s.closing(half.h, barred is None)
-    start = begin.contacts, begin.position.driven_x, begin.placement, begin.twists, begin.v, begin.warm
+    d, contacts = s.dynamics, reach.contacts
     every, at = d.with_actuators(reach.joints, half.forces), half.middle.seen(reach.looked)
     where = half.reach, half.surfaces[1:], half.h, half.ahead
-    met = Encounter.of(d, contacts, every, at, half.forces, start, *where, closing)
+    met = Encounter.of(d, contacts, every, at, half.forces, begin, *where)
     impact: Impact | None = None
     kick: Array | float = 0.0
     if label is None:
         met, impact, kick = caught_impacts(s, met, half.middle.placement, half.rate, half.h)
-    before = begin.contacts, _limits(s, met.joints, begin.placement)
+    limits = _limits(s, met.joints, begin.placement)
     pair = s.detector.codes(contacts)
-    return met.lasting(pair, begin.warm, before, s.closed, half.h, impact is not None), impact, kick
+    return met.lasting(pair, begin, limits, s.closed, half.h, impact is not None), impact, kick
 
 
-def _ending(
-    s: System, half: Half, met: Encounter, r: Array, moved: Placed, v_end: Array
-) -> tuple[Encounter, Bools] | None:
+def _ending(s: System, half: Half, met: Encounter, r: Array, moved: Instant) -> tuple[Encounter, Bools] | None:
     """What is met with the gaps that rows end with, and which rows these are; None where they end as they should."""
     d, there, joints = s.dynamics, moved.placement, met.joints
     gap = s.detector.gaps(met.contacts, moved.contacts, Poses(there.x, there.R))
@@ -264,8 +284,8 @@ def _ending(
         gap = np.concatenate((gap, _limits(s, joints, there)))
     if (off := met.off(gap, r, s.closed)) is None:
         return None
-    parts = parting(d, moved.contacts, there, v_end, moved.position.driven_x, half.surfaces[2])
-    rates = NOTHING if joints is None else d.joints.rates(joints.slot, v_end)
+    parts = parting(d, moved.contacts, there, moved.v, moved.position.driven_x, half.surfaces[2])
+    rates = NOTHING if joints is None else d.joints.rates(joints.slot, moved.v)
     further = met.corrected(gap, off, r, s.closed, half.ahead, (moved.contacts.key, parts, rates))
     return None if further is None else (further, off)
 
@@ -278,7 +298,7 @@ def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:
     return np.where(joints.mu > 0.0, np.inf, gaps)
 
 
-def _resume(met: Encounter, slides: Bools, last: Response) -> None:
+def _resume(met: Encounter, slides: Bools, last: Trial) -> None:
     """Start from what the last look has left: impulses and slip of contacts that are still there, and joint rows."""
     key, r, rows = last.met.contacts.key, last.solution.r.reshape(-1, 3), last.met.joints
     nc = met.contacts.gap.size

@@ -11,17 +11,16 @@ from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn._kernels.stepping import quiet as _quiet
 from nsdyn._kernels.stepping import quiet_meeting as _meeting
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Acted, Found, looked, packed, put, velocity
+from nsdyn.stepping.flat import Acted, Found, looked, packed, put, solved, velocity
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.instant import FAST, STILL, Instant, System
 from nsdyn.stepping.made import Made
-from nsdyn.stepping.response import Reach, Response
 from nsdyn.stepping.solving import again
+from nsdyn.stepping.trial import Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["NO_PAIRS", "Mover"]
@@ -86,7 +85,6 @@ class Mover:
         for view, given in zip(views[_col.M : _col.MINV + 1], (m, minv), strict=True):
             view[: given.size] = given
         self._dynamics, self._solver, self._detector, self._size = d, solver, s.detector, (d.frames, d.n)
-        self.still = m, minv
         self._smallest, self._dt, self._length, self._most = s.smallest, s.dt, (s.dt, s.depth), 0
         n, nv = self._size
         self._acted = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv
@@ -99,7 +97,6 @@ class Mover:
         self,
         old: Acted,
         begun: Found,
-        next_key: int,
         length: tuple[float, float],
         direction: Array = NOTHING,
         barred: Index = NO_PAIRS,
@@ -114,7 +111,6 @@ class Mover:
         old : Acted
         begun : Found
             Contacts there.
-        next_key : int
         length : (float, float)
         direction : ndarray
         barred : ndarray of int
@@ -142,10 +138,10 @@ class Mover:
                 self._arrays,
                 detector.searches,
                 old,
-                tuple(begun),
+                begun[:2],
                 new,
                 rooms,
-                next_key,
+                begun.next_key,
                 direction,
                 barred,
                 work,
@@ -216,7 +212,7 @@ class Mover:
 
     def respond(
         self, s: System, begin: Instant, t: float, h: float, barred: Index, half: Half | None = None
-    ) -> tuple[Half, Reach, Response] | None:
+    ) -> Trial | None:
         """The move of h s from the time t, with `barred` as of `trial`; None where the kernel does not make it.
 
         Its first `half` is known where there are trees, or forces of the user.
@@ -232,7 +228,7 @@ class Mover:
             return None
         old, begun = given
         begun = begun.anew() if self._dynamics.trees else begun
-        made = self(old, begun, begin.memory.next_key, (h, s.depth), barred=barred, motion=motion)
+        made = self(old, begun, (h, s.depth), barred=barred, motion=motion)
         return None if made is None else made.values(s, begin, t, h, motion)
 
     def _set(self, length: tuple[float, float]) -> None:
@@ -245,7 +241,7 @@ class Mover:
 
     def is_ready(self, old: Acted, begun: Found) -> bool:
         """Whether the kernel is compiled; if not, another process does that."""
-        found, detector = tuple(begun), self._detector
+        found, detector = begun[:2], self._detector
         given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
         work = self._rooms(False, False)[2]
         Mover.ready = is_ready(_quiet.quiet, *given, work, (_meeting.DONE, False, detector.asks, False))
@@ -281,11 +277,10 @@ class Mover:
         """What is made so far, as large as it is."""
         (floats, acted, status), (own, head, flags) = new, work
         nc, went, goes = int(head[_col.MET]), floats[_col.WENT] > 0.0, floats[_col.GOES] > 0.0
-        found = Found(*rooms[0]).of(int(head[_col.MIDDLE])) if went else begun
+        found = Found(*rooms[0], int(head[_col.KEY_MIDDLE])).of(int(head[_col.MIDDLE])) if went else begun
         if nc != status.size:
             floats, acted, status = floats[: self._acted + _col.CONTACT * nc], acted[: 2 * nc], status[:nc]
         return Made(
-            self._size,
             floats,
             acted,
             status,
@@ -293,10 +288,8 @@ class Mover:
             head,
             flags,
             found,
-            Found(*rooms[1]).of(nc) if head[_col.SOME] else found,
-            Found(*rooms[2]).of(int(head[_col.END])) if goes else found,
-            int(head[_col.KEY_MIDDLE]),
-            int(head[_col.KEY_END if goes else _col.KEY_MIDDLE]),
+            Found(*rooms[1], found.next_key).of(nc) if head[_col.SOME] else found,
+            Found(*rooms[2], int(head[_col.KEY_END])).of(int(head[_col.END])) if goes else found,
             whole,
         )
 
@@ -304,8 +297,7 @@ class Mover:
         """Solve the problem of a step where the kernel does not; whether that is an answer."""
         nc, floats, met, masses = made.status.size, made.floats, made.met, self._views[_col.M : _col.MINV + 1]
         own, a = made.work[self._own :], floats[self._acted :]
-        b, norm = a[_col.FREE * nc : _col.U_END * nc], float(floats[_col.NORM])
-        problem = FC3D.prepared(met.blocks(self._dynamics, (masses[0], masses[1])), b, met.scalars[1], met.scales, norm)
+        problem, _ = solved(floats, a, met, met.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)
         r, last = a[_col.IMPULSE * nc : _col.U * nc], self._solution if made.head[_col.SOLVED] else None
         start = own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc] if last is None else r.copy()
         solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], False)

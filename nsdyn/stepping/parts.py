@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nsdyn._kernels.dynamics import motion as _motion
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, joined, take
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.half import Callbacks, Given, Loads
@@ -90,7 +90,7 @@ class Part:
             p.driven_quaternion,
         )
         kept = self._has(at.contacts.frame1, at.contacts.frame2)
-        c = ContactSet._make([column[kept] for column in at.contacts])
+        c = take(at.contacts, kept)
         c = c._replace(
             geom1=self._geom[c.geom1],
             geom2=self._geom[c.geom2],
@@ -216,7 +216,7 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
     c, m, w = base.contacts, base.memory, base.warm
     pressed = [detector.frame[g] for g in np.divmod(w.pair, whole.inscribed.size)]
     kept = stays(c.frame1, c.frame2), stays(m.names[2], m.names[3]), stays(*pressed)
-    contacts, warm = [ContactSet._make([x[kept[0]] for x in c])], [[x[kept[2]] for x in _columns(w)]]
+    contacts, warm = [take(c, kept[0])], [[x[kept[2]] for x in _columns(w)]]
     names, points = [m.names[:, kept[1]]], [m.points[:, kept[1]]]
     for part, end in parts:
         part.fill(out, end)
@@ -226,8 +226,6 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
         names.append(part.memory(end.memory))
         points.append(end.memory.points)
         warm.append(_columns(part.warm(end.warm)))
-    c = ContactSet._make([np.concatenate(columns) for columns in zip(*contacts, strict=True)])
-    order = np.argsort(detector.codes(c), kind="stable")
     all_names, all_points = np.concatenate(names, axis=1), np.concatenate(points, axis=1)
     ranks = np.argsort(all_names[0] * whole.inscribed.size + all_names[1], kind="stable")
     next_key = max(base.memory.next_key, *(end.memory.next_key for _, end in parts))
@@ -236,7 +234,7 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
         position=out.position._replace(trees=p),
         placement=out.placement._replace(links=links),
         energies=energies,
-        contacts=ContactSet._make([column[order] for column in c]),
+        contacts=detector.ordered(joined(contacts)),
         memory=ContactMemory(all_names[:, ranks].copy(), all_points[:, ranks].copy(), next_key),
         warm=Warm(key, pair, force, status, out.warm.joints),
     )

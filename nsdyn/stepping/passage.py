@@ -22,10 +22,10 @@ from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among
 from nsdyn.stepping.move import trial
-from nsdyn.stepping.response import NEW, Begun, Trial
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import moved_by, parting
 from nsdyn.stepping.state import State
+from nsdyn.stepping.trial import NEW, Begun, Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["through", "turns_far"]
@@ -194,9 +194,9 @@ def _moves(
         length, tried = _until_event(s, loads, now, t, left, soon, effort, begun, struck is not None)
         begun = NEW
         m = finish(s, now, tried)
-        path += [tried.half.middle.placement, tried.response.moved.placement, m.end.placement]
+        path += [tried.half.middle.placement, tried.moved.placement, m.end.placement]
         done.append(_later(m.done[0], h - left))
-        moved = tried.response.moved
+        moved = tried.moved
         sunk = sunk or s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         solved += m.solved
@@ -255,21 +255,18 @@ def _until_event(
         return capture(begun)
     effort.spend(begin)
     m = trial(s, loads, begin, t, h, NONE, begun)
-    a, begun = m.response, Begun(m.half)
-    met = m.unmet is not None and bool((m.unmet.gap < -m.unmet.limit).any())
-    if _jammed(a.solution) or (not affords and (met or m.touched < h or not a.solution.accepted)):
+    begun, met = Begun(m.half), bool(m.hits.size)
+    if _jammed(m.solution) or (not affords and (met or m.touched < h or not m.solution.accepted)):
         return capture(begun)
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)
     # Where slip has been cut nothing is asked about it again.
-    turned = h * reversal(a.met, s.solver, a.problem, a.solution) if soon < h else h
+    turned = h * reversal(m.met, s.solver, m.problem, m.solution) if soon < h else h
     if soon < turned < (1.0 - SOON) * h:
         return _until_event(s, loads, begin, t, turned, h, effort) if affords else capture(begun)
-    if m.unmet is None or not met:
+    if not met:
         return h, m
-    hit = m.unmet.gap < -m.unmet.limit
-    barred, limit = np.unique(m.unmet.code[hit]), float(m.unmet.limit[hit].min())
-    return _located(s, loads, begin, t, {h: m}, barred, limit, effort) or capture(begun)
+    return _located(s, loads, begin, t, {h: m}, np.unique(m.hits), m.limit, effort) or capture(begun)
 
 
 def _located(
@@ -294,7 +291,7 @@ def _located(
     moves : dict
         One that has run into what is barred, by its length, s.
     barred : ndarray of int
-        Codes, as of `Unmet`.
+        Codes, as of `Trial`.
     limit : float
         How far they may run into each other, m.
     effort : Effort
@@ -367,20 +364,20 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
     the free forces where they were not seen at the beginning. The time may be past the end of the move; infinite where
     nothing tells. What is closed without approaching, as where it has just begun to part, does not touch.
     """
-    d, a, c, before = s.dynamics, m.response, m.response.moved.contacts, begin.contacts
-    there, joints, surfaces = a.moved.placement, d.joints, m.half.surfaces
+    d, moved, c, before = s.dynamics, m.moved, m.moved.contacts, begin.contacts
+    there, joints, surfaces = moved.placement, d.joints, m.half.surfaces
     rates, limits = d.twists(there, m.half.rate), (NOTHING, NOTHING, NOTHING)
     slots = joints.limits[-1 - barred[barred < 0]]
     if slots.size:
-        limits = joints.gaps(slots, d.angles(there)), joints.rates(slots, a.v_end), joints.rates(slots, begin.v)
+        limits = joints.gaps(slots, d.angles(there)), joints.rates(slots, moved.v), joints.rates(slots, begin.v)
     carried = (
-        moved_by(d, c, a.moved.position.driven_x, surfaces[2]),
+        moved_by(d, c, moved.position.driven_x, surfaces[2]),
         moved_by(d, before, begin.position.driven_x, surfaces[0]),
     )
     time, least = _sight.first_touch(
-        ((c.key, s.detector.codes(c), c.gap), _where(c, there), a.twists, carried[0], rates),
+        ((c.key, s.detector.codes(c), c.gap), _where(c, there), moved.twists, carried[0], rates),
         (before.key, _where(before, begin.placement), begin.twists, carried[1]),
-        (m.reach.contacts.key, a.normal),
+        (m.met.contacts.key, m.normal),
         limits,
         barred,
         (s.closed, s.solver.tol, s.theta, m.half.h),

@@ -103,9 +103,9 @@ def solve_workless(
             otherwise = otherwise or changed
         if left < passes:
             problem, made = problem.with_velocity(b.copy()), True
-            met = alone._replace(local=local.copy(), posed=problem)
+            met = alone._replace(local=local.copy())
         elif solved > 1 or (solved and code == _workless.SOLVE):
-            problem, met = problem.with_velocity(b.copy()), met.otherwise()
+            problem = problem.with_velocity(b.copy())
         if solved:
             solution = Solution(r.copy(), u.copy(), Status.CONVERGED, error, residual, count, clock() - begin)
         if code == _workless.DONE:

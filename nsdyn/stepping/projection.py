@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
-from nsdyn.collision.detector import Detector
-from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.values import Forces, Placement, Position
+from nsdyn.collision.contacts import Looked, take
+from nsdyn.dynamics.values import Forces
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Auto
+from nsdyn.stepping.instant import Instant, System
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Placed", "place", "project"]
+__all__ = ["found", "project"]
 
 PASSES = 20
 """Most projections in a row; each leaves what is of second order in it, so that two or three do."""
@@ -33,46 +30,13 @@ FAR = 10.0
 where bodies move fast, and numbers so much larger than those that matter cost the methods for hard problems digits."""
 
 
-class Placed(NamedTuple):
-    """A position, its frames, and the contacts found there.
-
-    Attributes
-    ----------
-    position : Position
-    placement : Placement
-    contacts : ContactSet
-        With the true gaps of the shapes.
-    limits : ndarray
-        Gaps of all joint limits, rad or m.
-    memory : ContactMemory
-    looked : Looked
-    clear : bool
-        Whether no shapes overlap, and no joint is beyond its limits, by more than what counts as closed.
-    """
-
-    position: Position
-    placement: Placement
-    contacts: ContactSet
-    limits: Array
-    memory: ContactMemory
-    looked: Looked
-    clear: bool
+def found(s: System, at: Instant, looked: Looked) -> Instant:
+    """The contacts and limits where an instant is, whatever overlaps, where they are `looked` for."""
+    contacts, memory = s.detector.find(*looked, at.memory)
+    return at._replace(contacts=contacts, limits=s.dynamics.limits(at.placement), memory=memory, looked=looked)
 
 
-def place(
-    dynamics: Dynamics,
-    detector: Detector,
-    position: Position,
-    placement: Placement,
-    memory: ContactMemory,
-    looked: Looked,
-) -> Placed:
-    """The contacts and limits at a position, whatever overlaps, where they are `looked` for."""
-    contacts, memory = detector.find(*looked, memory)
-    return Placed(position, placement, contacts, dynamics.limits(placement), memory, looked, True)
-
-
-def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forces, closed: float) -> Placed:
+def project(s: System, at: Instant, forces: Forces) -> tuple[Instant, bool]:
     """The closest position without overlap, in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0.
 
     Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes and joint limits where the
@@ -80,33 +44,31 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
 
     Parameters
     ----------
-    dynamics : Dynamics
-    detector : Detector
-    placed : Placed
-        Where the motion ends.
+    s : System
+    at : Instant
+        Where the motion ends. Its velocities stay what they are.
     forces : Forces
         Whose mass matrices are the metric.
-    closed : float
-        Largest overlap [m] that is left.
 
     Returns
     -------
-    Placed
-        `placed` itself where nothing overlaps; not `clear` where bodies are squeezed so that nothing helps: these, and
-        what touches them, stay.
+    Instant
+        `at` itself where nothing overlaps by more than what counts as closed.
+    bool
+        Whether that is so at last. Where bodies are squeezed nothing helps: these, and what touches them, stay.
     """
+    d, closed = s.dynamics, s.closed
     for _ in range(PASSES):
-        deepest = _least(placed)
+        deepest = _least(at)
         if deepest >= -closed:
-            return placed
-        contacts = ContactSet._make(column[placed.contacts.gap < -FAR * deepest] for column in placed.contacts)
+            return at, True
+        contacts = take(at.contacts, at.contacts.gap < -FAR * deepest)
         gap = contacts.gap
         joints = None
-        if placed.limits.size:
-            rest = np.zeros(dynamics.n)
-            joints = dynamics.limit_rows(placed.placement, rest)
+        if at.limits.size:
+            joints = d.limit_rows(at.placement, np.zeros(d.n))
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
-        rows, _ = dynamics.rows(contacts, placed.placement, forces, joints)
+        rows, _ = d.rows(contacts, at.placement, forces, joints)
         # In units of the deepest overlap, which the tolerance is a fraction of.
         g = np.zeros(3 * gap.size)
         g[0::3] = gap / -deepest
@@ -115,12 +77,12 @@ def project(dynamics: Dynamics, detector: Detector, placed: Placed, forces: Forc
         push = solution.r if solution.converged else _without_squeezed(rows.blocks, solution)
         if not push.any():
             break
-        moved = dynamics.shift(placed.position, -deepest * rows.velocity_change(push))
+        moved = d.shift(at.position, -deepest * rows.velocity_change(push))
         # What the next shift may reach, which is about as far as this one, must be seen.
-        there = dynamics.place(moved)
-        looked = Looked(there.x, there.R, np.full(dynamics.frames, -deepest))
-        placed = place(dynamics, detector, moved, there, placed.memory, looked)
-    return placed._replace(clear=_least(placed) >= -closed)
+        there = d.place(moved)
+        looked = Looked(there.x, there.R, np.full(d.frames, -deepest))
+        at = found(s, at._replace(position=moved, placement=there), looked)
+    return at, _least(at) >= -closed
 
 
 def _without_squeezed(blocks: Blocks, solution: Solution) -> Array:
@@ -132,7 +94,7 @@ def _without_squeezed(blocks: Blocks, solution: Solution) -> Array:
     return out
 
 
-def _least(placed: Placed) -> float:
+def _least(at: Instant) -> float:
     """The least gap, 0 if none is negative."""
-    least: float = _few.least(placed.contacts.gap)
-    return min(least, _few.least(placed.limits)) if placed.limits.size else least
+    least: float = _few.least(at.contacts.gap)
+    return min(least, _few.least(at.limits)) if at.limits.size else least

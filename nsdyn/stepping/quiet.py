@@ -10,24 +10,24 @@ import math
 from collections.abc import Callable
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactMemory, Poses
+from nsdyn.collision.contacts import Poses
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
 from nsdyn.stepping.flat import Flat, Found, looked, velocity
-from nsdyn.stepping.half import Half, Loads, first_half
+from nsdyn.stepping.half import Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
 from nsdyn.stepping.made import Made
 from nsdyn.stepping.mover import NO_PAIRS, Mover
-from nsdyn.stepping.response import Begun
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
+from nsdyn.stepping.trial import Begun
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Quiet"]
 
-NOTHING_TRIED = None, None, None, None
+NOTHING_TRIED = None, None, None
 
 Certify = Callable[[FC3D, Array, Array, Opening | None], tuple[Certificate, Opening | None]]
 
@@ -60,7 +60,7 @@ class Quiet:
         self._loads, self._paradoxes = loads, paradoxes
         mover.numbers[_col.FEWEST] = FEW if paradoxes.possible else -1.0
         self._length = system.dt, system.depth
-        self._tried: tuple[Flat | None, Half | None, Made | None, Motion | None] = NOTHING_TRIED
+        self._tried: tuple[Flat | None, Made | None, Motion | None] = NOTHING_TRIED
         self._pause = self._left = 0
         if polish:
             mover.numbers[_col.WEAK] = math.nan
@@ -71,12 +71,12 @@ class Quiet:
         if self._left > 0:
             self._left -= 1
             return None
-        old = now if isinstance(now, Flat) else Flat.of(now, self._mover.still, self._mover.wide)
+        old = now if isinstance(now, Flat) else Flat.of(now, self._mover.wide)
         if old is not None:
             if not (Mover.ready or self._is_ready(old)):
                 return None
             new = self._next(old, certify)
-            if new is not None or self._tried[2] is not None:
+            if new is not None or self._tried[1] is not None:
                 self._pause = 0
                 return None if new is None else (old, new)
         self._left, self._pause = self._pause, min(2 * self._pause + 1, PAUSE)
@@ -84,13 +84,13 @@ class Quiet:
 
     def begun(self, state: State) -> Begun:
         """What the last attempt at a step from a state has found of it."""
-        s, (old, half, made, motion) = self._system, self._tried
+        s, (old, made, motion) = self._system, self._tried
         if old is not None:
             self._mover.given = state.instant, ((old.floats, old.acted, old.status), old.found)
         if made is None:
-            return Begun(half)
+            return Begun(None if motion is None else motion.half)
         move = made.values(s, state.instant, state.next_t - s.dt, s.dt, motion)
-        return Begun(move[0], move)
+        return Begun(move.half, move)
 
     def _next(self, old: Flat, certify: Certify) -> Flat | None:
         """The next state, None where more may happen."""
@@ -100,10 +100,10 @@ class Quiet:
         if not s.dynamics.trees and callbacks is None:
             if (made := self._made(old, old.found, None)) is None:
                 return None
-            return self._told(old, made, old.like, old.masses, None, certify)
+            return self._told(old, made, old.like, None, certify)
         begin = old.begin()
-        half = first_half(s, begin, t, s.dt, callbacks)
-        motion, self._tried = Motion(begin, half), (old, half, None, None)
+        motion = Motion(begin, first_half(s, begin, t, s.dt, callbacks))
+        self._tried = old, None, motion
         while True:
             # Rows of trees change whatever moves: those of the last step are still to be told.
             found = old.found.anew() if s.dynamics.trees else old.found
@@ -112,24 +112,22 @@ class Quiet:
             if (again := motion.corrected(callbacks)) is None:
                 break
             motion, callbacks = again, None
-        b, size = made.floats[_col.RESULTS :], made.size
+        b, size = made.floats[_col.RESULTS :], (s.dynamics.frames, s.dynamics.n)
         if (like := motion.ended(velocity(b, size, _col.V), looked(b, _col.LOOKED, size[0]))) is None:
             return None
-        forces = motion.half.forces
-        return self._told(old, made, like, (forces.m, forces.minv), motion, certify)
+        return self._told(old, made, like, motion, certify)
 
     def _made(self, old: Flat, found: Found, motion: Motion | None) -> Made | None:
         """A step that the kernel has made; what it has made of one that meets an event is kept."""
         direction = old.opening.d if old.opening else NOTHING
         begun = old.floats, old.acted, old.status
-        made = self._mover(begun, found, old.next_key, self._length, direction, NO_PAIRS, True, self._moves, motion)
+        made = self._mover(begun, found, self._length, direction, NO_PAIRS, True, self._moves, motion)
         if made is not None:
             some = made.floats[_col.WENT] or made.floats[_col.GOES] or made.head[_col.SOME]
             self._moves = bool(some)
             if not made.whole:
-                half = None if motion is None else motion.half
-                if half is self._tried[1]:  # not with what callbacks say of the motion itself
-                    self._tried = old, half, made, motion
+                if motion is self._tried[2]:  # not with what callbacks say of the motion itself
+                    self._tried = old, made, motion
                 return None
         return made
 
@@ -138,7 +136,6 @@ class Quiet:
         old: Flat,
         made: Made,
         like: Instant,
-        masses: tuple[Array, Array],
         motion: Motion | None,
         certify: Certify,
     ) -> Flat | None:
@@ -146,17 +143,17 @@ class Quiet:
         floats = made.floats
         if not math.isfinite(floats[_col.KINETIC] + floats[_col.POTENTIAL]):
             return None
-        state = floats, made.acted, made.status, made.met, made.end, made.end_key, old.opening, like, masses, motion
+        state = floats, made.acted, made.status, made.met, made.end, old.opening, like, motion
         out = Flat(old.origin, old.dt, old.count + 1, *state)
         if made.head[_col.FAST] and self._passes(old, out, made):
             return None
-        if floats[_col.SUSPECT]:
-            problem, solution = out.problem(self._system.dynamics), out.solution(self._system.solver.tol)
-            if self._paradoxes.met(problem, solution, out.dt, out.coordinate(_col.RATE)):
-                return None
+        if floats[_col.CERTIFIED] and not floats[_col.SUSPECT]:
+            return out
+        problem, solution = out.solved(self._system.dynamics, self._system.solver.tol)
+        if floats[_col.SUSPECT] and self._paradoxes.met(problem, solution, out.dt, out.coordinate(_col.RATE)):
+            return None
         if not floats[_col.CERTIFIED]:
-            solution = out.solution(self._system.solver.tol)
-            certificate, opening = certify(out.problem(self._system.dynamics), solution.r, solution.u, old.opening)
+            certificate, opening = certify(problem, solution.r, solution.u, old.opening)
             floats[_col.GAP : _col.WENT] = certificate
             out = out._replace(opening=opening)
         return out
@@ -166,8 +163,7 @@ class Quiet:
         s, n, w = self._system, self._system.dynamics.frames, made.work
         there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.REACH * n].reshape(n, 3, 3))
         places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
-        memory = ContactMemory(made.found.names, made.found.points, made.next_key)
-        own = old.found.contacts(), new.found.contacts(), places, memory
+        own = old.found.contacts(), new.found.contacts(), places, made.found.memory
         return touched(s, *own, s.dt, reach / (s.theta * s.dt)) < s.dt
 
     def _is_ready(self, old: Flat) -> bool:

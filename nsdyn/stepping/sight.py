@@ -8,27 +8,22 @@ are dropped, pairs that it would pass through and contacts that end deep are add
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import sight as _sight
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry
+from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry, joined, take
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.half import Half
-from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among, take
-from nsdyn.stepping.projection import Placed
+from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = [
-    "Unmet",
-    "approach",
     "caught",
     "caught_limits",
     "followed",
@@ -40,25 +35,11 @@ __all__ = [
     "touched",
 ]
 
+NO_CODES = np.empty(0, np.int64)
+
 PAST = 0.05
 """Fraction of the smaller inscribed radius by which bodies get into each other where a fast move is cut short, which is
 where they would by more than twice that: a shorter move touches at another time."""
-
-
-class Unmet(NamedTuple):
-    """Contacts and joint limits that a move leaves alone, at one instant.
-
-    Attributes
-    ----------
-    code : ndarray of int, shape (k,)
-        Of the pair of shapes, -1 - i of joint limit i.
-    gap, limit : ndarray, shape (k,)
-        m or rad; overlaps of more than `limit` are impacts to be located.
-    """
-
-    code: Index
-    gap: Array
-    limit: Array
 
 
 def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: Index) -> ContactSet:
@@ -108,11 +89,12 @@ def caught_limits(
     return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
 
 
-def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Array, slot: Index) -> Unmet | None:
-    """Of the contacts found and the gaps of all joint limits those not met; None where all are.
+def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Array, slot: Index) -> tuple[Index, float]:
+    """What strikes, of the contacts found and the gaps of all joint limits: codes of those not met that are too deep.
 
-    A contact that is met but not pressed is left alone, too: where bodies turn it may open, and strike again when it
-    closes.
+    And how far they may run into each other, m or rad, infinite where nothing strikes. The code of a contact is that of
+    its pair of shapes, that of joint limit i is -1 - i. A contact that is met but not pressed is left alone, too: where
+    bodies turn it may open, and strike again when it closes.
 
     Parameters
     ----------
@@ -125,7 +107,7 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
         Joint rows that are met.
     """
     if not limits.size and (found is met or _touching.all_known(found.key, met.key, -r, -_touching.LEAST)):
-        return None
+        return NO_CODES, np.inf
     pressed, known = np.empty(found.gap.size, np.bool_), np.empty(found.gap.size, np.bool_)
     _touching.known(found.key, met.key, -r, -_touching.LEAST, pressed)
     _touching.known(found.key, met.key, -r, np.inf, known)
@@ -137,20 +119,19 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
         k = np.flatnonzero(~among(s.dynamics.joints.limits, slot))
         code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
         limit = np.concatenate((limit, np.full(k.size, s.closed)))
-    return Unmet(code, gap, limit)
-
-
-def approach(d: Dynamics, contacts: ContactSet, placement: Placement, v: Array) -> Array:
-    """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s; driven bodies at rest."""
-    out = np.empty(contacts.gap.size)
-    where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, placement.x
-    _touching.approach(where, d.twists(placement, v), out)
-    return out
+    hit = gap < -limit
+    return code[hit], float(limit[hit].min(initial=np.inf))
 
 
 def parting(d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array) -> Array:
-    """The same where driven bodies at such positions (nd, 3) and surfaces have such twists (surfaces, 2, 3)."""
-    return approach(d, contacts, there, v) + moved_by(d, contacts, driven_x, surfaces)
+    """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s.
+
+    Driven bodies are at such positions (nd, 3), they and surfaces have such twists (surfaces, 2, 3).
+    """
+    out = np.empty(contacts.gap.size)
+    where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
+    _touching.approach(where, d.twists(there, v), out)
+    return out + moved_by(d, contacts, driven_x, surfaces)
 
 
 def moved_by(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:
@@ -223,7 +204,7 @@ def shown(
     s: System,
     met: Encounter,
     r: Array,
-    moved: Placed,
+    moved: Instant,
     memory: ContactMemory,
     middle: Placement,
     fast: bool,
@@ -239,7 +220,7 @@ def shown(
     s : System
     met : Encounter
     r : ndarray, shape (3 rows,)
-    moved : Placed
+    moved : Instant
         Where the motion ends.
     memory : ContactMemory
     middle : Placement
@@ -291,6 +272,4 @@ def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
 
 def _merged(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSet:
     """Contacts of both, sorted by their pairs."""
-    both = ContactSet._make(np.concatenate(columns) for columns in zip(one, other, strict=True))
-    order = np.argsort(detector.codes(both), kind="stable")
-    return ContactSet._make(column[order] for column in both)
+    return detector.ordered(joined((one, other)))

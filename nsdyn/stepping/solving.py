@@ -44,10 +44,6 @@ class Way(NamedTuple):
 
 def pose(met: Encounter, slides: Bools, closing: Closing) -> FC3D:
     """The problem of what is met, where the contacts `slides` (nc,) slide through."""
-    if met.posed is not None:
-        return met.posed
-    if met.alike is not None:
-        return met.alike.with_velocity(met.offsets(slides, closing))
     return FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
 
 

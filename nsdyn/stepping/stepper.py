@@ -37,9 +37,9 @@ from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
-from nsdyn.stepping.response import NEW
 from nsdyn.stepping.state import OnBodies, Pieces, Start, State, Step
 from nsdyn.stepping.system import check_options, system_of
+from nsdyn.stepping.trial import NEW
 from nsdyn.stepping.untold import Untold
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
@@ -353,7 +353,7 @@ class Stepper:
             depth = self._prescribed.check(begin, end.position, end.placement, times)
             if depth > self.closed:
                 return None
-        untold = Untold(after, before, (self.theta, self.system.solver.tol), self.dynamics)
+        untold = Untold(after, before, self.system)
         step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
         self._now = after
         return step

@@ -19,7 +19,7 @@ from nsdyn.stepping.state import OnBodies, State, Step
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
-    from nsdyn.dynamics.dynamics import Dynamics
+    from nsdyn.stepping.instant import System
 
 __all__ = ["Untold"]
 
@@ -45,15 +45,12 @@ class Untold(NamedTuple):
         Where it ended.
     before : State or Flat
         Where it began.
-    scheme : (float, float)
-        θ and the solver's tolerance.
-    dynamics : Dynamics
+    system : System
     """
 
     flat: Flat
     before: State | Flat
-    scheme: tuple[float, float]
-    dynamics: Dynamics
+    system: System
 
     @property
     def nc(self) -> int:
@@ -68,16 +65,17 @@ class Untold(NamedTuple):
         if name in ("contacts", "frame", "contact_status", "contact_time", "contact_duration"):
             return _contacts(flat.met.names, flat.met.floats, flat.status, self._times(self.nc))
         if name in ("problem", "solution"):
-            return {"problem": flat.problem(self.dynamics), "solution": flat.solution(self.scheme[1])}
+            problem, solution = flat.solved(self.system.dynamics, self.system.solver.tol)
+            return {"problem": problem, "solution": solution}
         if name in ("ledger", "joints", "links"):
             works, joints, links = self._booked()
             ledger = Ledger.of(self.before.energies, self.flat.energies, works)
-            return {"ledger": ledger, "joints": joints if self.dynamics.trees else None, "links": links}
+            return {"ledger": ledger, "joints": joints if self.system.dynamics.trees else None, "links": links}
         return self.told()
 
     def told(self) -> dict[str, Any]:
         """Where the step led, by the names of `Step`."""
-        flat, d = self.flat, self.dynamics
+        flat, d = self.flat, self.system.dynamics
         x, quaternion = d.poses(flat.position, Placement(*flat.poses, ()))
         q, v = d.pinocchio_state(flat.position, flat.coordinate(_col.V))
         return {
@@ -95,7 +93,7 @@ class Untold(NamedTuple):
 
     def _booked(self) -> tuple[Works, Array, Array]:
         """Works, with those of what Python moved, and `joints` and `links` as of `Step`."""
-        flat, d = self.flat, self.dynamics
+        flat, d = self.flat, self.system.dynamics
         own = Works(*flat.floats[_col.EXTERNAL : _col.NORM].tolist())
         if flat.motion is None:
             return own, d.no_impulses[1], d.no_push
@@ -110,12 +108,12 @@ class Untold(NamedTuple):
     def _times(self, *shape: int) -> tuple[Array, Array]:
         """When the impulses of as many contacts acted, s after the beginning of the step, and how long it lasts."""
         dt = self.flat.dt
-        return np.full(shape, (1.0 - self.scheme[0]) * dt), np.full(shape, dt)
+        return np.full(shape, (1.0 - self.system.theta) * dt), np.full(shape, dt)
 
     @staticmethod
     def steps(some: Sequence[Untold]) -> Step:
         """What m steps of a scene did but for their contacts, arrays with a leading axis of m, of joints (7, m)."""
-        first, d, m, nothing = some[0].flat, some[0].dynamics, len(some), np.zeros(len(some))
+        first, d, m, nothing = some[0].flat, some[0].system.dynamics, len(some), np.zeros(len(some))
         x = quaternion = joints = links = pieces = None
         booked = [one._booked() for one in some]
         if d.trees:
@@ -136,7 +134,7 @@ class Untold(NamedTuple):
         results: Any = np.array([one.flat.floats[: _col.RESULTS] for one in some]).T
         after: Any = np.array([one.flat.energies for one in some]).T if d.trees else results[: _col.EXTERNAL]
         error, residual, count, time = results[_col.ERROR : _col.CERTIFIED]
-        good = np.maximum(error, residual) <= some[0].scheme[1]
+        good = np.maximum(error, residual) <= some[0].system.solver.tol
         status: Any = np.where(good, Status.CONVERGED, Status.LOOSE).astype(np.int8)
         return Step(
             t=np.array([one.flat.t for one in some]),

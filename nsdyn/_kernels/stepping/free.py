@@ -58,8 +58,10 @@ def meet(masses, movers, here, begin, velocities, warm, laws, rows, out):
         (block_of_frame, offset, m_start, m, minv), and (free bodies, trees as of `links.rows`).
     here : tuple
         (key, frame1, frame2, point, normal, gap, x, R) where the impulses act.
-    begin, velocities, warm, laws, out : tuple
-        As in `law.pose`.
+    begin, velocities, warm : tuple
+        As in `law.local_velocities`, warm with what contacts were.
+    laws, out : tuple
+        (mu, restitution, closing), closing as in `law.offsets`, and (local, end_gap, place, slides, b).
     rows : tuple
         Room for (frame, block, start, H, scales), with enough for H, and whether they are made: the contacts are those
         that were met before.
@@ -77,9 +79,13 @@ def meet(masses, movers, here, begin, velocities, warm, laws, rows, out):
     blocks = (offset, block, start, H[:size], m_start, m, minv)
     if not again:
         _blocks.delassus_scales(blocks, scales)
-    there = key, frame1, frame2, point, frame, gap, x
-    norm, good = law.pose(blocks, there, begin, velocities, warm, laws, scales, out)
-    return size, norm, good
+    (mu, restitution, closing), (local, end_gap, place, slides, b), none = laws, out, scales[:0]
+    there, surfaces = (key, frame1, frame2, point, frame, gap, x), (point[:0], none, none, none)
+    law.local_velocities(blocks, velocities, surfaces, begin, there, warm[:3], closing[2], (local, end_gap, place))
+    law.foresee(blocks, mu, place, warm[3], local, slides)
+    law.offsets(local, (end_gap, restitution, none, none, closing), slides[:0], slides, b)
+    norm, good = _blocks.size_of(b, mu)
+    return size, norm, good and _blocks.in_range(scales)
 
 
 @in_place

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem.blocks import in_range, relative_velocity, size_of
+from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
@@ -269,24 +269,6 @@ def offsets(local, laws, stays, slides, b):
             b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
         else:
             b[i + 1], b[i + 2] = u_free[i + 1] + drift[i + 1], u_free[i + 2] + drift[i + 2]
-
-
-@in_place
-def pose(blocks, here, begin, velocities, warm, laws, scales, out):
-    """The problem that a move poses at its contacts: the norm of b, and its validity.
-
-    here, begin, velocities and warm = (keys, forces, h, status) as in `local_velocities`; laws = (mu, restitution,
-    closing), closing as in `offsets`; scales (nc,) are those of W. Into out = (local, end_gap, place, slides, b).
-    """
-    local, end_gap, place, slides, b = out
-    mu, restitution, closing = laws
-    none = scales[:0]
-    surfaces, found = (here[3][:0], none, none, none), (local, end_gap, place)
-    local_velocities(blocks, velocities, surfaces, begin, here, warm[:3], closing[2], found)
-    foresee(blocks, mu, place, warm[3], local, slides)
-    offsets(local, (end_gap, restitution, none, none, closing), slides[:0], slides, b)
-    norm, good = size_of(b, mu)
-    return norm, good and in_range(scales)
 
 
 @in_place

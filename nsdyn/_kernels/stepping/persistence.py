@@ -40,8 +40,8 @@ def persists(names, warm, begin, limits, local, end_gap, struck, out):
     (gaps, whether they pressed), (rows - nc,) each. Not what is squeezed, so that it overlaps, strikes or parts: an
     approach in h s faster than `JOLT` drifts of the rows is one of the bodies, and no error. What stuck sticks however
     it approaches, for its slip is an error, as does what stays and did not slip there. Gaps that count as closed, of
-    rows that do not turn, are set to 0. Returns whether others are left of what stays. What contacts were in the last
-    move goes into was (nc,), slip if they were closed without pressing, and slip now. names = (keys, pairs).
+    rows that do not turn, are set to 0. Returns whether anything stays. What contacts were in the last move goes into
+    was (nc,), slip if they were closed without pressing, and slip now. names = (keys, pairs).
     """
     (key, pair), (begin_key, begin_gap, closed, h), (stays, sticks, was) = names, begin, out
     some = False
@@ -74,7 +74,7 @@ def persists(names, warm, begin, limits, local, end_gap, struck, out):
                 was[c] = 2
         if stays[c] and abs(end_gap[c]) <= closed and abs(drift[i]) * h <= STILL * closed:
             end_gap[c] = 0.0
-        some = some or (stays[c] and end_gap[c] != 0.0)
+        some = some or stays[c]
     return some
 
 

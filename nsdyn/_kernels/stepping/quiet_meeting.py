@@ -159,7 +159,7 @@ def strikes(num, n, movers, met, local, end_gap, rate, w):
 
 @in_place
 def lasting(num, met, names, own, flags, was, b):
-    """What persists, into the flags, as of `persistence.persists`, and the problem with that, if it has other gaps.
+    """What persists, into the flags, as of `persistence.persists`, and the problem with that, if anything does.
 
     names = (begin, acted, warm): (keys, gaps), (keys, pairs) and (keys, pairs, states). What contacts were goes into
     was (nc,). Returns whether the problem is valid.

@@ -1,0 +1,103 @@
+"""What a move does, and what is known of one before it is made."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nsdyn.collision.contacts import ContactMemory
+from nsdyn.dynamics.tree_values import Flow
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
+from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.half import Half
+from nsdyn.stepping.instant import Instant
+from nsdyn.stepping.persistence import Couple
+from nsdyn.stepping.rounds import Impact
+from nsdyn.tools.arrays import Array, Bools, Index
+
+__all__ = ["NEW", "Begun", "Trial"]
+
+NO_CODES = np.empty(0, np.int64)
+
+
+class Trial(NamedTuple):
+    """A move: what its contacts do, where it then ends, and what it runs into.
+
+    Attributes
+    ----------
+    half : Half
+    met : Encounter
+    impact : Impact or None
+        Impacts that were caught, before the other impulses.
+    kick : ndarray or 0
+        Change of v by them.
+    slides : ndarray of bool, shape (nc,)
+        Contacts that slide through.
+    problem : FC3D
+    solution : Solution
+    otherwise : bool
+        Whether contacts slide otherwise than foreseen.
+    couple : Couple
+    v : ndarray, shape (n,)
+        v⁺.
+    impulse : ndarray, shape (n,)
+        H r of all.
+    trees : tuple of Flow
+    moved : Instant
+        Where the motion ends, whatever overlaps there; what acted last and energies of trees are still to be told.
+    memory : ContactMemory
+        Of all that was found where the impulses act.
+    hits : ndarray of int
+        Codes, as of `nsdyn.stepping.sight.others`, of what strikes, where the motion ends; none where all was caught.
+    limit : float
+        How far that may run into each other, m or rad.
+    touched : float
+        Time just after a pair that is open where the move begins touches on its way, s; infinite if none does, if
+        nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
+    """
+
+    half: Half
+    met: Encounter
+    impact: Impact | None
+    kick: Array | float
+    slides: Bools
+    problem: FC3D
+    solution: Solution
+    otherwise: bool
+    couple: Couple
+    v: Array
+    impulse: Array
+    trees: tuple[Flow, ...]
+    moved: Instant
+    memory: ContactMemory
+    hits: Index = NO_CODES
+    limit: float = np.inf
+    touched: float = np.inf
+
+    @property
+    def normal(self) -> Array:
+        """Normal impulses of the contacts met, (nc,), N·s."""
+        return self.solution.r[0 : 3 * self.met.contacts.gap.size : 3]
+
+
+class Begun(NamedTuple):
+    """What is known of a step before it is made.
+
+    Attributes
+    ----------
+    half : Half, optional
+        Its first half, in one move.
+    move : Trial, optional
+        All of that move, with nothing barred, but for what it runs into.
+    meets : bool
+        Whether that move meets an event.
+    """
+
+    half: Half | None = None
+    move: Trial | None = None
+    meets: bool = False
+
+
+NEW = Begun()
