@@ -88,7 +88,7 @@ def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
         r, moved, middle = response.solution.r, response.moved, half.middle.placement
         real, memory, missed = shown(s, response.met, r, moved, reach.memory, middle, half.fast, missed)
-        same = real is response.met.contacts and not response.otherwise
+        same = real is response.met.contacts
         if same and not rough:
             break
         rough = not same and left > 0
@@ -191,8 +191,7 @@ def _respond(
     if last is not None:
         met = met.otherwise()
         _resume(met, slides, last)
-    # What catches its impacts is of first order anyway: there only what stops is worth another solve.
-    most, back = (0, True) if rough or barred is None else (SOLVES, last is not None)
+    most, back = 0 if rough else SOLVES, rough or last is not None
     way = Way(s.closing(half.h, barred is None), back, most, rough, SHARES if label is None else 0)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
