@@ -73,7 +73,7 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
     far = _travel(poses, flight, c, who, above)
     # Where edges are almost parallel their crossing slides far as they turn, but to no more than others are apart.
     widest = np.zeros(gap.size)
-    np.maximum.at(widest, pair[above], far)
+    np.fmax.at(widest, pair[above], far)
     far = np.where(c["impulse"][above, 0] > 0.0, far, widest[pair[above]])
     out[above] = np.maximum(out[above], gap[above] - nearest[above] - several * far)
     return out

@@ -148,25 +148,23 @@ class Detector(Candidates):
 
     def _first_touch(self, p: int, begin: Poses, end: Poses, turn: Array) -> tuple[float, Array, Array] | None:
         """Fraction of the way at which pair p touches, and where its geoms are then, (R, t); None if it does not."""
-        i, j = geoms = int(self._first[p]), int(self._second[p])
-        placements = self.frame, self._geometry.placement_R, self._geometry.placement_t
-        near = TOUCH / MARGIN * self._pair_base[p]
-        R, t = np.empty((2, 3, 3)), np.empty((2, 3))
-        s = 0.0
+        geoms, near, s = (int(self._first[p]), int(self._second[p])), TOUCH / MARGIN * self._pair_base[p], 0.0
+        room, motion, some = (self._R.copy(), self._t.copy()), (begin.x, begin.R, end.x, turn), list(geoms)
+        solids = [self._solids[g] for g in geoms]
         for _ in range(ADVANCES):
-            advancement.place_at(placements, (begin.x, begin.R, end.x, turn), s, geoms, R, t)
-            distance, result = _distance((self._solids[i], self._solids[j]), R, t)
+            advancement.place_at(self.fields, room, motion, s, geoms)
+            R, t = (a[some] for a in room)
+            distance, result = _distance(solids, R, t)
             n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
             if not np.isfinite(n).all():  # deep inside each other
                 break
-            bound, speed = advancement.approach(self.frame, self._arm, (begin.x, end.x, turn), s, geoms, n, points)
+            shown = s, distance, near, tuple(n), points
+            later, speed = advancement.advance(self.fields, self._arm, motion, geoms, shown, room)
             if distance <= near and speed > 0.0:
                 break
-            if bound * (1.0 - s) <= distance or bound == 0.0:
+            if later >= 1.0:
                 return None
-            s += max(distance, near) / bound
-            if s >= 1.0:
-                return None
+            s = later
         return s, R, t
 
     def _manifold(self, p: int, R: Array, t: Array) -> tuple[Array, Array, Array]:

@@ -122,7 +122,6 @@ class Made(NamedTuple):
             "slides": slides,
             "problem": problem,
             "solution": solution,
-            "otherwise": False,
             "couple": couple,
         }
 

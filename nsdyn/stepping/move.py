@@ -111,7 +111,7 @@ def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
         half, r = m.half, m.solution.r
         real, memory, missed = shown(s, m.met, r, m.moved, reach.memory, half.middle.placement, half.fast, missed)
-        same = real is m.met.contacts and not m.otherwise
+        same = real is m.met.contacts
         if same and not rough:
             break
         rough = not same and left > 0
@@ -214,15 +214,14 @@ def _respond(
     slides = foresee(met)
     if last is not None:
         _resume(met, slides, last)
-    # What catches its impacts is of first order anyway: there only what stops is worth another solve.
-    most, back = (0, True) if rough or barred is None else (SOLVES, last is not None)
+    most, back = 0 if rough else SOLVES, rough or last is not None
     way = Way(s.closing(half.h, barred is None), back, most, rough, SHARES if label is None else 0)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     alone, couple = met, NO_COUPLE
     off: Bools | None = None
     for left in reversed(range(1 if rough or barred is None else _law.GAPS + 1)):
-        met, problem, solution, otherwise, couple = solve_workless(s, alone, half, known, slides, way, couple, off)
+        met, problem, solution, couple = solve_workless(s, alone, half, known, slides, way, couple, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick
         impulse, v = met.rows.response(solution.r, v)
@@ -249,7 +248,6 @@ def _respond(
         slides=slides,
         problem=problem,
         solution=solution,
-        otherwise=otherwise,
         couple=couple,
         v=v,
         impulse=impulse,

@@ -68,14 +68,14 @@ def solve_workless(
     way: Way,
     start: Couple,
     off: Bools | None,
-) -> tuple[Encounter, FC3D, Solution, bool, Couple]:
+) -> tuple[Encounter, FC3D, Solution, Couple]:
     """`solve`, and couples with which contacts that persist do no work, from `start`; what is met with these.
 
     Only islands of which a row is `off` (rows,), or has another couple, change; all where nothing is known of that. A
     kernel does all this where `Auto` solves all islands in one, and else asks for a solve when it needs one.
     """
     d, c, rows, alone = s.dynamics, met.contacts, met.rows, met
-    nc, made, first, otherwise = c.gap.size, start.dv.size > 0, True, False
+    nc, made, first = c.gap.size, start.dv.size > 0, True
     if made:
         met = alone.turned(start.dv, alone.local[4])
     passes = _workless.PASSES if d.free and met.stays.any() and not way.rough else 0
@@ -87,7 +87,7 @@ def solve_workless(
     while True:
         code, left, solved, begin = _workless.SOLVE, passes, 0, clock()
         if solver[0] or not first:
-            code, left, changed, solved, error, residual, count = _workless.workless(
+            code, left, solved, error, residual, count = _workless.workless(
                 rows.full.arrays,
                 (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
                 (half.middle.v, half.forces.v),
@@ -100,7 +100,6 @@ def solve_workless(
                 (first, way.back, passes, (False, 0, 0.0, 0.0)),
                 state,
             )
-            otherwise = otherwise or changed
         if left < passes:
             problem, made = problem.with_velocity(b.copy()), True
             met = alone._replace(local=local.copy())
@@ -113,14 +112,13 @@ def solve_workless(
         first = first and left == passes
         which, before = (off, last) if first else (other, solution)
         own = way if first else way._replace(back=True)
-        met, problem, again, changed = solve(met, s.solver, solution, slides, own, which, before)
-        otherwise = otherwise or changed
-        # Of what is solved loosely, or catches its impacts, one more couple is as exact.
-        most = left if again.converged and way.most else min(left, int(again.accepted))
+        met, problem, again = solve(met, s.solver, solution, slides, own, which, before)
+        # Of what is solved loosely one more couple is as exact.
+        most = left if again.converged else min(left, int(again.accepted))
         solution, passes, first = again, most, False
         r[:], u[:], change[:] = again.r, again.u, rows.velocity_change(again.r)
     assert solution is not None  # there was none to go on from, and so a solve
-    return met, problem, solution, otherwise, _acting(s, met, half, couple, dv, mean) if made else start
+    return met, problem, solution, _acting(s, met, half, couple, dv, mean) if made else start
 
 
 def _acting(s: System, met: Encounter, half: Half, couple: Array, dv: Array, mean: Array) -> Couple:

@@ -55,8 +55,8 @@ def solve(
     way: Way,
     off: Bools | None = None,
     kept: Solution | None = None,
-) -> tuple[Encounter, FC3D, Solution, bool]:
-    """What is met, impulses that make it obey the contact law, their problem, and whether some slip otherwise.
+) -> tuple[Encounter, FC3D, Solution]:
+    """What is met, impulses that make it obey the contact law, and their problem.
 
     Parameters
     ----------
@@ -78,14 +78,14 @@ def solve(
     rows, local = met.rows, met.local
     pushed, free = rows.ball_axes(local[4]), rows.ball_axes(local[2])
     met = met.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), local[4])
-    problem, solution, otherwise = _solve(met, solver, last, slides, way, off, kept)
+    problem, solution = _solve(met, solver, last, slides, way, off, kept)
     search = Search()
     for _ in range(way.shares):
         if (angle := search.next(met.rows, solution.r, solution.u, problem.scales)) is None:
             break
         met = met.sharing(angle, solution.r)
-        problem, solution, otherwise = _solve(met, solver, solution, slides, way, None, None)
-    return met, problem, solution, otherwise
+        problem, solution = _solve(met, solver, solution, slides, way, None, None)
+    return met, problem, solution
 
 
 def _solve(
@@ -96,7 +96,7 @@ def _solve(
     way: Way,
     off: Bools | None,
     kept: Solution | None,
-) -> tuple[FC3D, Solution, bool]:
+) -> tuple[FC3D, Solution]:
     """The same with the shares that the friction of ball joints has."""
     closing, back, most, rough, _ = way
     label, changed, full = np.empty(met.mu.size, np.int64), np.empty(slides.size, np.bool_), met.rows.full
@@ -110,12 +110,12 @@ def _solve(
             solution = solution._replace(r=r, u=u)
         shown, own = (solution.r, solution.u, problem.q, met.mu), (label, islands, changed)
         if not _workless.reconsider_some(shown, met.local, slides, back or k > 0, *own):
-            return problem, _held(met, solver, problem, solution), False
+            break
         if k < most:
             kept, off = solution, changed.copy()
             problem = problem.with_velocity(met.offsets(slides, closing))
             solution = again(solver, solution, problem, solution.r, met.local[0], rough)
-    return problem, _held(met, solver, problem, solution), True
+    return problem, _held(met, solver, problem, solution)
 
 
 def _held(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) -> Solution:

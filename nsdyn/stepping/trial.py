@@ -37,8 +37,6 @@ class Trial(NamedTuple):
         Contacts that slide through.
     problem : FC3D
     solution : Solution
-    otherwise : bool
-        Whether contacts slide otherwise than foreseen.
     couple : Couple
     v : ndarray, shape (n,)
         v⁺.
@@ -65,7 +63,6 @@ class Trial(NamedTuple):
     slides: Bools
     problem: FC3D
     solution: Solution
-    otherwise: bool
     couple: Couple
     v: Array
     impulse: Array

@@ -258,3 +258,15 @@ def test_normals_turn_with_the_bodies_they_are_of(rng):
             for shape, R, x in zip((first, second), end.R, end.x, strict=True)
         )
         assert apart == pytest.approx(high.min() - low.max(), abs=1e-14)
+
+
+def test_what_first_parts_is_hit_later():
+    """A ball leaves a plate that turns by φ = 0.9 rad at 1.02 φ, but tan φ > 1.02 φ."""
+    plate, ball = shapes.box((4.0, 1.0, 0.1)), shapes.sphere(0.01)
+    begin = poses(((0, 0, 0), np.eye(3)), ((1.0, 0.0, 0.06 + 1e-6), np.eye(3)))
+    end = poses(((0, 0, 0), about((0, 1, 0), -0.9)), ((1.0, 0.0, 0.06 + 1.02 * 0.9), np.eye(3)))
+    touches = detector(plate, ball).touches(begin, end, EMPTY)
+    samples = np.array([distance(plate, ball, between(begin, end, s)) for s in np.linspace(0.0, 1.0, 1001)])
+    first = np.argmax(samples < 0.0) / 1000
+    assert 0.1 < first < 0.5
+    assert touches.fraction[0] == pytest.approx(first, abs=2e-3)

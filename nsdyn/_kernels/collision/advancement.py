@@ -130,28 +130,6 @@ def turned(w, s, p):
 
 
 @in_place
-def place_at(placements, motion, s, geoms, R, t):
-    """World poses of two geoms at the fraction s of the way, into rows 0 and 1 of R and t.
-
-    `placements` are (frame, R, t) of the geoms, `motion` is (x0, R0, x1, turn) of the frames.
-    """
-    (frame, placement_R, placement_t), (x0, R0, x1, turn) = placements, motion
-    for k in range(2):
-        g = geoms[k]
-        f = frame[g]
-        for column in range(3):
-            a = (placement_R[g, 0, column], placement_R[g, 1, column], placement_R[g, 2, column])
-            if f >= 0:
-                a = turned(row(turn, f), s, to_world(R0, f, a))
-            R[k, 0, column], R[k, 1, column], R[k, 2, column] = a
-        a = row(placement_t, g)
-        if f >= 0:
-            a = turned(row(turn, f), s, to_world(R0, f, a))
-            a = along(along(a, 1.0 - s, row(x0, f)), s, row(x1, f))
-        put(t, k, a)
-
-
-@in_place
 def approach(frame, arm, motion, s, geoms, normal, points):
     """(bound of the approach speed, approach speed) of two geoms at their nearest points, m per way.
 
@@ -173,6 +151,93 @@ def approach(frame, arm, motion, s, geoms, normal, points):
     i, j = geoms
     whole = relative_motion(frame[i], frame[j], arm[i], arm[j], x0, x1, turn)
     return min(max(forward, 0.0) + turning, whole), speed
+
+
+@in_place
+def place_at(fields, room, motion, s, geoms):
+    """Place two geoms where they are at the fraction s of the way, in room (R, t).
+
+    `fields` are those of `Geometry`, `motion` is (x0, R0, x1, turn) of the frames.
+    """
+    geometry, (x0, R0, x1, turn) = Placed(*fields, *room), motion
+    for g in geoms:
+        f = geometry.frame[g]
+        if f < 0:
+            continue
+        for column in range(3):
+            a = (
+                geometry.placement_R[g, 0, column],
+                geometry.placement_R[g, 1, column],
+                geometry.placement_R[g, 2, column],
+            )
+            a = turned(row(turn, f), s, to_world(R0, f, a))
+            geometry.R[g, 0, column], geometry.R[g, 1, column], geometry.R[g, 2, column] = a
+        a = turned(row(turn, f), s, to_world(R0, f, row(geometry.placement_t, g)))
+        put(geometry.t, g, along(along(a, 1.0 - s, row(x0, f)), s, row(x1, f)))
+
+
+@in_place
+def bend(frame, arm, motion, geoms, n, turning):
+    """How far n·p may be from straight in the middle of the way, m, p a point of either geom: by |d²(n·p)/ds²| / 8.
+
+    With n and p as seen from the geom `turning` of the two, with which n turns, or from space, -1. There are none of
+    that geom, and of the other, which moves by v and at most D away, as they turn by w and ω:
+    |n x w| (|w| (D + |p|) + 2 (|v| + |ω| |p|)) + ω² |p|.
+    """
+    (x0, x1, turn), zero, total = motion, (0.0, 0.0, 0.0), 0.0
+    f = frame[geoms[turning]] if turning >= 0 else -1
+    w, begin, end = (row(turn, f), row(x0, f), row(x1, f)) if f >= 0 else (zero, zero, zero)
+    tilt, spin = cross(n, w), math.sqrt(dot(w, w))
+    for k in range(2):
+        g = geoms[k]
+        h = frame[g]
+        if k == turning or (turning < 0 and h < 0):
+            continue
+        own, a, b = (row(turn, h), row(x0, h), row(x1, h)) if h >= 0 else (zero, zero, zero)
+        a, b = minus(a, begin), minus(b, end)
+        v, away, fast = minus(b, a), math.sqrt(max(dot(a, a), dot(b, b))), math.sqrt(dot(own, own))
+        seen = spin * (away + arm[g]) + 2.0 * (math.sqrt(dot(v, v)) + fast * arm[g])
+        total += math.sqrt(dot(tilt, tilt)) * seen + fast * fast * arm[g]
+    return total / 8.0
+
+
+@in_place
+def advance(fields, arm, motion, geoms, shown, room):
+    """(fraction of the way before which two geoms do not touch, speed of approach there), m per way.
+
+    A fraction s ahead they are apart by more than s times a bound of their speed (`approach`); and where they are so
+    along their normal, in space or as it turns with either, at both ends of a part of the way, all of it but for what
+    that `bend`s, times s². The latter is what tells of geoms that part as they turn.
+
+    Parameters
+    ----------
+    fields : tuple
+        Those of `Geometry`.
+    arm : ndarray, shape (geoms,)
+        m.
+    motion : (x0, R0, x1, turn)
+    geoms : (int, int)
+    shown : (s, distance, least, n, points)
+        At the fraction s, m: as far as they are `least` apart they advance.
+    room : (R, t)
+        Poses of the geoms, which are theirs there, and change.
+    """
+    (s, distance, least, n, points), (x0, _, x1, turn), (i, j) = shown, motion, geoms
+    geometry, linear = Placed(*fields, *room), (x0, x1, turn)
+    bound, speed = approach(geometry.frame, arm, linear, s, geoms, n, points)
+    out = s + max(distance, least) / bound if bound * (1.0 - s) > distance else 1.0
+    gap = gap_along(geometry, i, j, n)
+    for turning in range(-1, 2):
+        f = geometry.frame[geoms[turning]] if turning >= 0 else -1
+        bent, way = bend(geometry.frame, arm, linear, geoms, n, turning), 1.0 - s
+        while s + way > out and gap > 0.0:
+            place_at(fields, room, motion, s + way, geoms)
+            there = turned(row(turn, f), way, n) if f >= 0 else n
+            if min(gap, gap_along(geometry, i, j, there)) > bent * way * way:
+                out = s + way
+                break
+            way *= 0.5
+    return out, speed
 
 
 @in_place

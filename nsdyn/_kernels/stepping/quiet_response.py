@@ -138,7 +138,7 @@ def respond(scene, bodies, rows, met, flags, known, head, room):
         pose_anew(blocks, solution, alone, laws, dv, flags, head)
     passes = PASSES if stays.any() else 0
     limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER])
-    code, left, _, solved, error, residual, count = workless(
+    code, left, solved, error, residual, count = workless(
         blocks,
         (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
         (col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),

@@ -84,8 +84,8 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
     Returns
     -------
     tuple
-        What is to be done, times that are left, whether contacts slip otherwise, how many problems were solved here,
-        and error, residual and factorisations of the last one.
+        What is to be done, times that are left, how many problems were solved here, and error, residual and
+        factorisations of the last one.
     """
     (before, free), (first, back, passes, (known, count, error, residual)) = velocities, begin
     (mu, scales, transport, alone, last_r, last_u), (stays, _, slides) = given, flags
@@ -94,7 +94,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
     names, measures = np.empty(mu.size, np.int64), np.empty((3, mu.size))
     label, changed = np.empty(mu.size, np.int64), np.empty(slides.size, np.bool_)
     islands = np.empty(0, np.bool_)
-    otherwise, solved = False, 0
+    solved = 0
     while True:
         if not first:
             if own:
@@ -108,7 +108,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
             passes, back = passes - 1, True
             last_r, last_u, off = r.copy(), u.copy(), other
         if not own:
-            return SOLVE, passes, otherwise, solved, error, residual, count
+            return SOLVE, passes, solved, error, residual, count
         if off.size > 0 and islands.size == 0:
             islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
         islands[:] = True
@@ -124,7 +124,7 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
                     if not first:
                         copy(last_r, r)
                         copy(last_u, u)
-                    return SOLVE, passes, otherwise, solved, error, residual, count
+                    return SOLVE, passes, solved, error, residual, count
             solved, known = solved + 1, False
             if some.size:
                 thaw(label, some, islands, (kept_r, kept_u), (r, u))
@@ -135,7 +135,5 @@ def workless(blocks, contacts, velocities, bodies, given, flags, laws, off, solv
                 some, kept_r, kept_u = changed, r.copy(), u.copy()
                 if islands.size == 0:
                     islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
-            else:
-                otherwise = True
         first = False
-    return DONE, passes, otherwise, solved, error, residual, count
+    return DONE, passes, solved, error, residual, count
