@@ -21,7 +21,18 @@ from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["along", "apart", "bouncing", "contacts", "from_surface", "overlaps", "pushing", "separations", "tested"]
+__all__ = [
+    "along",
+    "apart",
+    "bouncing",
+    "by_fremond",
+    "contacts",
+    "from_surface",
+    "overlaps",
+    "pushing",
+    "separations",
+    "tested",
+]
 
 STATES = 200_000
 """Most poses of shapes that are looked at together."""
@@ -164,7 +175,7 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     most = mu * np.maximum(r[:, 0], 0.0)
     # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
     several = _rebounding(poses, c, step)
-    fremond = str(t.meta.get("impact", "")).lower().startswith("fremond") & (c["duration"] == 0.0)
+    fremond = by_fremond(poses)
     on_cone = _slips(c, flight) & ~several & ~bouncing(c, step) & ~fremond
     outside = np.maximum(-r[:, 0], np.where(on_cone, np.abs(drag - most), drag - most))
     outside -= _round_off(poses)[step]
@@ -214,6 +225,13 @@ def bouncing(c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
     _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
     bounces = (c["impulse"][:, 0] > 0.0) & (c["restitution"] > 0.0)
     out: NDArray[np.bool_] = np.bincount(instant.ravel(), bounces)[instant.ravel()] > 0.0
+    return out
+
+
+def by_fremond(poses: Poses) -> NDArray[np.bool_]:
+    """Contacts that act in no time by Frémond's law, by which what parts may strike next."""
+    fremond = str(poses.trajectory.meta.get("impact", "")).lower().startswith("fremond")
+    out: NDArray[np.bool_] = fremond & (poses.contacts["duration"] == 0.0)
     return out
 
 

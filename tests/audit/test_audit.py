@@ -487,6 +487,46 @@ def test_a_thin_coin_that_wobbles_passes():
     assert nd.check(run)["velocities"].passed
 
 
+def test_a_coin_that_strikes_and_rolls_with_theta_1_passes():
+    """Its contact is new there, and goes around the rim from the impact and the move, which are of one time."""
+    scene, tilt, r, h = nd.Scene(), np.radians(5.0), 0.1, 0.03
+    scene.add_halfspace("ground")
+    how = {"position": (0, 0, r * np.sin(tilt) + 0.5 * h * np.cos(tilt) + 2e-3), "angular_velocity": (0, 3, 0)}
+    scene.add_cylinder("coin", r, h, 1.0, quaternion=Rotation.from_euler("x", tilt).as_quat(), **how)
+    found = nd.check(nd.simulate(scene, 0.2, 2e-3, theta=1.0))["partings"]
+    assert found.passed, found
+
+
+def test_works_in_a_move_that_catches_impacts_of_what_rebounds_and_what_does_not():
+    """A can falls on its rim where an egg bounces: both strike, and gravity moves both on, in one move."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    how = {"position": (0.21, -0.16, 0.06), "linear_velocity": (0.1, -1.0, -0.5), "angular_velocity": (9.9, 0.7, 10.9)}
+    turn = Rotation.from_quat((-0.1, 0.1, -0.8, 0.6)).as_quat()
+    scene.add_ellipsoid("egg", (0.1, 0.08, 0.05), 0.17, quaternion=turn, **how)
+    how = {"position": (0.06, -0.22, 0.13), "linear_velocity": (0.2, -0.2, -4.6), "angular_velocity": (0.4, -1.0, 7.3)}
+    turn = Rotation.from_quat((-0.6, 0.8, -0.1, 0.0)).as_quat()
+    scene.add_cylinder("can", 0.06, 0.16, 0.9, quaternion=turn, **how)
+    scene.set_pair("ground", "egg", restitution=0.2)
+    scene.set_pair("can", "egg", restitution=0.4)
+    run = nd.simulate(scene, 0.04, 5e-3)
+    c = run.columns
+    caught = (c["contacts/impulse"][:, 0] > 0.0) & (c["contacts/duration"] > 0.0)
+    assert caught[c["contacts/restitution"] > 0.0].any()
+    assert nd.check(run)["contact_works"].passed, nd.check(run)
+
+
+def test_works_of_impacts_in_a_row_by_fremonds_law():
+    """A box that slides is hit by another; what parts may come back and strike once more, without restitution."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(mu=0.2))
+    scene.add_box("one", (0.2, 0.2, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(0.5, 0, 0))
+    how = {"linear_velocity": (0, 0.4, -0.6), "angular_velocity": (-1, 2, 0)}
+    scene.add_box("two", (0.2, 0.15, 0.1), 1.0, position=(0.03, 0.02, 0.17), **how)
+    run = nd.simulate(scene, 0.2, 1e-2, impact="fremond")
+    assert nd.check(run)["contact_works"].passed, nd.check(run)
+
+
 @pytest.mark.parametrize(("theta", "e"), [(0.5, 0.2), (0.5, 0.7), pytest.param(0.7, 0.4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", SETTLING)
 def test_what_bounces_rolls_and_settles_passes(kind, theta, e):
