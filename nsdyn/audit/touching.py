@@ -181,17 +181,19 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     outside -= _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, step, names)
+    mean, unsure = np.full((step.size, 2), np.nan), np.zeros(step.size)
+    if flight is not None and flight.timed:
+        mean, unsure = flight.met.mean[:, 1:], flight.unsure
+    # By Frémond's law friction opposes the mean slip, which is not known on surfaces that move.
+    several |= fremond & np.isnan(mean).any(axis=1)
     u = np.where(several[:, None], 0.0, c["u"][:, 1:])
+    # Of what strikes and rests then it is the mean slip, too.
+    against = (r[:, 1:] * mean).sum(axis=1) - drag * unsure
     power = (r[:, 1:] * u).sum(axis=1)
-    if flight is not None and flight.timed:
-        # Of what strikes and rests then it is the mean slip, and by Frémond's law of all that impacts push.
-        mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1) - drag * flight.unsure
-        power = np.where(fremond | (c["restitution"] > 0.0), np.fmin(power, mean), power)
+    power = np.where(fremond | (c["restitution"] > 0.0), np.fmin(power, against), power)
     yield worst_of("friction", power / at_play(poses), power, step, names)
-    most = _rubbed(r, mu, u)
-    if flight is not None and flight.timed:
-        # One that slides through is rubbed against its mean slip.
-        most = np.fmin(most, _rubbed(r, mu, flight.met.mean[:, 1:]))
+    # One that slides through is rubbed against its mean slip.
+    most = np.fmin(_rubbed(r, mu, u), _rubbed(r, mu, mean))
     yield worst_of("slip", most / at_play(poses), most, step, names)
 
 

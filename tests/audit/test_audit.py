@@ -402,6 +402,16 @@ def test_friction_of_fremonds_law_opposes_the_mean_slip_of_what_does_not_rebound
     assert not nd.check(run)["friction"].passed
 
 
+def test_friction_of_fremonds_law_is_not_audited_where_the_mean_slip_is_not_known():
+    """A box that strikes a belt and sticks drives it on: its slip turns round."""
+    scene = nd.Scene()
+    scene.add_box("belt", (2, 2, 0.2), position=(0, 0, -0.1), fixed=True)
+    scene.set_motion("belt", surface_velocity=(0.3, 0, 0))
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.12), linear_velocity=(0.1, 0, -1))
+    audit = nd.check(nd.simulate(scene, 0.05, 5e-3, impact="fremond"))
+    assert audit.passed, audit
+
+
 def bounces():
     """A ball with spin that bounces on a rough plane, between the ends of steps."""
     scene, material = nd.Scene(), nd.Material(mu=0.2, restitution=0.5)
