@@ -77,7 +77,8 @@ def endings(met: Encounter, problem: FC3D, solution: Solution) -> NDArray[np.int
     if met.joints is not None:
         last = met.local[4].reshape(-1, 3)[met.frame.shape[0] :]
         dry = (met.joints.mu > 0.0) & ~met.joints.actuated
-        slid = dry & (last[:, 0] > 0.0) & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
+        # Of what is new it is taken to slide as it moves.
+        slid = dry & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
     out = np.empty(met.mu.size, np.int8)
     shown = solution.r, solution.u, problem.q
     return out if _reversal.ending(*shown, met.mu, local, met.was, slid, out) else None
