@@ -169,9 +169,13 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
 def _twice(poses: Poses, flight: Flight) -> Array:
     """Most that impulses of rebounds may have done in a move besides its impacts, which is booked as numerics, J."""
     c, met = poses.trajectory.columns, flight.met
-    r, speed = c["contacts/impulse"], np.abs([met.before, met.after]).max(axis=0)
+    r, speed = np.abs(c["contacts/impulse"]), np.abs([met.before, met.after]).max(axis=0)
     some = ~flight.instant & (c["contacts/restitution"] > 0.0)
-    out: Array = np.where(some, np.nan_to_num(np.abs(r) * speed).sum(axis=1), 0.0)
+    # Where surfaces move nothing but the works tells how fast they met.
+    done = np.abs(c["contacts/work_normal"]) + np.abs(c["contacts/work_friction"])
+    told = (r * np.abs(c["contacts/u"])).sum(axis=1) + 2.0 * done
+    most = np.where(np.isnan(speed).any(axis=1), told, (r * speed).sum(axis=1))
+    out: Array = np.where(some, np.nan_to_num(most), 0.0)
     return out
 
 

@@ -526,6 +526,17 @@ def test_works_in_a_move_that_catches_impacts_of_what_rebounds_and_what_does_not
     assert nd.check(run)["contact_works"].passed, nd.check(run)
 
 
+def test_works_of_what_rebounds_in_a_move_on_a_floor_that_rises():
+    """A can rocks on its rims, whose impacts are caught: the rest of each move is booked as numerics."""
+    scene, smooth = nd.Scene(), nd.Material(mu=0.0, restitution=0.3)
+    scene.add_box("floor", (4, 4, 0.2), position=(0, 0, -0.1), fixed=True)
+    scene.set_motion("floor", velocity=(0, 0, 0.05))
+    how = {"quaternion": Rotation.from_euler("x", np.radians(10.0)).as_quat(), "angular_velocity": (0, 1, 0)}
+    scene.add_cylinder("can", 0.06, 0.16, 1.0, position=(0, 0, 0.13), material=smooth, **how)
+    run = nd.simulate(scene, 0.3, 2e-2, theta=0.7)
+    assert nd.check(run)["works"].passed, nd.check(run)
+
+
 def test_works_of_impacts_in_a_row_by_fremonds_law():
     """A box that slides is hit by another; what parts may come back and strike once more, without restitution."""
     scene = nd.Scene()
