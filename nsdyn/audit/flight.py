@@ -194,18 +194,21 @@ def _wander(poses: Poses) -> Array:
     c, (i, j) = poses.contacts, poses.pair
     when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
     pair, pushes = i * len(poses.names) + j, c["impulse"][:, 0] > 0.0
-    group = np.unique(np.stack([pair, when]), axis=1, return_inverse=True)[1].ravel()
+    # With θ = 1 what strikes and what then pushes are of one time.
+    group = np.unique(np.stack([pair, when, c["duration"] == 0.0]), axis=1, return_inverse=True)[1].ravel()
     alone = pushes & (np.bincount(group, pushes)[group] == 1.0)
     new = np.unique(c["key"], return_index=True)[1]
     far = NAMED * poses.bounding_radius[poses.pair].min(axis=0) / (0.5 * poses.trajectory.dt)
     out[new] = np.where(~alone & (poses.rounding[poses.pair].sum(axis=0) > 0.0), far, 0.0)[new]
     for name in (c["key"], np.where(alone, pair, -1 - np.arange(pair.size))):
         order = np.lexsort((when, name))
-        way = np.linalg.norm(np.diff(c["point"][order], axis=0), axis=1)
-        took = np.where(np.diff(name[order]) == 0, np.diff(when[order]), 0.0)
-        speed = np.where(took > 0.0, way / np.where(took > 0.0, took, 1.0), 0.0)
-        np.maximum.at(out, order[1:], speed)
-        np.maximum.at(out, order[:-1], speed)
+        begin, group = together(name[order], when[order])
+        at, most = order[begin], np.maximum.reduceat(out[order], begin) if begin.size else out
+        way, took = np.linalg.norm(np.diff(c["point"][at], axis=0), axis=1), np.diff(when[at])
+        speed = np.where(np.diff(name[at]) == 0, way / np.where(took > 0.0, took, np.inf), 0.0)
+        for near in (most[1:], most[:-1]):
+            np.maximum(near, speed, out=near)
+        out[order] = most[group]
     return out
 
 

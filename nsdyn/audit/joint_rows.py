@@ -211,9 +211,11 @@ def _pushes(found: Retraced) -> Found:
             (kick,) = way.kicks
             m.place(kick.q)
             wrenches = c[ON_LINKS][k, first : first + links]
-            off = np.abs(m.pushed(wrenches) - kick.given[3])
-            j = int(off.argmax())
             scale = max(float(np.abs(kick.given[3]).max()), float(np.abs(wrenches).max()), 1e-300)
+            # Levers are as much in doubt as where they are.
+            doubt = scale * sum(float(course.doubted[0].sum()) for course in way.flows)
+            off = np.abs(m.pushed(wrenches) - kick.given[3]) - doubt
+            j = int(off.argmax())
             rows.append((off[j] / scale, off[j], k + 1, label[j]))
         first += links
     return _worst("pushes", rows)

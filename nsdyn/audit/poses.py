@@ -7,6 +7,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.recording.series import rotate
@@ -77,6 +79,22 @@ class Poses:
     def pair(self) -> Index:
         """Shapes of every contact, (2, contacts)."""
         return np.stack([self.contacts[f"geom{k}"] for k in "12"]).astype(np.int64)
+
+    @cached_property
+    def instant(self) -> Index:
+        """Number of the instant and of the island of each contact, moving bodies that touch there.
+
+        Links of an articulation are one body. With θ = 1 a move acts at the time of the impacts before it, not in them.
+        """
+        c, moving = self.contacts, self.frame[self.pair] >= 0
+        when = np.stack([self.step, np.nan_to_num(c["time"]), c["duration"] == 0.0])
+        _, at = np.unique(when, axis=1, return_inverse=True)
+        body = np.unique([g.get("body", g["name"]) for g in self.scene["geoms"]], return_inverse=True)[1]
+        nodes, node = np.unique(at.ravel() * len(self.names) + body[self.pair], return_inverse=True)
+        (first, second), both = node.reshape(2, -1), moving.all(axis=0)
+        graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes.size, nodes.size))
+        out: Index = connected_components(graph, directed=False)[1][np.where(moving[0], first, second)]
+        return out
 
     @cached_property
     def smallest(self) -> Array:

@@ -21,7 +21,18 @@ from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["along", "apart", "bouncing", "contacts", "from_surface", "overlaps", "pushing", "separations", "tested"]
+__all__ = [
+    "along",
+    "apart",
+    "bouncing",
+    "by_fremond",
+    "contacts",
+    "from_surface",
+    "overlaps",
+    "pushing",
+    "separations",
+    "tested",
+]
 
 STATES = 200_000
 """Most poses of shapes that are looked at together."""
@@ -164,23 +175,25 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     most = mu * np.maximum(r[:, 0], 0.0)
     # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
     several = _rebounding(poses, c, step)
-    fremond = str(t.meta.get("impact", "")).lower().startswith("fremond") & (c["duration"] == 0.0)
+    fremond = by_fremond(poses)
     on_cone = _slips(c, flight) & ~several & ~bouncing(c, step) & ~fremond
     outside = np.maximum(-r[:, 0], np.where(on_cone, np.abs(drag - most), drag - most))
     outside -= _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, step, names)
+    mean, unsure = np.full((step.size, 2), np.nan), np.zeros(step.size)
+    if flight is not None and flight.timed:
+        mean, unsure = flight.met.mean[:, 1:], flight.unsure
+    # By Frémond's law friction opposes the mean slip, which is not known on surfaces that move.
+    several |= fremond & np.isnan(mean).any(axis=1)
     u = np.where(several[:, None], 0.0, c["u"][:, 1:])
+    # Of what strikes and rests then it is the mean slip, too.
+    against = (r[:, 1:] * mean).sum(axis=1) - drag * unsure
     power = (r[:, 1:] * u).sum(axis=1)
-    if flight is not None and flight.timed:
-        # Of what strikes and rests then it is the mean slip, and by Frémond's law of all that impacts push.
-        mean = (r[:, 1:] * flight.met.mean[:, 1:]).sum(axis=1) - drag * flight.unsure
-        power = np.where(fremond | (c["restitution"] > 0.0), np.fmin(power, mean), power)
+    power = np.where(fremond | (c["restitution"] > 0.0), np.fmin(power, against), power)
     yield worst_of("friction", power / at_play(poses), power, step, names)
-    most = _rubbed(r, mu, u)
-    if flight is not None and flight.timed:
-        # One that slides through is rubbed against its mean slip.
-        most = np.fmin(most, _rubbed(r, mu, flight.met.mean[:, 1:]))
+    # One that slides through is rubbed against its mean slip.
+    most = np.fmin(_rubbed(r, mu, u), _rubbed(r, mu, mean))
     yield worst_of("slip", most / at_play(poses), most, step, names)
 
 
@@ -214,6 +227,13 @@ def bouncing(c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
     _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
     bounces = (c["impulse"][:, 0] > 0.0) & (c["restitution"] > 0.0)
     out: NDArray[np.bool_] = np.bincount(instant.ravel(), bounces)[instant.ravel()] > 0.0
+    return out
+
+
+def by_fremond(poses: Poses) -> NDArray[np.bool_]:
+    """Contacts that act in no time by Frémond's law, by which what parts may strike next."""
+    fremond = str(poses.trajectory.meta.get("impact", "")).lower().startswith("fremond")
+    out: NDArray[np.bool_] = fremond & (poses.contacts["duration"] == 0.0)
     return out
 
 

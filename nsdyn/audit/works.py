@@ -13,7 +13,7 @@ from nsdyn.audit.poses import Poses
 from nsdyn.audit.pushes import GIVEN, UNTIMED, together
 from nsdyn.audit.retraced import Retraced
 from nsdyn.audit.told import JAM
-from nsdyn.audit.touching import apart
+from nsdyn.audit.touching import apart, bouncing, by_fremond
 from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -108,31 +108,28 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     doubt = (size + 2.0 * lever) * flight.unsure
     if found is not None:
         doubt = doubt + found.met_doubt
-    bounces = (c["restitution"] > 0.0) & (r[:, 0] > 0.0)
-    order = np.lexsort((c["time"], step))
-    begin, group = together(step[order], c["time"][order])
-    of = np.empty(step.size, np.int64)
-    of[order] = group
-    several = np.bincount(of, bounces, begin.size)[of] > 0.0
+    # Where anything rebounds in a move, all that approaches strikes before the rest of the move pushes.
+    strikes = bouncing(c, step) & (r[:, 0] > 0.0) & ~(flight.met.before[:, 0] >= 0.0)
+    several = np.isin(of := poses.instant, of[strikes]) | by_fremond(poses)
     frames = poses.frame[poses.pair]
-    given = bool(t.meta.get("external_force", True)) & ((0 <= frames) & (frames < poses.free)).any(axis=0)
+    own = (frames >= 0) & (frames < poses.free)
+    given = bool(t.meta.get("external_force", True)) & own.any(axis=0)
     hidden = np.isnan(u).any(axis=1) | (given & (GIVEN not in t.columns))
-    blind = np.bincount(of, hidden | given | (frames >= poses.free).any(axis=0), begin.size)[of] > 0.0
+    blind = np.isin(of, of[hidden | given | (frames >= poses.free).any(axis=0)])
     single, joint = ~several & ~hidden, several & ~blind
-    # Forces that act with them work along one of the parts.
-    fell = t.dt * float(np.linalg.norm(t.scene["gravity"])) * size * (bounces & ~flight.instant)
+    # Weights move bodies on after the impacts of a move, whose impulses, of unknown parts, are taken to work on that.
+    fell = 0.5 * c["duration"] * float(np.linalg.norm(t.scene["gravity"])) * np.hypot(1.0, c["mu"]) * r[:, 0]
+    fell[own.all(axis=0)] = 0.0
     speed = np.linalg.norm([flight.met.before, flight.met.after], axis=2).max(axis=0)
     scale = np.maximum(size * np.maximum(speed, CREEP), ROUND_OFF * at_play(poses))
-    whole = [np.bincount(of[joint], x[joint], begin.size) for x in (normal + friction, doubt + fell, scale)]
-    first = order[begin[np.unique(of[joint])]] if joint.any() else order[:0]
-    rows = np.concatenate([np.flatnonzero(single), first])
-    off = np.concatenate(
-        [(np.abs(normal) + np.abs(friction) - doubt)[single], (np.abs(whole[0]) - whole[1])[of[first]]]
-    )
+    _, first, which = np.unique(of[joint], return_index=True, return_inverse=True)
+    whole = [np.bincount(which, x[joint], first.size) for x in (normal + friction, doubt + fell, scale)]
+    rows = np.concatenate([np.flatnonzero(single), np.flatnonzero(joint)[first]])
+    off = np.concatenate([(np.abs(normal) + np.abs(friction) - doubt)[single], np.abs(whole[0]) - whole[1]])
     off -= 4.0 * np.finfo(float).eps * at_play(poses)
     if step.size and not rows.size:
         return not_audited("contact_works", "how what touches moves is not recorded")
-    pair, scale = [c[f"geom{k}"][rows] for k in "12"], np.concatenate([scale[single], whole[2][of[first]]])
+    pair, scale = [c[f"geom{k}"][rows] for k in "12"], np.concatenate([scale[single], whole[2]])
     return worst_of("contact_works", off / scale, off, step[rows] + 1, poses.named(*pair))
 
 
@@ -172,9 +169,13 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
 def _twice(poses: Poses, flight: Flight) -> Array:
     """Most that impulses of rebounds may have done in a move besides its impacts, which is booked as numerics, J."""
     c, met = poses.trajectory.columns, flight.met
-    r, speed = c["contacts/impulse"], np.abs([met.before, met.after]).max(axis=0)
+    r, speed = np.abs(c["contacts/impulse"]), np.abs([met.before, met.after]).max(axis=0)
     some = ~flight.instant & (c["contacts/restitution"] > 0.0)
-    out: Array = np.where(some, np.nan_to_num(np.abs(r) * speed).sum(axis=1), 0.0)
+    # Where surfaces move nothing but the works tells how fast they met.
+    done = np.abs(c["contacts/work_normal"]) + np.abs(c["contacts/work_friction"])
+    told = (r * np.abs(c["contacts/u"])).sum(axis=1) + 2.0 * done
+    most = np.where(np.isnan(speed).any(axis=1), told, (r * speed).sum(axis=1))
+    out: Array = np.where(some, np.nan_to_num(most), 0.0)
     return out
 
 

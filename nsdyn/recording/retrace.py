@@ -181,7 +181,7 @@ class Trees:
         """Follow a tree through step k, from 0 on.
 
         Whether joint forces that act where nothing else does come from a law that the step treats implicitly is not
-        recorded: of the two ways that leads closer to what is.
+        recorded: of the two ways that leads closer to what is, beyond what is in doubt of it.
         """
         m, (q, v) = self.mechanisms[tree], self.state(tree, k + 1)
         out, pieces = [], list(self.pieces(tree, k))
@@ -190,9 +190,10 @@ class Trees:
             if not (self.trajectory.meta.get("controller", True) and any(k.mean is not None for k in out[0].kicks)):
                 break
 
-        def off(way: Way) -> float:
-            moved = displacement(m.model, way.q, q) / self.trajectory.dt
-            return float(np.abs([way.v - v, moved]).max(initial=0.0))
+        def off(way: Way) -> tuple[float, float]:
+            scale, doubted = [[self.trajectory.dt], [1.0]], sum(course.doubted for course in way.flows)
+            far = np.abs([displacement(m.model, way.q, q), way.v - v])
+            return np.max((far - doubted) / scale, initial=0.0), np.max(far / scale, initial=0.0)
 
         return min(out, key=off)
 

@@ -226,6 +226,7 @@ def _until_event(
     effort: Effort,
     begun: Begun = NEW,
     struck: bool = False,
+    cut: bool = False,
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
@@ -245,6 +246,8 @@ def _until_event(
         Of the move of h seconds.
     struck : bool
         Whether anything has just struck, and may be in a row of impacts.
+    cut : bool
+        Whether it ends where slip was to turn round.
     """
 
     def capture(begun: Begun) -> tuple[float, Trial]:
@@ -260,10 +263,9 @@ def _until_event(
         return capture(begun)
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)
-    # Where slip has been cut nothing is asked about it again.
-    turned = h * reversal(m.met, s.solver, m.problem, m.solution) if soon < h else h
+    turned = h * reversal(m.met, s.solver, m.problem, m.solution, cut)
     if soon < turned < (1.0 - SOON) * h:
-        return _until_event(s, loads, begin, t, turned, h, effort) if affords else capture(begun)
+        return _until_event(s, loads, begin, t, turned, soon, effort, cut=True) if affords else capture(begun)
     if not met:
         return h, m
     return _located(s, loads, begin, t, {h: m}, np.unique(m.hits), m.limit, effort) or capture(begun)

@@ -26,7 +26,7 @@ SLIPS = 1.0 - 1e-9
 """Fraction of the friction that it may have with which a dry joint slides."""
 
 
-def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) -> float:
+def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution, cut: bool = False) -> float:
     """The fraction of a move after which the first slip turns round, 1 if none does.
 
     With the slip u_k where the move begins and u_e where it would end if friction did not change its direction, the
@@ -38,6 +38,9 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) 
     solver : Solver
     problem : FC3D
     solution : Solution
+    cut : bool
+        Whether the move has been cut: then only friction that still drives, as where stiff forces change with the time,
+        tells of one.
     """
     local = met.begun
     if not solution.converged or (end := endings(met, problem, solution)) is None:
@@ -52,10 +55,13 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) 
         again = solver(problem.with_velocity(rest.ravel()), solution.r)
         back = -(again.u.reshape(-1, 3)[:, 1:] * begin).sum(axis=1)
         turned |= stops & (back > _reversal.STANDS * (begin * begin).sum(axis=1))
+    now = (solution.u - problem.q).reshape(-1, 3)[:, 1:] + free
+    if cut:
+        turned &= (solution.r.reshape(-1, 3)[:, 1:] * (begin + now)).sum(axis=1) > 0.0
     if not turned.any():
         return 1.0
-    begin, free = begin[turned], free[turned]
-    speed, now = np.linalg.norm(begin, axis=1), (solution.u - problem.q).reshape(-1, 3)[turned, 1:] + free
+    begin, free, now = begin[turned], free[turned], now[turned]
+    speed = np.linalg.norm(begin, axis=1)
     # So fast that the law sees it slide on whatever friction does.
     fast = 2.0 * (2.0 * np.linalg.norm(free, axis=1) + np.linalg.norm(now, axis=1) + speed)
     on = (fast / speed)[:, None] * begin
@@ -77,7 +83,8 @@ def endings(met: Encounter, problem: FC3D, solution: Solution) -> NDArray[np.int
     if met.joints is not None:
         last = met.local[4].reshape(-1, 3)[met.frame.shape[0] :]
         dry = (met.joints.mu > 0.0) & ~met.joints.actuated
-        slid = dry & (last[:, 0] > 0.0) & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
+        # Of what is new it is taken to slide as it moves.
+        slid = dry & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
     out = np.empty(met.mu.size, np.int8)
     shown = solution.r, solution.u, problem.q
     return out if _reversal.ending(*shown, met.mu, local, met.was, slid, out) else None

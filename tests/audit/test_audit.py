@@ -402,6 +402,16 @@ def test_friction_of_fremonds_law_opposes_the_mean_slip_of_what_does_not_rebound
     assert not nd.check(run)["friction"].passed
 
 
+def test_friction_of_fremonds_law_is_not_audited_where_the_mean_slip_is_not_known():
+    """A box that strikes a belt and sticks drives it on: its slip turns round."""
+    scene = nd.Scene()
+    scene.add_box("belt", (2, 2, 0.2), position=(0, 0, -0.1), fixed=True)
+    scene.set_motion("belt", surface_velocity=(0.3, 0, 0))
+    scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.12), linear_velocity=(0.1, 0, -1))
+    audit = nd.check(nd.simulate(scene, 0.05, 5e-3, impact="fremond"))
+    assert audit.passed, audit
+
+
 def bounces():
     """A ball with spin that bounces on a rough plane, between the ends of steps."""
     scene, material = nd.Scene(), nd.Material(mu=0.2, restitution=0.5)
@@ -485,6 +495,57 @@ def test_a_thin_coin_that_wobbles_passes():
     run = nd.simulate(scene, 0.06, 4e-3)
     assert np.unique(run.columns["contacts/key"]).size > 2
     assert nd.check(run)["velocities"].passed
+
+
+def test_a_coin_that_strikes_and_rolls_with_theta_1_passes():
+    """Its contact is new there, and goes around the rim from the impact and the move, which are of one time."""
+    scene, tilt, r, h = nd.Scene(), np.radians(5.0), 0.1, 0.03
+    scene.add_halfspace("ground")
+    how = {"position": (0, 0, r * np.sin(tilt) + 0.5 * h * np.cos(tilt) + 2e-3), "angular_velocity": (0, 3, 0)}
+    scene.add_cylinder("coin", r, h, 1.0, quaternion=Rotation.from_euler("x", tilt).as_quat(), **how)
+    found = nd.check(nd.simulate(scene, 0.2, 2e-3, theta=1.0))["partings"]
+    assert found.passed, found
+
+
+def test_works_in_a_move_that_catches_impacts_of_what_rebounds_and_what_does_not():
+    """A can falls on its rim where an egg bounces: both strike, and gravity moves both on, in one move."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    how = {"position": (0.21, -0.16, 0.06), "linear_velocity": (0.1, -1.0, -0.5), "angular_velocity": (9.9, 0.7, 10.9)}
+    turn = Rotation.from_quat((-0.1, 0.1, -0.8, 0.6)).as_quat()
+    scene.add_ellipsoid("egg", (0.1, 0.08, 0.05), 0.17, quaternion=turn, **how)
+    how = {"position": (0.06, -0.22, 0.13), "linear_velocity": (0.2, -0.2, -4.6), "angular_velocity": (0.4, -1.0, 7.3)}
+    turn = Rotation.from_quat((-0.6, 0.8, -0.1, 0.0)).as_quat()
+    scene.add_cylinder("can", 0.06, 0.16, 0.9, quaternion=turn, **how)
+    scene.set_pair("ground", "egg", restitution=0.2)
+    scene.set_pair("can", "egg", restitution=0.4)
+    run = nd.simulate(scene, 0.04, 5e-3)
+    c = run.columns
+    caught = (c["contacts/impulse"][:, 0] > 0.0) & (c["contacts/duration"] > 0.0)
+    assert caught[c["contacts/restitution"] > 0.0].any()
+    assert nd.check(run)["contact_works"].passed, nd.check(run)
+
+
+def test_works_of_what_rebounds_in_a_move_on_a_floor_that_rises():
+    """A can rocks on its rims, whose impacts are caught: the rest of each move is booked as numerics."""
+    scene, smooth = nd.Scene(), nd.Material(mu=0.0, restitution=0.3)
+    scene.add_box("floor", (4, 4, 0.2), position=(0, 0, -0.1), fixed=True)
+    scene.set_motion("floor", velocity=(0, 0, 0.05))
+    how = {"quaternion": Rotation.from_euler("x", np.radians(10.0)).as_quat(), "angular_velocity": (0, 1, 0)}
+    scene.add_cylinder("can", 0.06, 0.16, 1.0, position=(0, 0, 0.13), material=smooth, **how)
+    run = nd.simulate(scene, 0.3, 2e-2, theta=0.7)
+    assert nd.check(run)["works"].passed, nd.check(run)
+
+
+def test_works_of_impacts_in_a_row_by_fremonds_law():
+    """A box that slides is hit by another; what parts may come back and strike once more, without restitution."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(mu=0.2))
+    scene.add_box("one", (0.2, 0.2, 0.1), 1.0, position=(0, 0, 0.05), linear_velocity=(0.5, 0, 0))
+    how = {"linear_velocity": (0, 0.4, -0.6), "angular_velocity": (-1, 2, 0)}
+    scene.add_box("two", (0.2, 0.15, 0.1), 1.0, position=(0.03, 0.02, 0.17), **how)
+    run = nd.simulate(scene, 0.2, 1e-2, impact="fremond")
+    assert nd.check(run)["contact_works"].passed, nd.check(run)
 
 
 @pytest.mark.parametrize(("theta", "e"), [(0.5, 0.2), (0.5, 0.7), pytest.param(0.7, 0.4, marks=pytest.mark.slow)])

@@ -30,6 +30,27 @@ def test_true_recordings_pass(name):
     assert audit.passed, audit
 
 
+@pytest.mark.parametrize(
+    ("v", "dt", "how"),
+    [
+        ((2, 0, 0, 0, 19, 0), 5e-3, {"controller": lambda t, q, v: {"robot": np.zeros(6)}}),
+        ((2, 2, -0.5, -13, 17, 0), 1e-2, {"external_force": lambda t, q, v: {"robot/link": (1, 2, 0)}}),
+    ],
+    ids=["forces all along or in the middle", "a push in the middle"],
+)
+def test_a_link_that_spins_fast_passes(v, dt, how):
+    """It turns by a tenth of a rad in half a step: what acts there is as much in doubt as where it is."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    inertia = pin.Inertia(1.0, np.array([0, 0, -0.1]), np.diag([4e-3, 3e-3, 3e-3]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("link", joint, pin.SE3.Identity(), model.addJointFrame(joint))
+    scene = nd.Scene()
+    scene.add_model("robot", model, v=v)
+    audit = nd.check(nd.simulate(scene, 0.1, dt, **how))
+    assert audit.passed, audit
+
+
 UNSEEN = "certificates", "provenance"
 """What no motion shows."""
 
