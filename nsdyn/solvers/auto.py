@@ -187,10 +187,10 @@ class Search:
             self.converge(self.tol)
         for k in range(TUNING.rounds):
             last, length = TUNING.length**k, TUNING.length ** (k + 1)
-            if not self.over and k > 0:  # what a few steps more solve needs neither sweeps nor a path
-                self.newton(last, self.tol)
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
                 self.sweep(TUNING.sweeps)
+            if not self.over and k > 1:  # what a few steps more solve needs no path
+                self.newton(last, self.tol)
             if not self.over and k > 1:
                 self.follow(length)
             if not self.over:
@@ -220,11 +220,11 @@ class Auto(Options):
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
     step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
-    the first misses the loose tolerance is left, and all begins from nothing. From the second on Newton first gets as
-    long as in the last, and from the third on the path of smoothed laws is followed, for as long as Newton gets after
-    it. All go on where they were; sweeps and Newton begin anew where another has found better. A problem given by W
-    alone, which need not be symmetric, has the sweeps of the first round in one kernel call, with Newton in turn where
-    that costs no more, and the same means after.
+    the first misses the loose tolerance is left, and all begins from nothing. From the third on Newton first gets as
+    long as in the last, and then the path of smoothed laws is followed, for as long as Newton gets after it. All go on
+    where they were; sweeps and Newton begin anew where another has found better. A problem given by W alone, which need
+    not be symmetric, has the sweeps of the first round in one kernel call, with Newton in turn where that costs no
+    more, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:

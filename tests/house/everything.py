@@ -74,7 +74,11 @@ def problems() -> None:
     assert factors.blocks is not None
     for solver, problem in product(solvers.SOLVERS, (matrix, factors)):
         solvers.by_name(solver, 1e-4)(problem)
-    solvers.by_name("auto")(FC3D(np.eye(3), np.array([-1.0, 2.0, 0.0]), np.full(1, 0.5)))
+    for problem in (
+        FC3D(np.eye(3), np.array([-1.0, 2.0, 0.0]), np.full(1, 0.5)),
+        FC3D(factors.W, factors.q, factors.mu),
+    ):
+        solvers.by_name("auto")(problem)
     if "gauss_seidel" in solvers.SOLVERS:
         for local in get_args(get_type_hints(solvers.GaussSeidel)["local"]):
             solvers.GaussSeidel(1e-8, local=local)(matrix)
