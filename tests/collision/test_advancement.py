@@ -270,3 +270,11 @@ def test_what_first_parts_is_hit_later():
     first = np.argmax(samples < 0.0) / 1000
     assert 0.1 < first < 0.5
     assert touches.fraction[0] == pytest.approx(first, abs=2e-3)
+
+
+def test_what_leaves_what_it_is_in_is_not_hit():
+    """A ball that is 1 mm deep in a box, straight out."""
+    box, ball = shapes.box((1.0, 1.0, 0.1)), shapes.sphere(0.1)
+    begin = poses(((0, 0, 0), np.eye(3)), ((0.0, 0.0, 0.149), np.eye(3)))
+    end = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, 0, 0.5]]))
+    assert detector(box, ball).touches(begin, end, EMPTY).contacts.gap.size == 0

@@ -225,7 +225,7 @@ def advance(fields, arm, motion, geoms, shown, room):
     (s, distance, least, n, points), (x0, _, x1, turn), (i, j) = shown, motion, geoms
     geometry, linear = Placed(*fields, *room), (x0, x1, turn)
     bound, speed = approach(geometry.frame, arm, linear, s, geoms, n, points)
-    out = s + max(distance, least) / bound if bound * (1.0 - s) > distance else 1.0
+    out = s + max(distance, least) / bound if bound * (1.0 - s) > max(distance, 0.0) else 1.0
     gap = gap_along(geometry, i, j, n)
     for turning in range(-1, 2):
         f = geometry.frame[geoms[turning]] if turning >= 0 else -1
