@@ -644,6 +644,28 @@ def test_mesh_touches_as_its_hull(rng):
     np.testing.assert_allclose(c.gap, 0.0, rtol=0, atol=1e-15)
 
 
+def test_a_corner_just_below_the_border_of_a_tilted_face():
+    """2.5 µm below it, 4.5 µm before it: neither crossing edges nor, to Coal's normal, the face part them best."""
+    cube = shapes.box((0.1, 0.1, 0.1))
+    x = np.array([0.09121501869287324, 0.10506000716932923, 0.05009437933772023])
+    R = np.array(
+        [
+            [-0.6382693556889036, 0.001208672495733587, -0.769812164556569],
+            [-0.7698108600805424, 0.0014174148077320536, 0.638270499582519],
+            [0.0018626031588983571, 0.9999982650215253, 2.5756777421226396e-05],
+        ]
+    )
+    y = np.array([0.1803714223634159, 0.1825153361423406, 0.05])
+    S = np.array(
+        [[-0.903596065218661, 0.0, -0.4283855167035335], [-0.4283855167035335, 0.0, 0.903596065218661], [0, 1, 0]]
+    )
+    c = contacts_of((cube, x, R), (cube, y, S))
+    assert len(c.gap) > 0
+    for place, turn in ((x, R), (y, S)):
+        outside = np.abs((c.point - place) @ turn).max(axis=1) - 0.05
+        np.testing.assert_allclose(outside, 0.0, rtol=0, atol=1e-4)
+
+
 @pytest.mark.slow
 def test_what_a_process_did_before_changes_no_bit():
     """Coal's answers for boxes that collide once depended on the scenes made before."""

@@ -107,7 +107,7 @@ def closest_features(geometry, i, j, n, face, out, at):
             if own > given - same and abs(own - out.gap[at]) < same:
                 return 1
     if geometry.kind[i] == POLYTOPE and geometry.kind[j] == POLYTOPE:
-        return 1 if crossing(geometry, i, j, n, out, at) else 0
+        return 1 if crossing(geometry, i, j, n, lines, out, at) else 0
     if geometry.kind[i] == POLYTOPE and is_round(geometry, j):
         return beside(geometry, i, j, i, n, face, out, at)
     if geometry.kind[j] == POLYTOPE and is_round(geometry, i):

@@ -107,15 +107,21 @@ def segments(geometry, i, j, lines, n, out, at):
 
 
 @in_place
-def crossing(geometry, i, j, n, out, at):
+def crossing(geometry, i, j, n, lines, out, at):
     """Write the contact of those edges of two polytopes that cross and part them best; False if n does so better.
 
-    The edges are those of the faces around the corners that are outermost along n. Without them the contact of these
-    corners is written.
+    The edges are those of the faces around the corners that are outermost along n. Without them the contact is where
+    the `lines` that are outermost are closest, or of these corners if there are none.
     """
     tiny = INSIDE * smaller(geometry, i, j)
     least, a, b = separation(geometry, i, j, n)
+    if lines[0][3] and lines[1][3]:
+        (p, u, _, _), (q, v, _, _) = lines
+        (d, length1), (e, length2) = unit(minus(u, p)), unit(minus(v, q))
+        s, r = closest(p, d, length1, q, e, length2)
+        a, b = along(p, s, d), along(q, r, e)
     touch(a, 0.0, b, 0.0, n, out, at)
+    out.gap[at] = least
     least -= tiny
     found, c1, c2 = False, row(geometry.t, i), row(geometry.t, j)
     own, other = to_local(geometry.R, i, n), to_local(geometry.R, j, times(-1.0, n))
