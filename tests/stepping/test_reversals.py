@@ -100,14 +100,18 @@ def test_a_block_that_its_belt_overtakes_is_exact():
         np.testing.assert_allclose(run(n), exact, rtol=0, atol=1e-12)
 
 
-def test_a_dry_joint_that_turns_round_in_the_first_step():
-    """J v' = -10 - 2 sign v from 0.05 rad/s on, with J = 1: it stops after 0.05/12 s, and goes back at -8 rad/s²."""
-    model = pin.Model()
+def dry_hinge(v):
+    """A body with J = 1 on a hinge with 2 N m of dry friction, at v rad/s."""
+    model, scene = pin.Model(), nd.Scene()
     joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    scene = nd.Scene()
-    scene.add_model("arm", model, v=[0.05], friction=[2.0])
-    run = nd.simulate(scene, 0.02, 2e-2, controller=lambda t, q, v: {"arm": np.array([-10.0])})
+    scene.add_model("arm", model, v=[v], friction=[2.0])
+    return scene
+
+
+def test_a_dry_joint_that_turns_round_in_the_first_step():
+    """J v' = -10 - 2 sign v from 0.05 rad/s on, with J = 1: it stops after 0.05/12 s, and goes back at -8 rad/s²."""
+    run = nd.simulate(dry_hinge(0.05), 0.02, 2e-2, controller=lambda t, q, v: {"arm": np.array([-10.0])})
     stop, v = 0.05 / 12, -8 * (0.02 - 0.05 / 12)
     assert run.v[-1, 0] == pytest.approx(v, rel=1e-12)
     assert run.energy.friction[0] == pytest.approx(-2.0 * (0.5 * 0.05 * stop + v * v / 16), rel=1e-12)
@@ -115,12 +119,7 @@ def test_a_dry_joint_that_turns_round_in_the_first_step():
 
 def test_a_dry_joint_that_a_stiff_damper_turns_round():
     """Its force changes so much within the step that what would be constant tells the reversal too late."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    scene = nd.Scene()
-    scene.add_model("arm", model, v=[0.5], friction=[2.0])
-    run = nd.simulate(scene, 0.02, 2e-2, controller=lambda t, q, v: {"arm": nd.PD([300.0], [30.0], [-0.1])})
+    run = nd.simulate(dry_hinge(0.5), 0.02, 2e-2, controller=lambda t, q, v: {"arm": nd.PD([300.0], [30.0], [-0.1])})
     assert run.energy.friction[0] < 0.0
     assert run.v[-1, 0] == pytest.approx(-0.19101, rel=0.01)  # by steps of 1e-5 s
 
