@@ -47,7 +47,8 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
 
     What parts there after a rebound is left alone, too: where bodies turn, it may strike again within the move. What
     pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
-    that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed.
+    that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed, and as the
+    contact is there: where bodies turn, a motion without contacts brings them into each other.
     """
     d, c, before, (there, v) = s.dynamics, contacts, begin.contacts, (half.middle.placement, half.forces.foreseen)
     gap, rate = before.gap, (v - begin.v) / half.h
@@ -60,12 +61,13 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
     if _touching.all_known(c.key, before.key, gap, s.closed):
         return contacts
     out, warm = np.empty(c.gap.size, np.bool_), begin.warm
+    parts = parting(d, before, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
     _sight.caught(
         (c.key, s.detector.codes(c), s.deep(c), c.gap, c.restitution),
         (c.frame1, c.frame2, c.point, c.normal, there.x),
         moved_by(d, c, half.middle.position.driven_x, half.surfaces[1]),
         tuple([d.twists(there, w) for w in (begin.v, v, rate)]),
-        (before.key, gap, s.closed),
+        (before.key, gap, parts, s.closed),
         (warm.key, warm.pair, warm.status),
         (half.ahead, half.h, s.solver.tol, s.bounces),
         barred,

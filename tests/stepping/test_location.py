@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
+from nsdyn._kernels.stepping import sight as _sight
 from nsdyn.stepping import passage
 
 FAR, NEAR = 0.45, 0.01
@@ -92,3 +93,29 @@ def test_newtons_method_that_doubles_its_digits_is_followed():
     assert passage._next([(0.35, np.inf), aims[1]]) == aims[1][1]
     # Neither tells a root: what is aimed at runs away as fast as one follows.
     assert passage._next([(0.2, 0.5), (0.3, 0.6)]) == 0.6
+
+
+@pytest.mark.parametrize(
+    ("status", "parts", "met"), [(1, 1e-6, True), (2, -2e-5, True), (1, -1e-4, False), (0, 1e-6, False)]
+)
+def test_what_pressed_is_met_as_it_stands_where_the_move_begins(status, parts, met):
+    """A motion without contacts brings it 3e-8 m into the other body half a move later, as its bodies turn.
+
+    Deep are 4e-8 m. At the speed of the beginning, with the rows that it has there, it opens, or closes 2e-8 m in 1 ms.
+    """
+    key, none = np.array([7]), np.array([-1])
+    normal, still = np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3))
+    sinks = np.array([[0.0, 0.0, -6e-5]]), still
+    out = np.empty(1, np.bool_)
+    _sight.caught(
+        (key, np.array([0]), np.array([4e-8]), np.array([-3e-8]), np.zeros(1)),
+        (none, np.array([0]), still, normal, still),
+        np.zeros(1),
+        (sinks, sinks, (still, still)),
+        (key, np.array([1e-9]), np.array([parts]), 1e-11),
+        (key, np.array([0]), np.array([status], np.int8)),
+        (5e-4, 1e-3, 1e-8, (0.0, 1e-3)),
+        np.empty(0, np.int64),
+        out,
+    )
+    assert out[0] == met

@@ -65,6 +65,10 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
         out[:] = True
         return nc
     pair, deep, R = np.empty(nc, np.int64), np.empty(nc), col.rotations(w, col.R_THERE, n)
+    there, at = col.rotations(old, col.R, n), col.vectors(old, col.X, n)
+    free.moving(movers_begun, at, there, v_begin, twists[3, 0], twists[3, 1])
+    parts = np.empty(before.shape[1])
+    touching.approach((before[2], before[3], begun[0], begun[1], at), (twists[3, 0], twists[3, 1]), parts)
     for c in range(nc):
         pair[c] = names[0, c] * geoms + names[1, c]
         deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
@@ -76,7 +80,7 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
         (names[2], names[3], points[0], points[1], x),
         np.zeros(nc),
         ((twists[0, 0], twists[0, 1]), (twists[1, 0], twists[1, 1]), (twists[2, 0], twists[2, 1])),
-        (before[4], gap, closed),
+        (before[4], gap, parts, closed),
         last,
         (num[col.THETA] * h, h, tol, bounces_of),
         barred,

@@ -47,7 +47,7 @@ def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
     twists : tuple
         Those of the velocity where the move begins, of the free one and of the free acceleration.
     before : tuple
-        keys, gaps and what counts as closed, of the contacts there.
+        keys, gaps, speeds of parting and what counts as closed, of the contacts there.
     warm : tuple
         keys, pairs, status.
     sizes : tuple
@@ -58,12 +58,14 @@ def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
     key, pair, deep, gap, restitution = contacts
     ahead, h, tol, bounces = sizes
     begin, free, rate = twists
+    before_key, before_gap, parts, closed = before
     status, place = np.empty(out.size, np.int8), np.empty(out.size, np.int64)
-    known(key, before[0], before[1], before[2], out)
-    places(before[0], key, place)
+    known(key, before_key, before_gap, closed, out)
+    places(before_key, key, place)
     last_status(key, pair, *warm, status)
     for c in range(out.size):
-        if out[c] or (place[c] >= 0 and before[1][place[c]] == math.inf):  # the latter part
+        k = place[c]
+        if out[c] or (k >= 0 and before_gap[k] == math.inf):  # the latter part
             continue
         weight, e = weight_of(c, where, rate), restitution[c]
         u = approach_of(c, where, begin)
@@ -72,6 +74,8 @@ def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
             u = min(approach_of(c, where, free), u - h * weight)
         u += carried[c]
         shallow = gap[c] + ahead * u > -deep[c]
+        if status[c] > 0 and k >= 0:  # whose rows turn, and which stays
+            shallow = shallow or before_gap[k] + h * parts[k] > -deep[c]
         for b in barred:
             shallow = shallow and b != pair[c]
         out[c] = shallow and (e == 0.0 or u > -(tol + rests_of(weight, e, bounces) / e))
