@@ -145,7 +145,7 @@ def _snake():
         self_collisions=False,
         damping=[0.0] * 6 + [0.01] * (model.nv - 6),
     )
-    return nd.simulate(scene, 0.46, 5e-3, external_force=lambda t, q, v: {"snake/s3": (np.sin(9 * t), 0.5, 0.0)})
+    return nd.simulate(scene, 0.48, 5e-3, external_force=lambda t, q, v: {"snake/s3": (np.sin(9 * t), 0.5, 0.0)})
 
 
 def _ball():

@@ -258,19 +258,17 @@ class Encounter(NamedTuple):
         return self._replace(local=local)
 
     def corrected(
-        self, gap: Array, off: Bools, r: Array, closed: float, ahead: float, ended: tuple[Index, Array, Array]
-    ) -> Encounter | None:
-        """The same with the gaps (rows,) that the rows that are `off` end with, and impulses to start from.
+        self, gap: Array, off: Bools, closed: float, ahead: float, ended: tuple[Index, Array, Array]
+    ) -> Encounter:
+        """The same with the gaps (rows,) that the rows that are `off` end with.
 
         The move takes `ahead` s after the impulses, and has `ended` with contacts of such names and normal speeds, m/s,
-        and joint rows of such speeds. Rows whose gaps are not theirs are no longer `off`; None where all are so.
+        and joint rows of such speeds. Rows whose gaps are not theirs are no longer `off`.
         """
-        end_gap, late, local = self.end_gap.copy(), self.late.copy(), self.local.copy()
+        end_gap, late = self.end_gap.copy(), self.late.copy()
         own = self.contacts.key, ended, self.local, (ahead, closed)
-        if not _law.end_otherwise(off, gap, *own, end_gap, late):
-            return None
-        local[4] = r
-        return self._replace(end_gap=end_gap, late=late, local=local)
+        _law.end_otherwise(off, gap, *own, end_gap, late)
+        return self._replace(end_gap=end_gap, late=late)
 
     def sharing(self, angle: Array, r: Array) -> Encounter:
         """The same with the friction of ball joints parted by angles (balls,), and impulses to start from."""
@@ -279,10 +277,11 @@ class Encounter(NamedTuple):
         local[4] = r
         return self._replace(rows=rows, local=local)
 
-    def off(self, gap: Array, r: Array, closed: float) -> Bools | None:
-        """Which rows stay and are pressed by r, but end with a gap (rows,); None if none do."""
+    def off(self, gap: Array, r: Array, closed: float) -> Bools:
+        """Which rows stay and are pressed by r, but end with a gap (rows,)."""
         out = np.empty(gap.size, np.bool_)
-        return out if _law.off(gap, r, self.stays, closed, out) else None
+        _law.off(gap, r, self.stays, closed, out)
+        return out
 
 
 def _of_joints(

@@ -26,7 +26,7 @@ from nsdyn.stepping.half import Half, Loads, first_half
 from nsdyn.stepping.instant import FAST, JOINT, Instant, System
 from nsdyn.stepping.move import attempt
 from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import EVENT, WORK, through, turns_far
+from nsdyn.stepping.passage import through, turns_far
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State
@@ -85,14 +85,15 @@ class Islands:
             return through(self.whole, state, loads, Begun(half, begun.move))
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._struck(begin, half)]] = True
-        large = ~opened & (EVENT * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > WORK)
-        if begun.move is None and large.any():
+        large = _islands.EVENT * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > _islands.WORK
+        if begun.move is None and (large & ~opened).any():
             # One whose events are not located is made roughly first, which shows whether it meets any.
-            meets |= self._hit(attempt(s, begin, half, None, label, ~large[label], rough=True), label, large)
+            tried_of = large & ~opened
+            meets |= self._hit(attempt(s, begin, half, None, label, ~tried_of[label], rough=True), label, tried_of)
             opened |= meets
         if not (skipped := opened.copy()).all():
             tried = attempt(s, begin, half, callbacks, label, opened[label], begun)
-            self._open(begin, tried, label, opened)
+            self._open(begin, tried, label, opened, large)
             meets |= self._hit(tried, label, ~skipped)
             opened |= meets
             if not opened.any():
@@ -229,15 +230,18 @@ class Islands:
             out[label[nodes[nodes >= 0]]] = out[label[joints.block[joints.limits[-1 - hit[hit < 0]]]]] = True
         return out & of
 
-    def _open(self, begin: Instant, a: Trial, label: Index, opened: Bools) -> None:
-        """Open the islands that an attempt does not do: they meet an event, or impulses are to be sought once more."""
+    def _open(self, begin: Instant, a: Trial, label: Index, opened: Bools, large: Bools) -> None:
+        """Open the islands that an attempt does not do: they meet an event, or impulses are to be sought once more.
+
+        In `large` islands (islands,) slip that turns round is not located.
+        """
         s, d = self.whole, self.whole.dynamics
         out = [np.empty(0, np.int64)]
         c, found, limits = a.met.contacts, a.moved.contacts, a.moved.limits
         out += self._nodes(found, found.gap < -s.closed)
         out.append(d.joints.block[d.joints.limits[limits < -s.closed]])
         if (ends := endings(a.met, a.problem, a.solution)) is not None:
-            out += self._nodes(c, ends[: c.gap.size] > 0)
+            out += self._nodes(c, (ends[: c.gap.size] > 0) & ~large[label[s.nodes(c)]])
             if a.met.joints is not None:
                 out.append(d.joints.block[a.met.joints.slot[ends[c.gap.size :] > 0]])
         if a.met.joints is not None and (balls := a.met.rows.balls).size:

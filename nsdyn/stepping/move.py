@@ -8,22 +8,22 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn._kernels.stepping.workless import SOLVES
+from nsdyn._kernels.stepping.solving import PASSES
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, take
 from nsdyn.dynamics.joints import JointRows
+from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.half import Callbacks, Half, Loads, corrected, first_half
 from nsdyn.stepping.instant import Instant, System, among
-from nsdyn.stepping.persistence import NO_COUPLE, solve_workless
+from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
-from nsdyn.stepping.solving import Way
+from nsdyn.stepping.solving import Way, slips_otherwise, solve
 from nsdyn.stepping.trial import NEW, Begun, Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -209,52 +209,62 @@ def _respond(
     not where nodes have a label (nodes,), that of their island. Then nothing is done to an island because of another,
     and that is left to see who asks.
     """
-    d, middle, forces, found, looked = s.dynamics, half.middle, half.forces, reach.found, reach.looked
+    d, forces = s.dynamics, half.forces
     met, impact, kick = _encounter(s, begin, half, reach, label)
     slides = foresee(met)
     if last is not None:
         _resume(met, slides, last)
-    most, back = 0 if rough else SOLVES, rough or last is not None
-    way = Way(s.closing(half.h, barred is None), back, most, rough, SHARES if label is None else 0)
+    way = Way(s.closing(half.h, barred is None), rough, SHARES if label is None else 0)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
-    alone, couple = met, NO_COUPLE
+    alone, couple, passes, back = met, NO_COUPLE, 0 if rough else PASSES, rough or last is not None
+    lasts = bool(met.stays.any())
     off: Bools | None = None
-    for left in reversed(range(1 if rough or barred is None else _law.GAPS + 1)):
-        met, problem, solution, couple = solve_workless(s, alone, half, known, slides, way, couple, off)
+    while True:
+        met, problem, solution = solve(met, s.solver, known, slides, way, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick
         impulse, v = met.rows.response(solution.r, v)
-        if label is None and (limited := d.within_limits(middle, forces, v)) is not forces:
+        if label is None and (limited := d.within_limits(half.middle, forces, v)) is not forces:
             return _respond(s, begin, replace(half, forces=limited), reach, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
-        end, v_end, there, trees = d.end(middle, forces, v, impulse, half.ahead, half.driven)
-        twists, same = d.twists(there, v_end), s.unmoved(looked, there, near)
-        moved = Instant(end, v_end, there, found, NOTHING, reach.memory, looked, begin.warm, twists, ())
-        if same:
-            moved = moved._replace(limits=d.limits(there))
-        else:
-            moved = found_at(s, moved, s.look(looked, there.x, there.R, near))
-        ending = _ending(s, half, alone, solution.r, moved) if left and met.stays.any() else None
-        if ending is None:
+        if not solution.converged:  # one more couple is then as exact
+            passes = min(passes, int(solution.accepted))
+        slips = slips_otherwise(met, problem, solution, slides, back, off)
+        turn = turned(s, met, half, solution, v, slides, couple) if passes and lasts else None
+        off = np.zeros(alone.end_gap.size, np.bool_)
+        if barred is not None or not passes or (turn is None and not slips.any()):
+            trees, moved = _arrive(s, begin, half, reach, v, impulse, near)
+            if passes and lasts and barred is not None:
+                alone, off = _ending(s, half, alone, solution.r, moved)
+        if turn is not None:
+            couple, other = turn
+            slips |= other
+        couple.left[off[: couple.left.size]] = np.inf
+        off[: slips.size] |= slips
+        if not (passes and off.any()):
             break
-        (alone, off), known = ending, solution
-    return Trial(
-        half=half,
-        met=met,
-        impact=impact,
-        kick=kick,
-        slides=slides,
-        problem=problem,
-        solution=solution,
-        couple=couple,
-        v=v,
-        impulse=impulse,
-        trees=trees,
-        moved=moved,
-        memory=reach.memory,
-    )
+        met, known, passes, back = alone.turned(couple.dv, solution.r), solution, passes - 1, True
+    couple = worked(s, met, half, v, couple)
+    solved = slides, problem, solution, couple
+    return Trial(half, met, impact, kick, *solved, v, impulse, trees, moved, reach.memory)
+
+
+def _arrive(
+    s: System, begin: Instant, half: Half, reach: Reach, v: Array, impulse: Array, near: Array
+) -> tuple[tuple[Flow, ...], Instant]:
+    """The second half of a move, by the velocity v after the impulse H r, (n,) each, and what is found at its end.
+
+    There contacts are sought as far as frames are `near` (frames,) each other, m. What trees do comes first.
+    """
+    d, looked = s.dynamics, reach.looked
+    position, v_end, there, trees = d.end(half.middle, half.forces, v, impulse, half.ahead, half.driven)
+    found = reach.found, NOTHING, reach.memory, looked
+    moved = Instant(position, v_end, there, *found, begin.warm, d.twists(there, v_end), ())
+    if s.unmoved(looked, there, near):
+        return trees, moved._replace(limits=d.limits(there))
+    return trees, found_at(s, moved, s.look(looked, there.x, there.R, near))
 
 
 def _encounter(
@@ -274,18 +284,17 @@ def _encounter(
     return met.lasting(pair, begin, limits, s.closed, half.h, impact is not None), impact, kick
 
 
-def _ending(s: System, half: Half, met: Encounter, r: Array, moved: Instant) -> tuple[Encounter, Bools] | None:
-    """What is met with the gaps that rows end with, and which rows these are; None where they end as they should."""
+def _ending(s: System, half: Half, met: Encounter, r: Array, moved: Instant) -> tuple[Encounter, Bools]:
+    """What is met with the gaps that rows end with, and which rows end otherwise than they should."""
     d, there, joints = s.dynamics, moved.placement, met.joints
     gap = s.detector.gaps(met.contacts, moved.contacts, Poses(there.x, there.R))
     if joints is not None:
         gap = np.concatenate((gap, _limits(s, joints, there)))
-    if (off := met.off(gap, r, s.closed)) is None:
-        return None
+    if not (off := met.off(gap, r, s.closed)).any():
+        return met, off
     parts = parting(d, moved.contacts, there, moved.v, moved.position.driven_x, half.surfaces[2])
     rates = NOTHING if joints is None else d.joints.rates(joints.slot, moved.v)
-    further = met.corrected(gap, off, r, s.closed, half.ahead, (moved.contacts.key, parts, rates))
-    return None if further is None else (further, off)
+    return met.corrected(gap, off, s.closed, half.ahead, (moved.contacts.key, parts, rates)), off
 
 
 def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:

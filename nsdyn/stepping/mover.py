@@ -298,11 +298,13 @@ class Mover:
         nc, floats, met, masses = made.status.size, made.floats, made.met, self._views[_col.M : _col.MINV + 1]
         own, a = made.work[self._own :], floats[self._acted :]
         problem, _ = solved(floats, a, met, met.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)
-        r, last = a[_col.IMPULSE * nc : _col.U * nc], self._solution if made.head[_col.SOLVED] else None
-        start = own[(_col.LOCAL + 12) * nc : (_col.LOCAL + 15) * nc] if last is None else r.copy()
+        last, start = self._solution if made.head[_col.SOLVED] else None, own[12 * nc : 15 * nc]
         solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], False)
         if not solution.accepted:
             return False
-        r[:], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
+        if not solution.converged:  # one more couple is then as exact
+            made.head[_col.PASSES_LEFT] = min(made.head[_col.PASSES_LEFT], 1)
+        made.head[_col.SOLVED] = 1
+        a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
         floats[_col.ERROR : _col.CERTIFIED] = solution[3:7]
         return True

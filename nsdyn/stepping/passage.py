@@ -9,6 +9,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import sight as _sight
 from nsdyn._kernels.stepping import touching as _touching
+from nsdyn._kernels.stepping.islands import EVENT, WORK
 from nsdyn._kernels.stepping.law import TURNS
 from nsdyn._kernels.stepping.quiet_checks import GAIN
 from nsdyn.collision.contacts import ContactSet
@@ -29,10 +30,6 @@ from nsdyn.stepping.trial import NEW, Begun, Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["through", "turns_far"]
-
-WORK, EVENT = 400, 8
-"""Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
-the moves that one takes, about; what it cannot afford it catches within the rest of the step."""
 
 SOON, AGAIN = 1e-6, 0.1
 """Fractions of a move in which slip that turns round is not located: where it begins and ends, as nothing but
@@ -263,9 +260,9 @@ def _until_event(
         return capture(begun)
     if m.touched < h:
         return _until_event(s, loads, begin, t, m.touched, soon, effort)
-    turned = h * reversal(m.met, s.solver, m.problem, m.solution, cut)
+    turned = h * reversal(m.met, s.solver, m.problem, m.solution, cut) if affords else h
     if soon < turned < (1.0 - SOON) * h:
-        return _until_event(s, loads, begin, t, turned, soon, effort, cut=True) if affords else capture(begun)
+        return _until_event(s, loads, begin, t, turned, soon, effort, cut=True)
     if not met:
         return h, m
     return _located(s, loads, begin, t, {h: m}, np.unique(m.hits), m.limit, effort) or capture(begun)

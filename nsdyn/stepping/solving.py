@@ -1,4 +1,4 @@
-"""The problem of a move, solved until contacts slip as foreseen and ball joints along their friction."""
+"""The problem of a move, and its solution: that along whose friction ball joints slip."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from nsdyn._kernels.problem import blocks as _blocks
-from nsdyn._kernels.stepping import workless as _workless
+from nsdyn._kernels.stepping import solving as _solving
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Graded, Solver
@@ -18,6 +17,8 @@ from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["Way", "again", "pose", "solve"]
 
+ALL = np.empty(0, np.bool_)
+
 
 class Way(NamedTuple):
     """How the problem of a move is posed and solved.
@@ -25,10 +26,6 @@ class Way(NamedTuple):
     Attributes
     ----------
     closing : Closing
-    back : bool
-        Whether only contacts that stop are to be changed, of those that slip otherwise than foreseen.
-    most : int
-        Most solves more for them.
     rough : bool
         Whether what `Graded.roughly` gives is enough, and persistent contacts may do work.
     shares : int
@@ -36,8 +33,6 @@ class Way(NamedTuple):
     """
 
     closing: Closing
-    back: bool
-    most: int
     rough: bool = False
     shares: int = SHARES
 
@@ -54,9 +49,8 @@ def solve(
     slides: Bools,
     way: Way,
     off: Bools | None = None,
-    kept: Solution | None = None,
 ) -> tuple[Encounter, FC3D, Solution]:
-    """What is met, impulses that make it obey the contact law, and their problem.
+    """What is met, its problem, and the impulses.
 
     Parameters
     ----------
@@ -66,25 +60,23 @@ def solve(
         Of the same move with other contacts, or rough. Where it has not converged no more is asked for than
         `Graded.loosely` gives.
     slides : ndarray of bool, shape (nc,)
-        Which contacts slide through, as `foresee` says; changed to what the impulses show.
+        Which contacts slide through.
     way : Way
-    off : ndarray of bool, shape (rows,) or (nc,), optional
-        Rows that end otherwise than they should.
-    kept : Solution, optional
-        From which the islands without such rows do not change.
+    off : ndarray of bool, shape (rows,), optional
+        Rows of whose islands alone the solution differs from the last.
     """
     if not met.rows.balls.size:
-        return met, *_solve(met, solver, last, slides, way, off, kept)
+        return met, *_solve(met, solver, last, slides, way, off)
     rows, local = met.rows, met.local
     pushed, free = rows.ball_axes(local[4]), rows.ball_axes(local[2])
     met = met.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), local[4])
-    problem, solution = _solve(met, solver, last, slides, way, off, kept)
+    problem, solution = _solve(met, solver, last, slides, way, off)
     search = Search()
     for _ in range(way.shares):
         if (angle := search.next(met.rows, solution.r, solution.u, problem.scales)) is None:
             break
         met = met.sharing(angle, solution.r)
-        problem, solution = _solve(met, solver, solution, slides, way, None, None)
+        problem, solution = _solve(met, solver, solution, slides, way, None)
     return met, problem, solution
 
 
@@ -95,27 +87,28 @@ def _solve(
     slides: Bools,
     way: Way,
     off: Bools | None,
-    kept: Solution | None,
 ) -> tuple[FC3D, Solution]:
     """The same with the shares that the friction of ball joints has."""
-    closing, back, most, rough, _ = way
-    label, changed, full = np.empty(met.mu.size, np.int64), np.empty(slides.size, np.bool_), met.rows.full
-    islands = np.ones(_blocks.islands(full.block, full.offset.size - 1, label), np.bool_)
-    problem = pose(met, slides, closing)
-    solution = again(solver, last, problem, met.local[4], met.local[0], rough)
-    for k in range(most + 1):
-        if kept is not None and off is not None:
-            r, u = solution.r.copy(), solution.u.copy()
-            _workless.thaw(label, off, islands, (kept.r, kept.u), (r, u))
-            solution = solution._replace(r=r, u=u)
-        shown, own = (solution.r, solution.u, problem.q, met.mu), (label, islands, changed)
-        if not _workless.reconsider_some(shown, met.local, slides, back or k > 0, *own):
-            break
-        if k < most:
-            kept, off = solution, changed.copy()
-            problem = problem.with_velocity(met.offsets(slides, closing))
-            solution = again(solver, solution, problem, solution.r, met.local[0], rough)
+    problem = pose(met, slides, way.closing)
+    solution = again(solver, last, problem, met.local[4], met.local[0], way.rough)
+    if last is not None and off is not None:
+        r, u = solution.r.copy(), solution.u.copy()
+        _solving.thaw(met.rows.full.arrays, off, (last.r, last.u), (r, u))
+        solution = solution._replace(r=r, u=u)
     return problem, _held(met, solver, problem, solution)
+
+
+def slips_otherwise(
+    met: Encounter, problem: FC3D, solution: Solution, slides: Bools, back: bool, off: Bools | None
+) -> Bools:
+    """Contacts (nc,) that slip otherwise than as they `slide` through; then they do as the solution shows.
+
+    Only those that stop, if it is only looked `back`, and only in islands of which a row is `off` (rows,).
+    """
+    out, some = np.empty(slides.size, np.bool_), ALL if off is None else off
+    shown = solution.r, solution.u, problem.q, met.mu
+    _solving.slips_otherwise(met.rows.full.arrays, shown, met.local, slides, back, some, out)
+    return out
 
 
 def _held(met: Encounter, solver: Solver, problem: FC3D, solution: Solution) -> Solution:

@@ -8,7 +8,6 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from nsdyn import compilation, solvers
-from nsdyn._kernels.stepping.workless import thaw
 from nsdyn.collision.contacts import ContactMemory, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.problem import cones, gauss, paradox, polished
@@ -103,6 +102,7 @@ def everything() -> None:
     """What anything calls."""
     compilation.run()
     Stepper(scenes.load("bounce")(), 2.0, on_fail="ignore").step()  # more bounces than are located
+    Stepper(scenes.load("slide")(), 0.5).step()  # stops
     Stepper(scenes.load("quadruped")(), 1e-5).step()  # hardly moves
     Stepper(scenes.load("rod")(mu=2.0, slip=-1.0, spin=5.0), 1e-4).step()  # may move otherwise
     linkage = scenes.load("four_bar")()
@@ -113,9 +113,7 @@ def everything() -> None:
     belt.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
     belt.set_motion("belt", surface_velocity=(1.0, 0.0, 0.0))
     Stepper(belt, 5e-3).step()
-    before, after = np.ones((2, 6)), np.zeros((2, 6))
     cones.projection_jacobian(np.ones((2, 3)), np.full(2, 0.5))
-    thaw(np.arange(2), np.array([True, False]), np.empty(2, np.bool_), tuple(before), tuple(after))
     lift()
     shapes()
     problems()

@@ -33,13 +33,18 @@ class Pair:
         offset, m_start = np.array([0, 6, 12]), np.array([0, 36])
         empty = np.empty(0)
         self.blocks = offset, np.array([[0, 1]]), np.array([[0, 18]]), H, m_start, empty, empty
-        rows = np.concatenate(H.reshape(2, 3, 6), axis=1)
-        self.work = float(self.r @ rows @ self.mean)
+        self.rows = np.concatenate(H.reshape(2, 3, 6), axis=1)
 
-    def couple(self, h, sticks=True, transport=(), exact=1e-13):
+    @property
+    def work(self):
+        """r·ū, J."""
+        return float(self.r @ self.rows @ self.mean)
+
+    def couple(self, h, sticks=True, transport=(), exact=1e-13, slip=1.0):
         """(couple, change of v, whether there is any other than none) in a move of h s, of bodies of 1 m.
 
-        Surfaces that move add `transport` to the relative velocity, of which a solver leaves `exact` m/s.
+        Surfaces that move add `transport` to the relative velocity, of which a solver leaves `exact` m/s. The contact
+        slips with `slip` m/s, should it be on its cone.
         """
         yes = np.array([True])
         couple, dv = np.zeros((1, 3)), np.empty(12)
@@ -49,7 +54,7 @@ class Pair:
             (zero, zero + 1, zero, zero + 1, self.normal),
             self.mean,
             (self.R, np.linalg.inv(self.J), np.ones(2), h),
-            (self.r, np.array([0.5]), np.array(transport, dtype=float), exact),
+            (self.r, np.array([0.0, 0.6 * slip, 0.8 * slip]), np.array([0.5]), np.array(transport, dtype=float), exact),
             (yes, yes & sticks, ~yes),
             (couple, dv, np.full(1, np.inf), np.empty(1, np.bool_)),
         )
@@ -94,6 +99,17 @@ def test_what_slips_does_the_work_of_its_friction(rng):
     couple = pair.couple(10.0, sticks=False)[0]
     np.testing.assert_array_equal(couple, smooth.couple(10.0, sticks=False)[0])
     assert abs(couple @ pair.normal[0]) <= 1e-14 and np.linalg.norm(couple) > 0.01
+
+
+def test_what_is_on_its_cone_but_does_not_slip_does_no_work(rng):
+    """As redundant contacts that share a friction less than their limits: 1e-8 m/s is what a tolerance leaves."""
+    pair = Pair(rng)
+    pair.r = np.array([1.0, 0.3, -0.4])
+    normal = float(pair.rows[0] @ pair.mean)
+    held, _, _ = pair.couple(10.0, slip=1e-9)
+    rubs, _, _ = pair.couple(10.0, slip=1e-7)
+    assert held @ pair.turning() == pytest.approx(-pair.work, rel=1e-12)
+    assert rubs @ pair.turning() == pytest.approx(-normal, rel=1e-12)
 
 
 def test_a_couple_is_no_longer_an_arm_than_the_way_of_the_bodies(rng):

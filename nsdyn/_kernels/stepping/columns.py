@@ -125,10 +125,10 @@ LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, KEPT, 
 )
 
 # The first of the integers at work: how many contacts there are where the impulses act, where the step ends, and of the
-# former those that it meets; whether these are not all; keys of new ones; gaps to be corrected yet; whether couples
-# act; how many contacts there is no room for; whether anything is so fast that it might go unseen; how often Python has
-# solved the problem otherwise; two of the clock.
-MIDDLE, END, MET, SOME, KEY_MIDDLE, KEY_END, GAPS_LEFT, TURNED, NEEDED, FAST, SOLVED, CLOCK = range(12)
+# former those that it meets; whether these are not all; keys of new ones; how often impulses may be sought once more;
+# whether they have been; whether couples act; how many contacts there is no room for; whether anything is so fast that
+# it might go unseen; whether Python has solved a problem; two of the clock.
+MIDDLE, END, MET, SOME, KEY_MIDDLE, KEY_END, PASSES_LEFT, AGAIN, TURNED, NEEDED, FAST, SOLVED, CLOCK = range(13)
 HEAD = CLOCK + 2
 
 # Flags of the contacts.

@@ -10,6 +10,27 @@ from nsdyn._kernels.problem.blocks import number, unite
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.vectors import square
 
+WORK, EVENT = 400, 8
+"""Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
+the moves that one takes, about; what it cannot afford it catches within the rest of the step."""
+
+
+@kernel
+def located(node, frames, out):
+    """Whether events are located in the island of each node (nodes,), by the frames of its contacts, (2, nc)."""
+    parent, label, joined = np.arange(out.size), np.empty(out.size, np.int64), np.empty(frames.shape, np.int64)
+    for c in range(frames.shape[1]):
+        for s in range(2):
+            joined[s, c] = node[frames[s, c]] if frames[s, c] >= 0 else -1
+        if joined[0, c] >= 0 and joined[1, c] >= 0:
+            unite(parent, joined[0, c], joined[1, c])
+    size = np.zeros(number(parent, label), np.int64)
+    for c in range(frames.shape[1]):
+        if joined[0, c] >= 0 or joined[1, c] >= 0:
+            size[label[max(joined[0, c], joined[1, c])]] += 1
+    for k in range(out.size):
+        out[k] = EVENT * size[label[k]] <= WORK
+
 
 @kernel
 def islands(lower, upper, node, first, second, label):

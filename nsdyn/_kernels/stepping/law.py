@@ -25,9 +25,6 @@ TURNS = 0.5
 """Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
 the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
 
-GAPS = 3
-"""Most times that the gaps which persistent contacts are found to end with are closed."""
-
 NO_SLIP = 1e-14
 """Slip, m/s, that is round-off: what rests on the edge of its cone slips on by less for good."""
 
@@ -201,7 +198,7 @@ def off(gap, r, stays, closed, out):
     """Which rows stay and are pressed, but end a move with a gap (rows,), into out (rows,); whether any does."""
     some = False
     for c in range(out.size):
-        out[c] = stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > closed
+        out[c] = stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > MOST_LEFT * closed
         some = some or out[c]
     return some
 
@@ -211,9 +208,9 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
     """Correct G and `late` (rows,) of rows that are `off` (rows,): they end with other gaps (rows,) and speeds.
 
     Of ended = (names, speeds, speeds of joint rows) contacts with the names `key` (nc,) have the first there; `late` is
-    by how much these are more than foreseen, m/s. sizes = (h₂, what counts as closed). A gap of more than the rows
-    turn by, or than such speeds open, is that of another contact, under whose name one that has gone far is found
-    again: it is not `off`. Returns whether any is.
+    by how much these are more than foreseen, m/s. sizes = (h₂, what counts as closed). Not `off` is what ends within
+    `MOST_LEFT` of the latter where it should. A gap of more than the rows turn by, or than such speeds open, is that of
+    another contact, under whose name one that has gone far is found again: it is not, either. Returns whether any is.
     """
     ahead, closed = sizes
     nc, some = key.size, False
@@ -231,7 +228,7 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
             else:  # it rolls away: nothing is left open
                 more = local[0, i] + end_gap[c] / ahead
             bent = math.sqrt(square(local[3, i]) + square(local[3, i + 1]) + square(local[3, i + 2]))
-            off[c] = abs(gap[c] - left) <= ahead * max(bent, abs(more))
+            off[c] = MOST_LEFT * closed < abs(gap[c] - left) <= ahead * max(bent, abs(more))
             if off[c]:
                 end_gap[c] += gap[c] - left
                 late[c], some = more, True

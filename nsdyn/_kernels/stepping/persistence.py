@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.reductions import copy
-from nsdyn._kernels.stepping.law import NO_SLIP, offsets
+from nsdyn._kernels.stepping.law import NO_SLIP
 from nsdyn._kernels.stepping.touching import last_status, places
 from nsdyn._kernels.vectors import along, dot, put, row, square, times, to_local
 
@@ -26,7 +26,7 @@ errors of second. Where nothing turns there are none, and what approaches is sto
 ARM = 1.0
 """Most that a couple moves a contact force, in lengths h ω R: as far as points of the body go in the move."""
 
-NO_ARM, NO_WORK, NOISE = 1e-10, 1e-12, 1e-10
+NO_ARM, NO_WORK, NOISE = 1e-10, 1e-13, 1e-10
 """Arms, as fractions of R, of what may be at rest, which have no couples; works, of r_N R ω, that are round-off;
 and those that are if another pass does not halve them: impulses of redundant contacts are less exact."""
 
@@ -98,6 +98,15 @@ def add_couple(f, sign, couple, R, inverse_J, dv):
                 dv[6 * f + 3 + i] += sign * inverse_J[f, i, j] * own[j]
 
 
+@in_place
+def holds(i, r, y, mu):
+    """Whether the contact of the rows from i on does not slip, at r and y = W r + b."""
+    if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9):
+        return True
+    # Of what redundant contacts share some may be at its limit all the same.
+    return math.sqrt(square(y[i + 1]) + square(y[i + 2])) <= LEFT
+
+
 @kernel
 def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     """Couples that make contacts of free bodies that persist do no work, and the change of v by them.
@@ -117,15 +126,15 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     bodies : tuple
         R, inverse_J, shapes (frames, 3, 3), (nf, 3, 3); how far bodies reach from their centres, (frames,), m; and h.
     pressed : tuple
-        r and mu, shapes (3 rows,) and (rows,), what moving surfaces add to u, (3 rows,), empty if none move, and what
-        the solver leaves of a relative velocity, m/s: works of that are no works.
+        r, y = W r + b and mu, shapes (3 rows,), (3 rows,) and (rows,), what moving surfaces add to u, (3 rows,), empty
+        if none move, and what the solver leaves of a relative velocity, m/s: works of that are no works.
     flags : three ndarrays of bool, shape (nc,)
         Contacts that stay, stick, and slide through.
     found : tuple
         couple, shape (nc, 3), on body 2, world axes, N·m·s: those that act, changed where others would do no work; dv,
-        shape (n,), the change of v by them; left, shape (nc,), the work that the couples that act leave, J, changed
-        from that of those before, infinite if none was looked for; other, shape (nc,), whether they differ from those
-        that act by more than round-off.
+        shape (n,), the change of v by them; left, shape (nc,), the work that the couples of the pair leave, J, changed
+        from that of those before, infinite if none was looked for, or gaps were others then; other, shape (nc,),
+        whether they differ from those that act by more than round-off.
 
     Returns
     -------
@@ -133,7 +142,8 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
         Whether any does.
     """
     geom1, geom2, frame1, frame2, normal = contacts
-    (R, inverse_J, arm, h), (r, mu, transport, exact), (couple, dv, left, other) = bodies, pressed, found
+    (R, inverse_J, arm, h), (r, y, mu, transport, exact) = bodies, pressed
+    couple, dv, left, other = found
     stays, sticks, slides = flags
     free, nc, some = inverse_J.shape[0], geom1.size, False
     u = np.empty(r.size)
@@ -144,14 +154,13 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     other[:] = False
     first = 0
     while first < nc:
-        last, work, press, held = first, 0.0, 0.0, False
+        last, work, press, held, before = first, 0.0, 0.0, False, 0.0
         while last < nc and geom1[last] == geom1[first] and geom2[last] == geom2[first]:
-            i = 3 * last
+            i, before = 3 * last, max(before, left[last])
             if stays[last] and r[i] > 0.0:
                 press += r[i]
                 work += r[i] * u[i]
-                inside = math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu[last] * r[i] * (1.0 - 1e-9)
-                if sticks[last] and inside and not slides[last]:
+                if sticks[last] and not slides[last] and holds(i, r, y, mu[last]):
                     work += r[i + 1] * u[i + 1] + r[i + 2] * u[i + 2]
                     held = True
             last += 1
@@ -169,8 +178,8 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             for c in range(first, last):
                 now += dot(row(couple, c), turning)
             rest, scale = abs(amount * speed - now), press * size * speed
-            differ = rest > press * exact and (rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * left[first])
-            left[first] = rest
+            differ = rest > press * exact and (rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * before)
+            left[first:last] = rest
             some = some or differ
             for c in range(first, last):
                 if differ:
@@ -184,6 +193,8 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             add_couple(b, 1.0, total, R, inverse_J, dv)
         else:
             for c in range(first, last):
+                other[c] = dot(row(couple, c), row(couple, c)) > 0.0
+                some = some or other[c]
                 put(couple, c, (0.0, 0.0, 0.0))
         first = last
     return some
@@ -199,34 +210,18 @@ def turns(v, free, h):
 
 
 @kernel
-def turn(blocks, contacts, mean, bodies, pressed, flags, laws, alone, state):
-    """`couples`, and what contacts then meet, in place of those that act, where others do less work; whether any do.
-
-    Parameters
-    ----------
-    blocks, contacts, mean, bodies, pressed, flags : tuple
-        As of `couples`.
-    laws : tuple
-        end_gap, restitution, rebound, late and closing, as of `offsets`.
-    alone : ndarray, shape (5, 3 rows)
-        `local` without couples.
-    state : tuple
-        As of `workless`: what acts and what is met.
-    """
-    couple, dv, _, _, left, other, local, b, _, _ = state
+def turn(blocks, contacts, mean, bodies, pressed, flags, found):
+    """`couples` in place of those that act, where others do less work; whether any do."""
+    couple, dv, left, other = found
+    other[:] = False
+    if not turns(mean, bodies[1].shape[0], bodies[3]):
+        return False
     turned, acting = couple.copy(), dv.copy()
     if not couples(blocks, contacts, mean, bodies, pressed, flags, (turned, acting, left, other)):
         return False
     copy(acting, dv)
     for c in range(couple.shape[0]):
         copy(turned[c], couple[c])
-    for k in range(local.shape[0]):
-        copy(alone[k], local[k])
-    relative_velocity(blocks, dv, b)
-    for i in range(b.size):
-        local[2, i] += b[i]
-    copy(pressed[0], local[4])
-    offsets(local, laws, flags[0], flags[2], b)
     return True
 
 

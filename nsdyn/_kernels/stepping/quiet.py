@@ -3,6 +3,8 @@
 Each stage is made of the kernels that the general step of `nsdyn.stepping.move` calls, so that both give the same bits.
 """
 
+import numpy as np
+
 from nsdyn._kernels.clock import seconds
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
@@ -10,7 +12,7 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.paradox import suspect
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import free, law, touching
+from nsdyn._kernels.stepping import free, touching
 from nsdyn._kernels.stepping.quiet_checks import book, eventless, gains, may_gain, rebounds, strikes_at_once
 from nsdyn._kernels.stepping.quiet_meeting import (
     DONE,
@@ -31,13 +33,13 @@ from nsdyn._kernels.stepping.quiet_meeting import (
 from nsdyn._kernels.stepping.quiet_response import (
     AGAIN,
     arrive,
-    corrects,
+    changes,
     end_gaps,
-    first_solve,
+    impulses,
     push,
-    respond,
     too_wide,
 )
+from nsdyn._kernels.stepping.solving import PASSES
 
 
 @kernel(inline="always")
@@ -203,7 +205,8 @@ def posed(s, first, last, met, rows, acted, flags, room):
     copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
     a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
     col.velocity(w, col.TURN, size)[:] = 0.0
-    head[col.GAPS_LEFT], head[col.TURNED], head[col.SOLVED] = law.GAPS, 0, 0
+    head[col.PASSES_LEFT], head[col.AGAIN], head[col.TURNED], head[col.SOLVED] = PASSES, 0, 0, 0
+    col.column(own, col.LEFT_OVER, nc)[:] = np.inf
     out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = 0.0, 0.0, 0.0
     norm, _ = _blocks.size_of(q, met[2][1])
     out[col.NORM] = norm if norm > 0.0 else 1.0
@@ -212,21 +215,15 @@ def posed(s, first, last, met, rows, acted, flags, room):
 
 @kernel(inline="always")
 def solved(s, rows, met, flags, known, label, head, room):
-    """Impulses, of a problem of which so much is `known`, as of `respond`, or nothing, `DONE`; how that ends.
+    """Impulses, and the motion to the end of the move; how that ends, `known` as of `impulses`.
 
     `DONE` where free bodies are at the end of the move, `MOVE` where trees are to be moved there.
     """
-    scene, (arm, _, _), _, bodies, _, _, movers, _ = s
+    scene, _, _, bodies, _, _, movers, _ = s
     (num, size), nc, (out, w, _, a) = scene, met[0].shape[1], room
-    began, code = seconds(head[col.CLOCK :]), known
-    if known == DONE:
-        code = first_solve(scene, rows, met, flags, label, room)
-        if code == SOLVE:
-            return SOLVE
-    if code != DONE:
-        code = respond(scene, (bodies[3], arm), rows, met, flags, code, head, room)
-        if code != DONE:
-            return code
+    began = seconds(head[col.CLOCK :])
+    if impulses(scene, rows, met, flags, known, label, head, room) == SOLVE:
+        return SOLVE
     out[col.TIME] += seconds(head[col.CLOCK :]) - began
     if movers[1][0].size > 0:
         push(size, rows[0], a[col.IMPULSE * nc : col.U * nc], w)
@@ -251,14 +248,14 @@ def goes(s, b, w, out):
 def told(s, rows, contacts, begun, flags, status, head, room):
     """What a step did, if it met nothing: `DONE`, `EVENT`, or `OTHERWISE` where contacts add too much energy.
 
-    contacts = (met, found at its end), begun = (old state, direction of the last certificate).
+    contacts = (met, found at its end), begun = (old state, contacts there, direction of the last certificate).
     """
-    scene, (_, nowhere, inscribed), inertia, _, (gravity, _), _, _, _ = s
+    scene, (_, nowhere, inscribed), inertia, _, (gravity, _), masses, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
-    (met, now), (b_old, direction) = contacts, begun
+    (met, now), (b_old, first, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
-    if not eventless(num, inscribed, met, now, flags, status, spins, room):
+    if not eventless(num, (inscribed, masses[0]), (met, now, first), flags, status, spins, room):
         return EVENT
     book(scene, (*inertia, gravity, nowhere[:0]), rows, met, flags, direction, head, status, room)
     out[col.SUSPECT] = 0.0
@@ -347,7 +344,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     rows, label = (blocks, frame, scales), whole[col.HEAD + room : col.HEAD + room + nc]
     if starts and not step and too_wide(num, blocks):
         return OTHERWISE
-    known = DONE if starts else AGAIN if stage == SOLVE else SOLVE
+    known = DONE if starts else SOLVE
     while True:
         if stage != LOOK_AHEAD:
             if stage != MOVE:
@@ -366,7 +363,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
             end_gaps(detection[0], met, now, b, n, gap)
         else:
             copy(met[2][0], gap)
-        if head[col.GAPS_LEFT] == 0 or not corrects(num, n, met, now, flags, work_room):
+        if not changes(s[0], (s[3][3], s[1][0]), rows, met, now, flags, head, work_room):
             break
-        head[col.GAPS_LEFT], stage, known = head[col.GAPS_LEFT] - 1, DONE, SOLVE
-    return told(s, rows, (met, now), (b_old, direction), flags, acted[2], head, work_room) if step else DONE
+        stage, known = DONE, AGAIN
+    return told(s, rows, (met, now), (b_old, first, direction), flags, acted[2], head, work_room) if step else DONE

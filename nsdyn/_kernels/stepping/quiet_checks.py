@@ -12,6 +12,7 @@ from nsdyn._kernels.reductions import least
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, reversal, touching
+from nsdyn._kernels.stepping.islands import located
 from nsdyn._kernels.vectors import square
 
 GAIN = 1e-5
@@ -67,22 +68,36 @@ def rebounds(scene, movers, met, old, w):
 
 
 @kernel
-def turns_round(r, u, b, mu, local, was):
-    """Whether any slip ends, or turns round, as of `reversal.ending`."""
-    return reversal.ending(r, u, b, mu, local, was, np.empty(0, np.bool_), np.empty(was.size, np.int8)) > 0
+def turns_round(solution, mu, local, was, met, first, node):
+    """Whether any slip ends, or turns round, as of `reversal.ending`, of contacts met in an island where it is located.
+
+    solution = (r, u, b), first: contacts where the move begins, by which that is told; `node` of every frame.
+    """
+    ends = np.empty(was.size, np.int8)
+    if reversal.ending(*solution, mu, local, was, np.empty(0, np.bool_), ends) == 0:
+        return False
+    seen = np.empty(node.max() + 1, np.bool_)
+    located(node, first[2:4], seen)
+    for c in range(was.size):
+        for s in range(2):
+            if ends[c] > 0 and met[2 + s, c] >= 0 and node[met[2 + s, c]] >= 0 and seen[node[met[2 + s, c]]]:
+                return True
+    return False
 
 
 @in_place
-def eventless(num, inscribed, met, now, flags, was, spins, room):
+def eventless(num, bodies, contacts, flags, was, spins, room):
     """Whether nothing has turned round, got deep, arrived or turned far on the way, as `passage` asks.
 
-    spins: angular velocities of the bodies, (n, 3), at both ends.
+    bodies = (radii of balls inside the shapes, nodes of the frames), contacts = (met, found at the end, those where the
+    move begins), spins: angular velocities of the bodies, (n, 3), at both ends.
     """
+    (inscribed, node), (met, now, first) = bodies, contacts
     nc, (names, _, scalars), (_, _, own, a) = was.size, met, room
     local, stays = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     deepest, deep = least(now[2][0]), min(num[col.CLOSED], num[col.SLOW])
-    if deepest < -num[col.CLOSED] or turns_round(r, u, b, scalars[1], local, was):
+    if deepest < -num[col.CLOSED] or turns_round((r, u, b), scalars[1], local, was, names, first[0], node):
         return False
     if deepest < -deep:
         # Of what is so deep all is to be pressed.

@@ -10,12 +10,11 @@ from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.solvers.start import by_factors, widest
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import free, law, persistence, touching
-from nsdyn._kernels.stepping.quiet_meeting import DONE, OTHERWISE, SOLVE, closing_of
-from nsdyn._kernels.stepping.workless import PASSES, SOLVES, reconsider_some, thaw, workless
-from nsdyn._kernels.stepping.workless import SOLVE as UNSOLVED
+from nsdyn._kernels.stepping.quiet_meeting import DONE, SOLVE, closing_of
+from nsdyn._kernels.stepping.solving import slips_otherwise, thaw
 
-SOLVED, AGAIN = -1, -2
-"""A problem is solved here, or by Python, but that may not be all."""
+AGAIN = -1
+"""The problem is posed anew."""
 
 
 @kernel
@@ -24,147 +23,65 @@ def too_wide(num, blocks):
     return num[col.OWN] == 0.0 or widest(blocks, np.empty(blocks[1].shape[0], np.int64))[0] > int(num[col.DENSE])
 
 
-@in_place
-def first_solve(scene, rows, met, flags, label, room):
-    """Solve the problem, as foreseen: `DONE` where that is all, `SOLVED` where not, else `SOLVE`.
-
-    It is where nothing turns, nor slips otherwise than foreseen.
-    """
+@kernel
+def impulses(scene, rows, met, flags, known, label, head, room):
+    """The impulses of the problem that is posed, or `known` to be `AGAIN`: `DONE`, or `SOLVE` until Python has."""
     (num, size), (blocks, _, scales), (out, w, own, a) = scene, rows, room
-    nc, mu, h = scales.size, met[2][1], num[col.STEP]
-    v, v_free, change = (
-        col.velocity(w, col.V_THERE, size),
-        col.velocity(w, col.V_FREE, size),
-        col.velocity(w, col.CHANGE, size),
-    )
-    mean, local, slides = (
-        col.velocity(w, col.V_MEAN, size),
-        own[: col.ALONE * nc].reshape((5, 3 * nc)),
-        flags[col.SLIDES, :nc],
-    )
+    nc, mu, change = scales.size, met[2][1], col.velocity(w, col.CHANGE, size)
+    local = own[: col.ALONE * nc].reshape((5, 3 * nc))
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    copy(v_free, col.velocity(w, col.V_TURNED, size))
-    change[:] = 0.0
+    if known == DONE:
+        copy(col.velocity(w, col.V_FREE, size), col.velocity(w, col.V_TURNED, size))
+        change[:] = 0.0
     if nc == 0:
         return DONE
-    copy(local[4], r)
-    if num[col.OWN] == 0.0:
-        return SOLVE
-    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER])
-    islands = own[col.ISLANDS * nc : (col.ISLANDS + 3) * nc].reshape((3, nc))
-    given = blocks, b, mu, scales, r, u, local[0], label, islands, num[col.ENOUGH], num[col.GOOD], limits
-    _, left, count, top, residual = by_factors(*given)
-    error, before = top / out[col.NORM], flags[col.OTHER, :nc]
-    if left or not (error <= num[col.TOL] and residual <= num[col.TOL]):
-        return SOLVE
-    out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
-    copy(slides, before)
-    if law.reconsider((r, u, b, mu), local, slides, False):
-        copy(before, slides)
-        return SOLVED
+    if known != SOLVE:
+        copy(local[4], r)
+        if num[col.OWN] == 0.0:
+            return SOLVE
+        limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER])
+        islands = own[col.ISLANDS * nc : (col.ISLANDS + 3) * nc].reshape((3, nc))
+        given = blocks, b, mu, scales, r, u, local[0], label, islands, num[col.ENOUGH], num[col.GOOD], limits
+        _, left, count, top, residual = by_factors(*given)
+        error = top / out[col.NORM]
+        if left or not (error <= num[col.TOL] and residual <= num[col.TOL]):
+            return SOLVE
+        out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
+    if head[col.AGAIN]:
+        kept = own[col.KEPT * nc : (col.KEPT + 6) * nc]
+        thaw(blocks, flags[col.OFF, :nc], (kept[: 3 * nc], kept[3 * nc :]), (r, u))
     _blocks.velocity_change(blocks, r, change)
-    for i in range(mean.size):
-        mean[i] = 0.5 * (v[i] + v_free[i] + change[i])
-    return SOLVED if persistence.turns(mean, size[2], h) else DONE
+    return DONE
 
 
-@kernel
-def slip_otherwise(blocks, solution, laws, kept, flags, head, out):
-    """Whether contacts slip otherwise than a solution of Python foresaw; then that is the next problem.
-
-    What the problems before it changed nothing of is as it was `kept`, (r, u); then that is what it is now. solution =
-    (r, u, b, mu, local), laws as of `law.offsets`.
-    """
-    (r, u, b, mu, local), nc, n = solution, solution[3].size, solution[0].size
-    slides, changed, solved = flags[col.SLIDES, :nc], flags[col.OTHER, :nc], head[col.SOLVED]
-    label = np.empty(nc, np.int64)
-    islands = np.ones(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
-    if solved > 0:
-        thaw(label, changed, islands, (kept[:n], kept[n:]), (r, u))
-    copy(r, kept[:n])
-    copy(u, kept[n:])
-    if not reconsider_some((r, u, b, mu), local, slides, solved > 0, label, islands, changed):
-        return False
-    law.offsets(local, laws, flags[col.STAYS, :nc], slides, b)
-    norm, _ = _blocks.size_of(b, mu)
-    out[col.NORM] = norm if norm > 0.0 else 1.0
-    head[col.SOLVED] += 1
-    return True
-
-
-@kernel
-def pose_anew(blocks, solution, alone, laws, dv, flags, head):
-    """The problem with the gaps that contacts were found to end with, and what couples add; from the last impulses."""
-    (r, u, b, _, local), nc = solution, solution[3].size
-    for k in range(5):
+@in_place
+def pose_anew(scene, rows, met, flags, head, room):
+    """The problem with other slip and gaps, and with what couples add, if any act; from the last impulses."""
+    (num, size), (blocks, _, _), (out, w, own, a), nc = scene, rows, room, met[0].shape[1]
+    alone = own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc))
+    local = own[: col.ALONE * nc].reshape((5, 3 * nc))
+    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    kept = own[col.KEPT * nc : (col.KEPT + 6) * nc]
+    laws = col.column(own, col.FORESEEN, nc), met[2][2], own[:0], col.column(own, col.LATE, nc), closing_of(num)
+    copy(r, kept[: 3 * nc])
+    copy(u, kept[3 * nc :])
+    for k in range(4):
         copy(alone[k], local[k])
+    copy(r, local[4])
     if head[col.TURNED]:
+        v_free, dv, v = (
+            col.velocity(w, col.V_FREE, size),
+            col.velocity(w, col.TURN, size),
+            col.velocity(w, col.V_TURNED, size),
+        )
         _blocks.relative_velocity(blocks, dv, u)
         for i in range(u.size):
             local[2, i] += u[i]
+        for i in range(v.size):
+            v[i] = v_free[i] + dv[i]
     law.offsets(local, laws, flags[col.STAYS, :nc], flags[col.SLIDES, :nc], b)
-    copy(local[4], r)
-
-
-@kernel
-def respond(scene, bodies, rows, met, flags, known, head, room):
-    """Impulses, and couples with which contacts that persist do no work; `DONE`, `SOLVE` or `OTHERWISE`.
-
-    The first problem is `SOLVED`, or solved by Python, `AGAIN`; or it is to be, `SOLVE`, from the gaps that contacts
-    were found to end with. scene = (numbers, size), bodies = (inverse_J, arm).
-    """
-    (num, size), (inverse_J, arm), (blocks, _, scales), (out, w, own, a) = scene, bodies, rows, room
-    nc, mu, R = scales.size, met[2][1], col.rotations(w, col.R_THERE, size[0])
-    alone = own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc))
-    stays, other = flags[col.STAYS, :nc], flags[col.OTHER, :nc]
-    couple, dv, change, mean, left_over = (
-        col.vectors(a, col.COUPLE, nc),
-        col.velocity(w, col.TURN, size),
-        col.velocity(w, col.CHANGE, size),
-        col.velocity(w, col.V_MEAN, size),
-        col.column(own, col.LEFT_OVER, nc),
-    )
-    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    local = own[: col.ALONE * nc].reshape((5, 3 * nc))
-    laws = col.column(own, col.FORESEEN, nc), met[2][2], own[:0], col.column(own, col.LATE, nc), closing_of(num)
-    solution, last, off = (r, u, b, mu, local), (r, u), flags[col.OFF, :0]
-    left_over[:] = np.inf
-    if known == AGAIN:
-        if slip_otherwise(blocks, solution, laws, own[col.KEPT * nc : (col.KEPT + 6) * nc], flags, head, out):
-            return SOLVE if head[col.SOLVED] <= SOLVES else OTHERWISE
-        _blocks.velocity_change(blocks, r, change)
-    elif known == SOLVE:
-        last, off = (r.copy(), u.copy()), flags[col.OFF, :nc]
-        pose_anew(blocks, solution, alone, laws, dv, flags, head)
-    passes = PASSES if stays.any() else 0
-    limits = int(num[col.DENSE]), num[col.PENALTY], int(num[col.MAX_ITER])
-    code, left, solved, error, residual, count = workless(
-        blocks,
-        (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
-        (col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
-        (R, inverse_J, arm, num[col.STEP]),
-        (mu, scales, own[:0], alone, *last),
-        (stays, flags[col.STICKS, :nc], flags[col.SLIDES, :nc]),
-        laws,
-        off,
-        (num[col.OWN] > 0.0, num[col.ENOUGH], num[col.GOOD], limits, num[col.TOL], SOLVES),
-        (known != AGAIN, False, passes, (known == SOLVED, int(out[col.COUNT]), out[col.ERROR], out[col.RESIDUAL])),
-        (couple, dv, change, mean, left_over, other, local, b, r, u),
-    )
-    if code == UNSOLVED:
-        return OTHERWISE
-    if solved > 0:
-        out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = count, error, residual
-    if left < passes:
-        head[col.TURNED] = 1
-    if head[col.TURNED]:
-        persistence.works(met[0][2], met[0][3], size[2], R, mean, couple, col.column(own, col.COUPLE_WORK, nc))
-        v_free, turned = col.velocity(w, col.V_FREE, size), col.velocity(w, col.V_TURNED, size)
-        for i in range(turned.size):
-            turned[i] = v_free[i] + dv[i]
-    norm, _ = _blocks.size_of(b, mu)
-    out[col.NORM] = norm if norm > 0.0 else 1.0
-    return DONE
+    norm, _ = _blocks.size_of(b, met[2][1])
+    out[col.NORM], head[col.AGAIN] = norm if norm > 0.0 else 1.0, 1
 
 
 @in_place
@@ -234,7 +151,58 @@ def corrects(num, n, met, now, flags, room):
     touching.approach((names[2], names[3], points[0], points[1], col.vectors(f, col.X, n)), twists, parts)
     ended, sizes = (names[4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], num[col.CLOSED])
     end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
-    if not law.end_otherwise(off, gap, met[0][4], ended, alone, sizes, end_gap, late):
+    return law.end_otherwise(off, gap, met[0][4], ended, alone, sizes, end_gap, late)
+
+
+@kernel
+def changes(scene, bodies, rows, met, now, flags, head, room):
+    """Whether impulses are sought once more: contacts slip otherwise than foreseen, do work or end with gaps.
+
+    scene = (numbers, size), bodies = (inverse_J, arm), now: contacts where the move ends. Then the problem is posed
+    anew; else the works of couples are told.
+    """
+    (num, size), (inverse_J, arm), (blocks, _, _), (_, w, own, a), nc = scene, bodies, rows, room, met[0].shape[1]
+    if nc == 0:
         return False
-    copy(r, alone[4])
-    return True
+    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    local, slides = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
+    off, other, slips = flags[col.OFF, :nc], flags[col.OTHER, :nc], np.empty(nc, np.bool_)
+    again, solved = head[col.AGAIN] > 0, flags[col.OFF, : nc if head[col.AGAIN] > 0 else 0]
+    some = slips_otherwise(blocks, (r, u, b, met[2][1]), local, slides, again, solved, slips)
+    if not (head[col.TURNED] or some or flags[col.STAYS, :nc].any()):
+        return False
+    v, v_plus, mean = (
+        col.velocity(w, col.V_THERE, size),
+        col.velocity(w, col.V_PLUS, size),
+        col.velocity(w, col.V_MEAN, size),
+    )
+    for i in range(mean.size):
+        mean[i] = 0.5 * (v[i] + v_plus[i])
+    R, couple, left = (
+        col.rotations(w, col.R_THERE, size[0]),
+        col.vectors(a, col.COUPLE, nc),
+        col.column(own, col.LEFT_OVER, nc),
+    )
+    if head[col.PASSES_LEFT] > 0:
+        if persistence.turn(
+            blocks,
+            (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
+            mean,
+            (R, inverse_J, arm, num[col.STEP]),
+            (r, u, met[2][1], own[:0], num[col.ENOUGH]),
+            (flags[col.STAYS, :nc], flags[col.STICKS, :nc], slides),
+            (couple, col.velocity(w, col.TURN, size), left, other),
+        ):
+            head[col.TURNED], some = 1, True
+        some = corrects(num, size[0], met, now, flags, room) or some
+        if some:
+            for c in range(nc):
+                if off[c]:
+                    left[c] = np.inf
+                off[c] = off[c] or other[c] or slips[c]
+            head[col.PASSES_LEFT] -= 1
+            pose_anew(scene, rows, met, flags, head, room)
+            return True
+    if head[col.TURNED]:
+        persistence.works(met[0][2], met[0][3], size[2], R, mean, couple, col.column(own, col.COUPLE_WORK, nc))
+    return False

@@ -1,0 +1,54 @@
+"""Which impulses of a move are sought once more: of islands that slip otherwise, turn otherwise or end elsewhere."""
+
+import numpy as np
+
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.stepping.law import reconsider
+
+PASSES = 8
+"""Most times that the impulses of a move are sought once more, with other slip, couples and gaps. Each makes what is
+left of the latter smaller by about h ω; slip is, after the first, only changed where it would be turned round."""
+
+
+@in_place
+def concerned(label, some, islands):
+    """Islands (of the contacts, by their label) of which a row is among `some` (rows,), into islands."""
+    islands[:] = False
+    for c in range(some.size):
+        if some[c]:
+            islands[label[c]] = True
+
+
+@kernel
+def thaw(blocks, some, before, after):
+    """Leave (r, u) as they were `before`, in after, in the islands of which no row is among `some` (rows,)."""
+    label = np.empty(some.size, np.int64)
+    islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
+    concerned(label, some, islands)
+    for c in range(label.size):
+        if not islands[label[c]]:
+            for i in range(3 * c, 3 * c + 3):
+                after[0][i], after[1][i] = before[0][i], before[1][i]
+
+
+@kernel
+def slips_otherwise(blocks, solution, local, slides, back, some, out):
+    """`law.reconsider` contacts of the islands of which a row is among `some` (rows,), of all if that is empty.
+
+    Into out (nc,) which slide otherwise than before; whether any does.
+    """
+    nc, found = slides.size, False
+    for c in range(nc):
+        out[c] = slides[c]
+    if reconsider(solution, local, slides, back) and some.size > 0:
+        label = np.empty(some.size, np.int64)
+        islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
+        concerned(label, some, islands)
+        for c in range(nc):
+            if not islands[label[c]]:
+                slides[c] = out[c]
+    for c in range(nc):
+        out[c] = slides[c] != out[c]
+        found = found or out[c]
+    return found
