@@ -229,9 +229,10 @@ def _respond(
             return _respond(s, begin, replace(half, forces=limited), reach, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
-        if not solution.converged:  # one more couple is then as exact
-            passes = min(passes, int(solution.accepted))
-        slips = slips_otherwise(met, problem, solution, slides, back, off)
+        passes = passes if solution.accepted else 0
+        slips = np.zeros(slides.size, np.bool_)
+        if passes or rough:
+            slips = slips_otherwise(met, problem, solution, slides, back, off)
         turn = turned(s, met, half, solution, v, slides, couple) if passes and lasts else None
         off = np.zeros(alone.end_gap.size, np.bool_)
         if barred is not None or not passes or (turn is None and not slips.any()):

@@ -302,8 +302,6 @@ class Mover:
         solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], False)
         if not solution.accepted:
             return False
-        if not solution.converged:  # one more couple is then as exact
-            made.head[_col.PASSES_LEFT] = min(made.head[_col.PASSES_LEFT], 1)
         made.head[_col.SOLVED] = 1
         a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u
         floats[_col.ERROR : _col.CERTIFIED] = solution[3:7]

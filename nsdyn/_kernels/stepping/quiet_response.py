@@ -161,14 +161,15 @@ def changes(scene, bodies, rows, met, now, flags, head, room):
     scene = (numbers, size), bodies = (inverse_J, arm), now: contacts where the move ends. Then the problem is posed
     anew; else the works of couples are told.
     """
-    (num, size), (inverse_J, arm), (blocks, _, _), (_, w, own, a), nc = scene, bodies, rows, room, met[0].shape[1]
+    (num, size), (inverse_J, arm), (blocks, _, _), (out, w, own, a), nc = scene, bodies, rows, room, met[0].shape[1]
     if nc == 0:
         return False
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     local, slides = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
     off, other, slips = flags[col.OFF, :nc], flags[col.OTHER, :nc], np.empty(nc, np.bool_)
-    again, solved = head[col.AGAIN] > 0, flags[col.OFF, : nc if head[col.AGAIN] > 0 else 0]
-    some = slips_otherwise(blocks, (r, u, b, met[2][1]), local, slides, again, solved, slips)
+    again, solved, some = head[col.AGAIN] > 0, flags[col.OFF, : nc if head[col.AGAIN] > 0 else 0], False
+    if head[col.PASSES_LEFT] > 0:
+        some = slips_otherwise(blocks, (r, u, b, met[2][1]), local, slides, again, solved, slips)
     if not (head[col.TURNED] or some or flags[col.STAYS, :nc].any()):
         return False
     v, v_plus, mean = (
@@ -184,12 +185,13 @@ def changes(scene, bodies, rows, met, now, flags, head, room):
         col.column(own, col.LEFT_OVER, nc),
     )
     if head[col.PASSES_LEFT] > 0:
+        exact = num[col.ENOUGH] if max(out[col.ERROR], out[col.RESIDUAL]) <= num[col.TOL] else out[col.RESIDUAL]
         if persistence.turn(
             blocks,
             (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
             mean,
             (R, inverse_J, arm, num[col.STEP]),
-            (r, u, met[2][1], own[:0], num[col.ENOUGH]),
+            (r, u, met[2][1], own[:0], exact),
             (flags[col.STAYS, :nc], flags[col.STICKS, :nc], slides),
             (couple, col.velocity(w, col.TURN, size), left, other),
         ):
