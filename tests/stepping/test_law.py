@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+import nsdyn as nd
 from nsdyn._kernels.stepping import law
+from nsdyn.stepping import passage
 
 
 @pytest.mark.parametrize(("angle", "follows"), [(0.05, True), (0.19, True), (0.21, False), (0.27, False)])
@@ -16,3 +18,22 @@ def test_a_normal_that_jumps_is_of_another_contact(angle, follows):
     law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
     expected = (np.sin(angle), np.cos(angle), 0.0) if follows else (0.0, 1.0, 0.0)
     np.testing.assert_allclose(u, expected, rtol=0, atol=1e-15)
+
+
+def test_the_problem_of_a_move_is_that_of_the_slip_it_ends_with(monkeypatch):
+    """Whatever the solver reaches: velocities that are recorded are those of the slip in the problem solved."""
+    made = passage.trial
+
+    def checked(s, loads, begin, t, h, barred, *known):
+        m = made(s, loads, begin, t, h, barred, *known)
+        b = m.met.offsets(m.slides, s.closing(m.half.h, barred is None))
+        loose.append(not m.solution.converged)
+        np.testing.assert_array_equal(m.problem.q, b)
+        return m
+
+    loose = []
+    monkeypatch.setattr(passage, "trial", checked)
+    stepper = nd.Stepper(nd.scenes.load("pile")(seed=3), dt=5e-3, on_fail="ignore")
+    for _ in range(75):
+        stepper.step()
+    assert any(loose)
