@@ -48,7 +48,8 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
     What parts there after a rebound is left alone, too: where bodies turn, it may strike again within the move. What
     pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
     that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed, and as the
-    contact is there: where bodies turn, a motion without contacts brings them into each other.
+    contact is there: where bodies turn, a motion without contacts brings them into each other. So it does for all
+    contacts of the pair, which those that press may bear.
     """
     d, c, before, (there, v) = s.dynamics, contacts, begin.contacts, (half.middle.placement, half.forces.foreseen)
     gap, rate = before.gap, (v - begin.v) / half.h

@@ -96,12 +96,14 @@ def test_newtons_method_that_doubles_its_digits_is_followed():
 
 
 @pytest.mark.parametrize(
-    ("status", "parts", "met"), [(1, 1e-6, True), (2, -2e-5, True), (1, -1e-4, False), (0, 1e-6, False)]
+    ("status", "beside", "parts", "met"),
+    [(1, 0, 1e-6, True), (2, 0, -2e-5, True), (1, 0, -1e-4, False), (0, 0, 1e-6, False), (0, 1, 1e-6, True)],
 )
-def test_what_pressed_is_met_as_it_stands_where_the_move_begins(status, parts, met):
+def test_what_pressed_is_met_as_it_stands_where_the_move_begins(status, beside, parts, met):
     """A motion without contacts brings it 3e-8 m into the other body half a move later, as its bodies turn.
 
     Deep are 4e-8 m. At the speed of the beginning, with the rows that it has there, it opens, or closes 2e-8 m in 1 ms.
+    So is what stands `beside` a contact that pressed.
     """
     key, none = np.array([7]), np.array([-1])
     normal, still = np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3))
@@ -113,7 +115,7 @@ def test_what_pressed_is_met_as_it_stands_where_the_move_begins(status, parts, m
         np.zeros(1),
         (sinks, sinks, (still, still)),
         (key, np.array([1e-9]), np.array([parts]), 1e-11),
-        (key, np.array([0]), np.array([status], np.int8)),
+        (np.array([7, 8]), np.array([0, 0]), np.array([status, beside], np.int8)),
         (5e-4, 1e-3, 1e-8, (0.0, 1e-3)),
         np.empty(0, np.int64),
         out,
