@@ -30,15 +30,6 @@ def parting(where, carried, gap, restitution, twists, sizes, out):
                 out[c] = math.inf
 
 
-@in_place
-def pressed(pair, warm):
-    """Whether any contact of a pair pressed in the last move, by warm = (keys, pairs, status)."""
-    for c in range(warm[1].size):
-        if warm[1][c] == pair and warm[2][c] > 0:
-            return True
-    return False
-
-
 @kernel
 def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
     """Which contacts a move need not leave alone, into out (nc,): those `known` of those before, and others.
@@ -83,8 +74,11 @@ def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
             u = min(approach_of(c, where, free), u - h * weight)
         u += carried[c]
         shallow = gap[c] + ahead * u > -deep[c]
-        if not shallow and k >= 0 and before_gap[k] + h * parts[k] > -deep[c]:  # its rows turn, and it may be borne
-            shallow = pressed(pair[c], warm)
+        if not shallow and k >= 0 and before_gap[k] + h * parts[k] > -deep[c]:  # its rows turn
+            shallow = status[c] > 0
+            if before_gap[k] <= deep[c]:  # what presses bears what is as near
+                for i in range(warm[1].size):
+                    shallow = shallow or (warm[1][i] == pair[c] and warm[2][i] > 0)
         for b in barred:
             shallow = shallow and b != pair[c]
         out[c] = shallow and (e == 0.0 or u > -(tol + rests_of(weight, e, bounces) / e))
