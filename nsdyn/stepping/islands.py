@@ -86,10 +86,9 @@ class Islands:
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._struck(begin, half)]] = True
         large = _islands.EVENT * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > _islands.WORK
-        if begun.move is None and (large & ~opened).any():
+        if begun.move is None and (unseen := large & ~opened).any():
             # One whose events are not located is made roughly first, which shows whether it meets any.
-            tried_of = large & ~opened
-            meets |= self._hit(attempt(s, begin, half, None, label, ~tried_of[label], rough=True), label, tried_of)
+            meets |= self._hit(attempt(s, begin, half, None, label, ~unseen[label], rough=True), label, unseen)
             opened |= meets
         if not (skipped := opened.copy()).all():
             tried = attempt(s, begin, half, callbacks, label, opened[label], begun)

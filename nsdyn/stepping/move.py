@@ -255,9 +255,20 @@ def _respond(
 def _arrive(
     s: System, begin: Instant, half: Half, reach: Reach, v: Array, impulse: Array, near: Array
 ) -> tuple[tuple[Flow, ...], Instant]:
-    """The second half of a move, by the velocity v after the impulse H r, (n,) each, and what is found at its end.
+    """The second half of a move: what trees do in it, and where it ends, with what is found there.
 
-    There contacts are sought as far as frames are `near` (frames,) each other, m. What trees do comes first.
+    Parameters
+    ----------
+    s : System
+    begin : Instant
+        Where the move begins.
+    half : Half
+        Its first half.
+    reach : Reach
+    v, impulse : ndarray, shape (n,)
+        Velocity after the impulses, m/s and rad/s, and H r, N·s and N·m·s.
+    near : ndarray, shape (frames,)
+        How far from each frame contacts are sought at the end, m.
     """
     d, looked = s.dynamics, reach.looked
     position, v_end, there, trees = d.end(half.middle, half.forces, v, impulse, half.ahead, half.driven)
