@@ -145,6 +145,13 @@ class Search:
                 used = self._sweeps.count - before
                 self._note(self._sweeps.best, used, used / TUNING.cost, self._x)
 
+    def settle(self) -> None:
+        """One sweep without momentum from the best, which may be worse, but not so much that it misses more."""
+        sweeps = Sweeps(self.problem, x := self.r.copy())
+        sweeps.once()
+        if sweeps.best <= max(self.best, self.tol if self.best <= self.tol else self.loose):
+            self.best, self.r[:] = sweeps.best, x
+
     def newton(self, most: float, tol: float) -> None:
         """Newton from the best or on from the last."""
         run = self._newton
@@ -181,7 +188,8 @@ class Search:
     def run(self, warm: bool) -> None:
         """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits.
 
-        What is no more than loose is mostly nearer in its cones.
+        What is solved to the last digits is mostly nearer in its cones. All else is left as one sweep leaves it: what
+        slips has all the friction it can have then, and no impulse is outside its cone.
         """
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
@@ -201,8 +209,10 @@ class Search:
                 self.begin_anew()
         if self._kept[0] < self.best:
             self.best, self.r[:] = self._kept
-        if self.best <= self.tol:
-            self.converge(self.sharp)
+        if not self.sharp < self.tol or self.best > self.tol:
+            self.settle()
+            return
+        self.converge(self.sharp)
         if _cones.into_cones(self.r, self.problem.mu, inside := np.empty_like(self.r)):
             _, error, residual, _ = self.problem.solved(inside, self.tol)
             self._note(max(error, residual), 0, 0, inside)

@@ -44,14 +44,20 @@ class Sweeps:
             self.best = float(_cones.measure_at(scales, problem.velocity(r), r, mu, q_norm))
             self._given = W, _kernels.steps_of_matrix(W, mu), q, mu, scales, q_norm
             self._state = r, r.copy(), r.copy(), np.ones(mu.size)
-        self.count, self._last, self._keep = 0, 0, 0.5
+        self.count, self._keep = 0, 0.5
 
     def run(self, tol: float, most: int, patience: int) -> None:
         """Go on to the tolerance, to so many sweeps in all or so many without gain."""
+        self._run((self.count, self.count, self.best, self._keep), (tol, most, CHECK, patience))
+
+    def once(self) -> None:
+        """One sweep more, whose impulse is the best, whatever it is."""
+        self._run((self.count, self.count, np.inf, self._keep), (0.0, self.count + 1, 1, 1))
+
+    def _run(self, so_far: tuple[int, int, float, float], limits: tuple[float, int, int, int]) -> None:
+        """The kernel of sweeps, from so far to such limits."""
         solve = _kernels.solve if self._free else _kernels.solve_matrix
-        self._last = self.count
-        so_far, limits = (self.count, self._last, self.best, self._keep), (tol, most, CHECK, patience)
-        self.count, self._last, self.best, self._keep = solve(self._given, self._state, so_far, limits)
+        self.count, _, self.best, self._keep = solve(self._given, self._state, so_far, limits)
 
 
 @dataclass(frozen=True)
