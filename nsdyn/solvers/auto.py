@@ -146,7 +146,9 @@ class Search:
                 self._note(self._sweeps.best, used, used / TUNING.cost, self._x)
 
     def settle(self) -> None:
-        """One sweep without momentum from the best, which may be worse, but not so much that it misses more."""
+        """One sweep from the best, if that is not of one, which may be worse, but not so much that it misses more."""
+        if self._sweeps is not None and self._sweeps.best == self.best:
+            return
         sweeps = Sweeps(self.problem, x := self.r.copy())
         sweeps.once()
         if sweeps.best <= max(self.best, self.tol if self.best <= self.tol else self.loose):

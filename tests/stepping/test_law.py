@@ -20,6 +20,26 @@ def test_a_normal_that_jumps_is_of_another_contact(angle, follows):
     np.testing.assert_allclose(u, expected, rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("gone", "others", "follows"), [(0.9, 1, True), (5.0, 0, True), (5.0, 1, False), (13.0, 0, False)]
+)
+def test_only_a_contact_that_is_alone_rolls_far(gone, others, follows):
+    """Points of the bodies go 1 m; where an edge crosses another one of several may go farther, as nothing does there.
+
+    Body 0 turns at 1 rad/s about y, and moves at 1 m/s along x: where the contact was it goes otherwise than here.
+    """
+    nc = 1 + others
+    place, key, names = np.full(nc, -1), np.arange(nc), np.full(nc, -1)
+    place[0] = 0
+    still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3 * nc)
+    old, frame = np.array([[gone, 0.0, 0.0]]), np.tile(np.eye(3)[[2, 0, 1]], (nc, 1, 1))
+    along, about = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]])
+    begin = 0, old, np.array([[0.0, 0.0, 1.0]]), still, along, about, np.ones(1)
+    here = key, names, np.zeros(nc, np.int64), np.zeros((nc, 3)), frame, np.zeros(nc), still
+    law.begin_velocities(place, begin, here, np.empty((0, 3)), none, u)
+    np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15)
+
+
 def test_the_problem_of_a_move_is_that_of_the_slip_it_ends_with(monkeypatch):
     """Whatever the solver reaches: velocities that are recorded are those of the slip in the problem solved."""
     made = passage.trial

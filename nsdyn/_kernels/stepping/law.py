@@ -14,8 +14,9 @@ from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
 ROLLS = 12.0
-"""How many times farther than any point of its bodies a contact may go: by the radius of curvature over the size, 10
-for a rattleback. What jumps from corner to corner goes farther in all but large steps."""
+"""How many times farther than any point of its bodies a contact may go that is alone between them: by the radius of
+curvature over the size, 10 for a rattleback. What jumps from corner to corner goes farther in all but large steps; so
+may one of several, where an edge crosses another, though the bodies only slide."""
 
 TILTS = math.cos(0.2)
 """Cosine of the angle by which the normal of a contact may turn in half a move: from one feature of corners to the next
@@ -44,6 +45,15 @@ def warm_start(place, force, h, frame, r):
 
 
 @in_place
+def alone(c, frame1, frame2):
+    """Whether contact c is the only one between its frames."""
+    for other in range(frame1.size):
+        if other != c and frame1[other] == frame1[c] and frame2[other] == frame2[c]:
+            return False
+    return True
+
+
+@in_place
 def begin_velocities(place, begin, here, carried, transport, u):
     """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
 
@@ -62,7 +72,9 @@ def begin_velocities(place, begin, here, carried, transport, u):
         if k >= 0:
             d, m = minus(p, row(old_point, k)), row(old_normal, k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
-            there = dot(d, d) <= ROLLS * ROLLS * far * far and dot(m, n) > TILTS
+            gone = dot(d, d)
+            rolls = gone > far * far and gone <= ROLLS * ROLLS * far * far and alone(c, frame1, frame2)
+            there = (gone <= far * far or rolls) and dot(m, n) > TILTS
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
