@@ -171,16 +171,25 @@ def relax(blocks, mu, b, aim, enough, sweeps, d):
     """
     offset, block, start, H = blocks[:4]
     y, now = weighted_rows(blocks), False
+    # When d last changed, in changes, and when each contact was looked at: mostly few are left after some sweeps.
+    changes, changed, seen = 0, np.zeros(offset.size - 1, np.int64), np.full(mu.size, -1)
     for _ in range(sweeps):
         now = True
         for c in range(mu.size):
+            last = 0
+            for k in block[c]:
+                last = max(last, changed[k] if k >= 0 else 0)
+            if seen[c] >= last:
+                continue
             o0, o1, o2 = relative_velocity_of(blocks, d, c)
             o0, o1, o2 = o0 - b[3 * c], o1 - b[3 * c + 1], o2 - b[3 * c + 2]
             slip = math.sqrt(o1 * o1 + o2 * o2)
             kappa = o0 - mu[c] * slip
             if kappa >= enough:
+                seen[c] = changes
                 continue
             now = False
+            changes += 1
             g1, g2 = (-mu[c] * o1 / slip, -mu[c] * o2 / slip) if slip > 0.0 else (0.0, 0.0)
             # κ changes by g·W_cc g with d by M⁻¹ H g; once for a contact whose sides share a block, too.
             square = 0.0
@@ -198,7 +207,7 @@ def relax(blocks, mu, b, aim, enough, sweeps, d):
             for s in range(2):
                 k = block[c, s]
                 if k >= 0:
-                    o, n, p = offset[k], offset[k + 1] - offset[k], start[c, s]
+                    o, n, p, changed[k] = offset[k], offset[k + 1] - offset[k], start[c, s], changes
                     for j in range(n):
                         d[o + j] += z * (y[p + j] + g1 * y[p + n + j] + g2 * y[p + 2 * n + j])
         if now:
