@@ -190,8 +190,8 @@ class Search:
     def run(self, warm: bool) -> None:
         """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits.
 
-        What is solved to the last digits is mostly nearer in its cones. All else is left as one sweep leaves it: what
-        slips has all the friction it can have then, and no impulse is outside its cone.
+        What has converged is mostly nearer in its cones. What is loose is left as one sweep leaves it: what slips has
+        all the friction it can have then, and no impulse is outside its cone.
         """
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
@@ -211,11 +211,11 @@ class Search:
                 self.begin_anew()
         if self._kept[0] < self.best:
             self.best, self.r[:] = self._kept
-        if not self.sharp < self.tol or self.best > self.tol:
+        if self.best <= self.tol:
+            self.converge(self.sharp)
+        if self.best > min(self.tol, TUNING.polish):
             self.settle()
-            return
-        self.converge(self.sharp)
-        if _cones.into_cones(self.r, self.problem.mu, inside := np.empty_like(self.r)):
+        elif _cones.into_cones(self.r, self.problem.mu, inside := np.empty_like(self.r)):
             _, error, residual, _ = self.problem.solved(inside, self.tol)
             self._note(max(error, residual), 0, 0, inside)
 
