@@ -27,7 +27,8 @@ class Impact(NamedTuple):
     u : ndarray, shape (3 rows,)
         Relative velocities after it, m/s.
     normal, friction : ndarray, shape (rows,)
-        Works of the impulses, J.
+        Works of the impulses, J: where nothing of an island rebounds those of their sum, at the mean of the first u and
+        the last.
     created : float
         Energy created, J: the sum over rounds and islands of contacts whose impulses together did positive work, by
         more than their solution leaves.
@@ -60,7 +61,7 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
     blocks, u, _, restitution, closed, solver = at
     label = np.full(closed.size, -1)
     label[closed] = at.of(closed).islands()
-    total, normal, friction = np.zeros_like(u), np.zeros(closed.size), np.zeros(closed.size)
+    total, works, bounced = np.zeros_like(u), np.zeros_like(u), np.zeros(closed.size, np.bool_)
     created, worst, where = 0.0, None, None
     for k in range(ROUNDS):
         hit = closed & (u[0::3] < -slow)
@@ -83,9 +84,8 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
         r = np.zeros_like(u)
         r[np.repeat(part, 3)] = own
         after = u + blocks.relative_velocity(blocks.velocity_change(r))
-        work = 0.5 * (u + after) * r
-        normal += work[0::3]
-        friction += work[1::3] + work[2::3]
+        works += 0.5 * (u + after) * r
+        bounced |= np.isin(label, label[e > 0.0])
         left = max(solver.tol, *(solution.residual for _, solution in solved))
         created += float(impact.created(own, impact.islands(), left).sum())
         total += r
@@ -95,4 +95,6 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
                 worst, where = solution, problem
         if not all(solution.accepted for _, solution in solved):  # what follows on no solution is none either
             break
-    return Impact(total, u, normal, friction, created, where, worst)
+    # What a loose solution leaves may strike again.
+    works = np.where(np.repeat(bounced, 3), works, 0.5 * (at.before + u) * total)
+    return Impact(total, u, works[0::3], works[1::3] + works[2::3], created, where, worst)

@@ -201,6 +201,31 @@ def test_no_energy_on_random_operators():
     assert gain <= 1e-12 and approach <= 1e-7 and loose == 0  # ten times the solver's tolerance
 
 
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_works_of_what_strikes_again(e, monkeypatch):
+    """After a loose solution: at the mean velocity where nothing rebounds; else what makes up the change of energy."""
+
+    def solver(problem, r0=None):
+        return nd.solvers.Nesterov(tol=0.3 if len(rounds) == 1 else 1e-10)(problem, r0)
+
+    again, law, rounds, solved, solver.tol = 0, LAWS["newton"](), [], Round.solved, 1e-8
+    monkeypatch.setattr(Round, "solved", lambda impact, b: rounds.append(impact) or solved(impact, b))
+    for seed in range(12):
+        blocks, v, mu, _ = operator(seed)
+        least, some = np.full(mu.size, 1e-8), np.ones(mu.size, bool)
+        at = Round(blocks, blocks.relative_velocity(v), mu, e * some, some, solver)
+        rounds.clear()
+        impact = strike(law, at, least, least)
+        after = v + blocks.velocity_change(impact.r)
+        energy, now = (0.5 * w @ blocks.dense()[0] @ w for w in (v, after))
+        assert now - energy == pytest.approx((impact.normal + impact.friction).sum(), abs=1e-10 * energy)
+        if e == 0.0:
+            work = 0.5 * (at.before + impact.u) * impact.r
+            np.testing.assert_allclose(impact.normal, work[0::3], rtol=0, atol=1e-14 * energy)
+        again += len(rounds) > 1
+    assert again > 3
+
+
 @pytest.mark.slow
 def test_no_energy_on_1500_random_operators():
     """Of those with masses 1 : 1e8 the last digits decide whether one is solved: none or one on two machines."""
