@@ -146,11 +146,12 @@ class Search:
                 self._note(self._sweeps.best, used, used / TUNING.cost, self._x)
 
     def settle(self) -> None:
-        """One sweep from the best, if that is not of one, which may be worse, but not so much that it misses more."""
+        """One sweep from the best, unless it is of one: what it leaves may be worse, but misses no other tolerance."""
         if self._sweeps is not None and self._sweeps.best == self.best:
             return
         sweeps = Sweeps(self.problem, x := self.r.copy())
         sweeps.once()
+        self.count += sweeps.count
         if sweeps.best <= max(self.best, self.tol if self.best <= self.tol else self.loose):
             self.best, self.r[:] = sweeps.best, x
 

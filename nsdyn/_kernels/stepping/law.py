@@ -72,9 +72,9 @@ def begin_velocities(place, begin, here, carried, transport, u):
         if k >= 0:
             d, m = minus(p, row(old_point, k)), row(old_normal, k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
-            gone = dot(d, d)
-            rolls = gone > far * far and gone <= ROLLS * ROLLS * far * far and alone(c, frame1, frame2)
-            there = (gone <= far * far or rolls) and dot(m, n) > TILTS
+            gone, far = dot(d, d), far * far
+            rolls = gone <= far or (gone <= ROLLS * ROLLS * far and alone(c, frame1, frame2))
+            there = rolls and dot(m, n) > TILTS
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
