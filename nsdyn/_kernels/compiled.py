@@ -56,7 +56,7 @@ VERSIONS = sys.implementation.cache_tag, numba.__version__, np.__version__
 _IMPORT = re.compile(r"^(?:from|import) +(nsdyn[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
 _loading = ContextVar("seconds", default=0.0)  # of a thread
-waits = ContextVar("waits", default=False)  # whether kernels are waited for, as by what tells times
+waiting: list[object] = []  # who waits for kernels, as what tells times: all threads do then
 _processes: list[subprocess.Popen[bytes]] = []  # that compile; else Python would tell that they still run
 
 
@@ -199,7 +199,7 @@ class Kernel(CPUDispatcher):
 
     def is_quick(self, args: Any) -> bool:
         """Whether the interpreter is quick enough."""
-        return not waits.get() and self.rounds * size(args) <= LARGE
+        return not waiting and self.rounds * size(args) <= LARGE
 
     def is_missing(self, args: Any) -> bool:
         """Whether there is no machine code yet, and another process makes it."""

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from nsdyn._kernels.compiled import loading, waits
+from nsdyn._kernels.compiled import loading, waiting
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
@@ -216,12 +216,12 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     if r0 is not None and not np.isfinite(problem.impulse(r0)).all():
         raise ValueError("r0 must be finite, got NaN or infinity")
     solver, before = as_solver(solver, tol), loading()
-    last = waits.set(True)
+    waiting.append(problem)
     try:
         solution = solver(problem, r0)
         if loading() > before and solution.time < QUICK:
             for _ in range(2):
                 solution = solver(problem, r0)
     finally:
-        waits.reset(last)
+        waiting.pop()
     return solution

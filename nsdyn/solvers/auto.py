@@ -37,6 +37,9 @@ class Tuning:
     sweeps: int = 20
     """What sweeps with momentum take in a round."""
 
+    patience: int = 128
+    """Sweeps without gain that end those of a round after the first."""
+
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
 
@@ -132,7 +135,7 @@ class Search:
         """Whether the tolerance is met, or what rounding allows, or the effort spent."""
         return self.spent >= self.limit or self.best <= self.tol or self.best <= self.problem.round_off(self.r)
 
-    def sweep(self, most: float) -> None:
+    def sweep(self, most: float, patience: int) -> None:
         """Sweeps with momentum from the best or on from the last, first to the loose tolerance: it bounds the rest."""
         if self._sweeps is None or self.best < self._sweeps.best:
             self._x = self.r.copy()
@@ -141,7 +144,7 @@ class Search:
         for tol in (max(self.loose, self.tol), self.tol):
             if self.best > tol:
                 before, most = self._sweeps.count, int(TUNING.cost * self._most(end - self.spent))
-                self._sweeps.run(tol, before + most, most)
+                self._sweeps.run(tol, before + most, patience)
                 used = self._sweeps.count - before
                 self._note(self._sweeps.best, used, used / TUNING.cost, self._x)
 
@@ -199,7 +202,7 @@ class Search:
         for k in range(TUNING.rounds):
             last, length = TUNING.length**k, TUNING.length ** (k + 1)
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
-                self.sweep(TUNING.sweeps)
+                self.sweep(TUNING.sweeps, TUNING.patience if k > 0 else TUNING.cost * TUNING.sweeps)
             if not self.over and k > 1:  # what a few steps more solve needs no path
                 self.newton(last, self.tol)
             if not self.over and k > 1:
