@@ -55,19 +55,15 @@ VERSIONS = sys.implementation.cache_tag, numba.__version__, np.__version__
 
 _IMPORT = re.compile(r"^(?:from|import) +(nsdyn[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
-_loading = ContextVar("seconds", default=0.0)  # of a thread
+_loading = ContextVar("seconds", default=0.0)
+loading = _loading.get  # how long this thread has waited for kernels to be loaded or compiled, s
 waiting: list[object] = []  # who waits for kernels, as what tells times: all threads do then
 _processes: list[subprocess.Popen[bytes]] = []  # that compile; else Python would tell that they still run
 
 
-def loading() -> float:
-    """How long this thread has waited for kernels to be loaded or compiled, s."""
-    return _loading.get()
-
-
 def clock() -> float:
     """Time in s since some moment, without `loading`."""
-    return time.perf_counter() - _loading.get()
+    return time.perf_counter() - loading()
 
 
 @cache

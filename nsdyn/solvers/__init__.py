@@ -169,11 +169,11 @@ def by_name(name: str, tol: float = 1e-8) -> Solver:
 
 def as_solver(given: str | Solver, tol: float = 1e-8) -> Solver:
     """The solver of a name as `by_name`, or the solver itself; ValueError for anything else."""
+    if callable(given) and hasattr(given, "tol") and not isinstance(given, type):
+        return given
     if isinstance(given, str):
         return by_name(given, tol)
-    if not callable(given) or isinstance(given, type) or not hasattr(given, "tol"):
-        raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, or an object of these; got {given!r}")
-    return given
+    raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, or an object of these; got {given!r}")
 
 
 def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: Array | None = None) -> Solution:

@@ -331,7 +331,8 @@ class Auto(Options):
                     r[i], count = x, count + search.count
             _, error, residual, u = problem.solved(r, self.tol)
         if error <= self.tol and residual <= self.tol:
-            return Solution._make((r, u, CONVERGED, error, residual, count, clock() - start))  # in 0.7 of the time
+            # In half the time that Solution(...) takes
+            return tuple.__new__(Solution, (r, u, CONVERGED, error, residual, count, clock() - start))
         otherwise = Status.LOOSE
         if (worst := max(error, residual)) > self.loose:
             otherwise = Status.STALLED if worst <= max(FLOOR, problem.round_off(r)) else Status.MAX_ITERATIONS
