@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.solving import PASSES
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, take
+from nsdyn.collision.contacts import ContactSet, Looked, Poses, take
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Placement
@@ -32,25 +31,8 @@ __all__ = ["attempt", "trial"]
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
 
-class Reach(NamedTuple):
-    """What the second half of a move may need, of what was found where its impulses act.
-
-    Attributes
-    ----------
-    contacts : ContactSet
-    joints : JointRows or None
-    found : ContactSet
-        All that was found.
-    memory : ContactMemory
-    looked : Looked
-    """
-
-    contacts: ContactSet
-    joints: JointRows | None
-    found: ContactSet
-    memory: ContactMemory
-    looked: Looked
-
+Needs = tuple[ContactSet, JointRows | None]
+"""Contacts and joint rows that the second half of a move may need."""
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
@@ -103,20 +85,20 @@ def trial(
 
 def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial:
     """The move from its first half, stage by stage."""
-    reach = _reachable(s, begin, half, barred)
+    there, needs = _reachable(s, begin, half, barred)
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
     rough = barred is None
-    m = _respond(s, begin, half, reach, barred, None, rough)
+    m = _respond(s, begin, half, there, needs, barred, None, rough)
     missed = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
         half, r = m.half, m.solution.r
-        real, memory, missed = shown(s, m.met, r, m.moved, reach.memory, half.middle.placement, half.fast, missed)
+        real, memory, missed = shown(s, m.met, r, m.moved, there.memory, half.middle.placement, half.fast, missed)
         same = real is m.met.contacts
         if same and not rough:
             break
         rough = not same and left > 0
-        reach = reach._replace(contacts=real, memory=memory)
-        m = _respond(s, begin, half, reach, barred, m, rough)
+        there, needs = there._replace(memory=memory), (real, needs[1])
+        m = _respond(s, begin, half, there, needs, barred, m, rough)
     return m
 
 
@@ -165,39 +147,40 @@ def attempt(
     elif s.mover is not None and not skip.any() and not rough:
         made = s.mover.respond(s, begin, half.end - half.h, half.h, NO_SLOTS, half)
     if made is None:
-        reach = _reachable(s, begin, half, NO_SLOTS)
+        there, (contacts, joints) = _reachable(s, begin, half, NO_SLOTS)
         if skip.any():
-            reach = reach._replace(contacts=take(reach.contacts, ~skip[s.nodes(reach.contacts)]))
-        made = _respond(s, begin, half, reach, NO_SLOTS, None, rough, label)
+            contacts = take(contacts, ~skip[s.nodes(contacts)])
+        made = _respond(s, begin, half, there, (contacts, joints), NO_SLOTS, None, rough, label)
     if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
         return attempt(s, begin, again, None, label, skip, NEW, rough)
     return _run_into(s, made, made.moved.limits)
 
 
-def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> Reach:
-    """Contacts and joint rows that the second half may need, but for what is to be left alone; all that was found."""
-    middle, v = half.middle, half.forces.foreseen
-    x, R, _ = middle.placement
-    looked, found, memory = begin.looked, begin.contacts, begin.memory
-    if not s.unmoved(looked, half.middle.placement, half.reach):
-        looked = s.look(looked, x, R, half.reach)
-        found, memory = s.detector.find(*looked, memory)
-    contacts, joints = found, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
+def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple[Instant, Needs]:
+    """Where a move begins with what is found where its impulses act, and what it needs, unless that is left alone."""
+    middle, v, there = half.middle, half.forces.foreseen, begin
+    if not s.unmoved(begin.looked, middle.placement, half.reach):
+        looked = s.look(begin.looked, *middle.placement[:2], half.reach)
+        found, memory = s.detector.find(*looked, begin.memory)
+        there = begin._replace(contacts=found, memory=memory, looked=looked)
+    contacts, joints = there.contacts, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
     if barred is None:
         if half.fast:
-            contacts, memory = reached(s, contacts, begin, middle.placement, memory)
-        return Reach(contacts, joints, found, memory, looked)
+            contacts, memory = reached(s, contacts, begin, middle.placement, there.memory)
+            there = there._replace(memory=memory)
+        return there, (contacts, joints)
     contacts = caught(s, contacts, begin, half, barred)
     if joints is not None:
         joints = caught_limits(s, joints, begin, v, half.ahead, barred)
-    return Reach(contacts, joints, found, memory, looked)
+    return there, (contacts, joints)
 
 
 def _respond(
     s: System,
     begin: Instant,
     half: Half,
-    reach: Reach,
+    there: Instant,
+    needs: Needs,
     barred: Index | None,
     last: Trial | None,
     rough: bool,
@@ -210,7 +193,7 @@ def _respond(
     and that is left to see who asks.
     """
     d, forces = s.dynamics, half.forces
-    met, impact, kick = _encounter(s, begin, half, reach, label)
+    met, impact, kick = _encounter(s, begin, half, there.looked, needs, label)
     slides = foresee(met)
     if last is not None:
         _resume(met, slides, last)
@@ -226,7 +209,7 @@ def _respond(
         v = v if impact is None else v + kick
         impulse, v = met.rows.response(solution.r, v)
         if label is None and (limited := d.within_limits(half.middle, forces, v)) is not forces:
-            return _respond(s, begin, replace(half, forces=limited), reach, barred, last, rough)
+            return _respond(s, begin, replace(half, forces=limited), there, needs, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
         passes = passes if solution.accepted else 0
@@ -236,7 +219,7 @@ def _respond(
         turn = turned(s, met, half, solution, v, slides, couple) if passes and lasts else None
         off = np.zeros(alone.end_gap.size, np.bool_)
         if barred is not None or not passes or (turn is None and not slips.any()):
-            trees, moved = _arrive(s, begin, half, reach, v, impulse, near)
+            trees, moved = _arrive(s, half, there, v, impulse, near)
             if passes and lasts and barred is not None:
                 alone, off = _ending(s, half, alone, solution.r, moved)
         if turn is not None:
@@ -249,42 +232,33 @@ def _respond(
         met, known, passes, back = alone.turned(couple.dv, solution.r), solution, passes - 1, True
     couple = worked(s, met, half, v, couple)
     solved = slides, problem, solution, couple
-    return Trial(half, met, impact, kick, *solved, v, impulse, trees, moved, reach.memory)
+    return Trial(half, met, impact, kick, *solved, v, impulse, trees, moved, there.memory)
 
 
 def _arrive(
-    s: System, begin: Instant, half: Half, reach: Reach, v: Array, impulse: Array, near: Array
+    s: System, half: Half, at: Instant, v: Array, impulse: Array, near: Array
 ) -> tuple[tuple[Flow, ...], Instant]:
     """The second half of a move: what trees do in it, and where it ends, with what is found there.
 
-    Parameters
-    ----------
-    s : System
-    begin : Instant
-        Where the move begins.
-    half : Half
-        Its first half.
-    reach : Reach
-    v, impulse : ndarray, shape (n,)
-        Velocity after the impulses, m/s and rad/s, and H r, N·s and N·m·s.
-    near : ndarray, shape (frames,)
-        How far from each frame contacts are sought at the end, m.
+    It goes on from what is found `at` the impulses H r (n,) that leave the velocity v (n,), and contacts are sought as
+    far as `near` (frames,) from each frame, m.
     """
-    d, looked = s.dynamics, reach.looked
+    d = s.dynamics
     position, v_end, there, trees = d.end(half.middle, half.forces, v, impulse, half.ahead, half.driven)
-    found = reach.found, NOTHING, reach.memory, looked
-    moved = Instant(position, v_end, there, *found, begin.warm, d.twists(there, v_end), ())
-    if s.unmoved(looked, there, near):
+    moved = at._replace(
+        position=position, v=v_end, placement=there, limits=NOTHING, twists=d.twists(there, v_end), energies=()
+    )
+    if s.unmoved(at.looked, there, near):
         return trees, moved._replace(limits=d.limits(there))
-    return trees, found_at(s, moved, s.look(looked, there.x, there.R, near))
+    return trees, found_at(s, moved, s.look(at.looked, there.x, there.R, near))
 
 
 def _encounter(
-    s: System, begin: Instant, half: Half, reach: Reach, label: Index | None
+    s: System, begin: Instant, half: Half, looked: Looked, needs: Needs, label: Index | None
 ) -> tuple[Encounter, Impact | None, Array | float]:
     """What the second half meets, with impacts that it catches and their change of v."""
-    d, contacts = s.dynamics, reach.contacts
-    every, at = d.with_actuators(reach.joints, half.forces), half.middle.seen(reach.looked)
+    d, (contacts, joints) = s.dynamics, needs
+    every, at = d.with_actuators(joints, half.forces), half.middle.seen(looked)
     where = half.reach, half.surfaces[1:], half.h, half.ahead
     met = Encounter.of(d, contacts, every, at, half.forces, begin, *where)
     impact: Impact | None = None
