@@ -45,25 +45,9 @@ STOPPED = 1e-13
 NOTHING, NEVER, UNKNOWN = np.empty(0), np.empty(0, np.bool_), np.empty(0, np.int8)
 
 
-class Closing(NamedTuple):
-    """How gaps close in a move.
-
-    Attributes
-    ----------
-    closed : float
-        Largest gap that counts as none, m or rad.
-    shallow : float
-        Largest that is left to close until the next impulses, m or rad: what gravity closes from rest in a step, which
-        is of second order, and not deep. Wider ones close within the move: what crosses them strikes. None where
-        impacts are located.
-    ahead, until : float
-        Times from the impulses to the end of the move, h₂, and to the next impulses at the latest, s.
-    """
-
-    closed: float
-    shallow: float
-    ahead: float
-    until: float
+Closing = tuple[float, float, float, float]
+"""How gaps close in a move: the largest that counts as none and the largest that is left to close until the next
+impulses, m or rad; times from the impulses to the end of the move, h₂, and to the next impulses at the latest, s."""
 
 
 class Encounter(NamedTuple):
@@ -199,7 +183,7 @@ class Encounter(NamedTuple):
     def offsets(self, slides: Bools, closing: Closing) -> Array:
         """b, shape (3 rows,), m/s, where the contacts `slides` (nc,) slide through."""
         b = np.empty(self.local.shape[1])
-        laws = self.end_gap, self.restitution, self.rebound, self.late, tuple(closing)
+        laws = self.end_gap, self.restitution, self.rebound, self.late, closing
         _law.offsets(self.local, laws, self.stays, slides, b)
         return b
 

@@ -102,10 +102,11 @@ class System(NamedTuple):
     def closing(self, h: float, caught: bool) -> Closing:
         """How gaps close in a move of h s that catches all impacts or locates them: then it ends where bodies touch.
 
-        The move after it is no longer than the step.
+        The move after it is no longer than the step. Left to close later is what gravity closes from rest in a step,
+        which is of second order, and not deep; what crosses wider gaps strikes. None where impacts are located.
         """
         shallow = min(SHALLOW * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if caught else 0.0
-        return Closing(self.closed, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt)
+        return self.closed, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt
 
     def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
         """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""

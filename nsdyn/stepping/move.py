@@ -13,7 +13,6 @@ from nsdyn.collision.contacts import ContactSet, Looked, Poses, take
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Placement
-from nsdyn.stepping.ball_joints import SHARES
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.half import Callbacks, Half, Loads, corrected, first_half
@@ -22,7 +21,7 @@ from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
-from nsdyn.stepping.solving import Way, slips_otherwise, solve
+from nsdyn.stepping.solving import slips_otherwise, solve
 from nsdyn.stepping.trial import NEW, Begun, Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -197,14 +196,14 @@ def _respond(
     slides = foresee(met)
     if last is not None:
         _resume(met, slides, last)
-    way = Way(s.closing(half.h, barred is None), rough, SHARES if label is None else 0)
+    closing = s.closing(half.h, barred is None)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     alone, couple, passes, back = met, NO_COUPLE, 0 if rough else PASSES, rough or last is not None
     lasts = bool(met.stays.any())
     off: Bools | None = None
     while True:
-        met, problem, solution = solve(met, s.solver, known, slides, way, off)
+        met, problem, solution = solve(met, s.solver, known, slides, closing, rough, label is None, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if impact is None else v + kick
         impulse, v = met.rows.response(solution.r, v)

@@ -48,7 +48,8 @@ class Mover:
     """Whether the kernel is compiled: that takes half a minute, in which general moves do the same."""
 
     def __init__(self, s: System) -> None:
-        d, solver, closing, own = s.dynamics, s.solver, s.closing(s.dt, False), isinstance(s.solver, Auto)
+        d, solver, own = s.dynamics, s.solver, isinstance(s.solver, Auto)
+        _, shallow, _, until = s.closing(s.dt, False)
         block_of_frame, offset, m_start, m, minv = d.masses
         self.wide = 6 * int(np.diff(offset).max())
         numbers = (
@@ -56,8 +57,8 @@ class Mover:
             s.dt,
             s.theta,
             s.closed,
-            closing.shallow,
-            closing.until,
+            shallow,
+            until,
             s.depth,
             FAST * s.smallest,
             s.slow,

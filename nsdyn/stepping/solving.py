@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 
@@ -15,31 +15,9 @@ from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.stepping.encounter import Closing, Encounter
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["Way", "again", "pose", "solve"]
+__all__ = ["again", "slips_otherwise", "solve"]
 
 ALL = np.empty(0, np.bool_)
-
-
-class Way(NamedTuple):
-    """How the problem of a move is posed and solved.
-
-    Attributes
-    ----------
-    closing : Closing
-    rough : bool
-        Whether what `Graded.roughly` gives is enough, and persistent contacts may do work.
-    shares : int
-        Most solves more for the friction of ball joints.
-    """
-
-    closing: Closing
-    rough: bool = False
-    shares: int = SHARES
-
-
-def pose(met: Encounter, slides: Bools, closing: Closing) -> FC3D:
-    """The problem of what is met, where the contacts `slides` (nc,) slide through."""
-    return FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
 
 
 def solve(
@@ -47,8 +25,10 @@ def solve(
     solver: Solver,
     last: Solution | None,
     slides: Bools,
-    way: Way,
-    off: Bools | None = None,
+    closing: Closing,
+    rough: bool,
+    shares: bool,
+    off: Bools | None,
 ) -> tuple[Encounter, FC3D, Solution]:
     """What is met, its problem, and the impulses.
 
@@ -61,41 +41,38 @@ def solve(
         `Graded.loosely` gives.
     slides : ndarray of bool, shape (nc,)
         Which contacts slide through.
-    way : Way
+    closing : Closing
+    rough : bool
+        Whether what `Graded.roughly` gives is enough.
+    shares : bool
+        Whether the shares that the friction of ball joints has are sought, by more solves.
     off : ndarray of bool, shape (rows,), optional
         Rows of whose islands alone the solution differs from the last.
     """
+
+    def once(met: Encounter, last: Solution | None, off: Bools | None) -> tuple[FC3D, Solution]:
+        """The same with the shares that there are."""
+        problem = FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
+        solution = again(solver, last, problem, met.local[4], met.local[0], rough)
+        if last is not None and off is not None:
+            r, u = solution.r.copy(), solution.u.copy()
+            _solving.thaw(met.rows.full.arrays, off, (last.r, last.u), (r, u))
+            solution = solution._replace(r=r, u=u)
+        return problem, _held(met, solver, problem, solution)
+
     if not met.rows.balls.size:
-        return met, *_solve(met, solver, last, slides, way, off)
+        return met, *once(met, last, off)
     rows, local = met.rows, met.local
     pushed, free = rows.ball_axes(local[4]), rows.ball_axes(local[2])
     met = met.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), local[4])
-    problem, solution = _solve(met, solver, last, slides, way, off)
+    problem, solution = once(met, last, off)
     search = Search()
-    for _ in range(way.shares):
+    for _ in range(SHARES if shares else 0):
         if (angle := search.next(met.rows, solution.r, solution.u, problem.scales)) is None:
             break
         met = met.sharing(angle, solution.r)
-        problem, solution = _solve(met, solver, solution, slides, way, None)
+        problem, solution = once(met, solution, None)
     return met, problem, solution
-
-
-def _solve(
-    met: Encounter,
-    solver: Solver,
-    last: Solution | None,
-    slides: Bools,
-    way: Way,
-    off: Bools | None,
-) -> tuple[FC3D, Solution]:
-    """The same with the shares that the friction of ball joints has."""
-    problem = pose(met, slides, way.closing)
-    solution = again(solver, last, problem, met.local[4], met.local[0], way.rough)
-    if last is not None and off is not None:
-        r, u = solution.r.copy(), solution.u.copy()
-        _solving.thaw(met.rows.full.arrays, off, (last.r, last.u), (r, u))
-        solution = solution._replace(r=r, u=u)
-    return problem, _held(met, solver, problem, solution)
 
 
 def slips_otherwise(
