@@ -10,8 +10,6 @@ import numpy as np
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Energies, Placement, Position
-from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import Instant, System
@@ -37,9 +35,6 @@ class Passage(NamedTuple):
     clear : bool
         Whether the end is without overlap.
     done : list of Impulses
-    solved : list of (FC3D, Solution)
-        Of all problems.
-    works : list of Works
     path : sequence of Placement
         Where the frames were on their way: between two of them bodies go straight, turning at constant rates.
     """
@@ -48,8 +43,6 @@ class Passage(NamedTuple):
     rate: Array
     clear: bool
     done: list[Impulses]
-    solved: list[tuple[FC3D, Solution]]
-    works: list[Works]
     path: Sequence[Placement] = ()
 
 
@@ -60,9 +53,8 @@ def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Pa
     v = half.middle.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
-    r, h = a.solution.r, half.h
-    impulses, own, warm = account(s, a.met, velocities, r, h, a.impact, a.couple, mass)
-    impulses, own = impulses._replace(wrench=half.wrench(left)), half.booked(own, *velocities[1:], left)
+    impulses, warm = account(s, a.met, velocities, (a.problem, a.solution), half.h, a.impact, a.couple, mass)
+    impulses, own = impulses._replace(wrench=half.wrench(left)), half.booked(impulses.works[0], *velocities[1:], left)
     # What has just closed its gap approaches: where it would become deep in the next move it strikes before.
     sinks = s.dt / half.ahead * a.met.end_gap[: warm.status.size] > s.deep(a.met.contacts)
     arrived = sinks & ~a.met.stays[: sinks.size]
@@ -84,7 +76,7 @@ def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Pa
         if a.impact is not None:
             works.append(_struck(s, a, a.impact))
     end = end._replace(warm=warm, energies=energies)
-    return Passage(end, half.rate, clear, [impulses], [(a.problem, a.solution)], [own, *works])
+    return Passage(end, half.rate, clear, [impulses._replace(works=(own, *works))])
 
 
 def tree_works(

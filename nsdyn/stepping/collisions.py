@@ -6,14 +6,11 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _few
 from nsdyn.collision.contacts import take
-from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Middle, Placement
-from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.impacts import Round
 from nsdyn.stepping.impulses import Impulses, account
-from nsdyn.stepping.instant import DEEP, JOINT, NOTHING, Instant, System, among
+from nsdyn.stepping.instant import DEEP, JOINT, Instant, System, among
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.tools.arrays import Array, Bools
@@ -64,9 +61,7 @@ def striking(s: System, met: Encounter, there: Placement, rate: Array, h: float)
     return struck if struck.any() else None
 
 
-def collide(
-    s: System, at: Instant, t: float, h: float, rate: Array
-) -> tuple[Instant, Impulses, Works, tuple[FC3D, Solution]] | None:
+def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[Instant, Impulses] | None:
     """Impacts in no time of what is closed at an instant; None where nothing strikes.
 
     What rests, but closes so fast that it would become deep in the move to come, strikes without restitution.
@@ -102,18 +97,20 @@ def collide(
     if impact.problem is None or impact.solution is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)
-    impulses, works, _ = account(s, met, (at.v, v, v), NOTHING, 0.0, impact, NO_COUPLE, d.mass)
+    solved = impact.problem, impact.solution
+    impulses, _ = account(s, met, (at.v, v, v), solved, 0.0, impact, NO_COUPLE, d.mass)
     if any(free.constraints is not None for free in forces.trees):
-        push = met.rows.full.momentum(impact.r)
+        push, (works,) = met.rows.full.momentum(impact.r), impulses.works
         for tree, free in zip(d.trees, forces.trees, strict=True):
             k = tree.coordinates
             reaction = free.m @ (v[k] - at.v[k]) - push[k]
             works = works._replace(constraint=works.constraint + 0.5 * float(reaction @ (v[k] + at.v[k])))
+        impulses = impulses._replace(works=(works,))
     # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
     struck = among(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
     warm = at.warm._replace(force=np.where(struck[:, None], 0.0, at.warm.force))
     after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm, energies=d.tree_energies(at.position, v))
-    return after, impulses, works, (impact.problem, impact.solution)
+    return after, impulses
 
 
 def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:

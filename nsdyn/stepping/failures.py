@@ -93,7 +93,7 @@ class Failures:
         where, t = "at limits of joints", state.t
         if gains.any():
             where = f"between {self._pairs(take(acted.contacts, gains), work[gains])}"
-            t += float(acted.time[work.argmax()])
+            t += acted.time
         warnings.warn(
             f"the law of impact {law} created {acted.created:.3g} J at t = {t:.6g} s {where}; Step.created has how "
             "much it creates from now on, impact='dissipative' creates none",

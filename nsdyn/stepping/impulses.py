@@ -11,6 +11,8 @@ from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactSet, joined
 from nsdyn.dynamics.ledger import Works
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.instant import NOTHING, System
 from nsdyn.stepping.persistence import Couple
@@ -44,10 +46,12 @@ class Impulses(NamedTuple):
         Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
     created : float
         Energy that impacts created, J.
-    time : ndarray, shape (nc,)
-        When it acted, s after the beginning of the move, or of the step.
-    duration : float
-        Of the move, s; 0 of impacts in no time.
+    time, duration : float
+        When it acted, s after the beginning of the move, or of the step, and how long the move is, s; 0 of impacts in
+        no time.
+    solved : (FC3D, Solution)
+        Its problem and the solution, of impacts the worst.
+    works : tuple of Works
     begin : float
         When the move begins, s after the beginning of the step.
     moves : ndarray of bool, shape (n,), or None
@@ -71,40 +75,36 @@ class Impulses(NamedTuple):
     joints: Array
     links: Array
     created: float
-    time: Array
+    time: float
     duration: float
+    solved: tuple[FC3D, Solution]
+    works: tuple[Works, ...]
     begin: float = 0.0
     moves: Bools | None = None
     wrench: Array | None = None
     lift: Array | None = None
 
-    def when(self, theta: float) -> float:
-        """When it acted, s after the beginning of the step: as its contacts have it, to the last bit."""
-        return float(self.time[0]) if self.time.size else self.begin + (1.0 - theta) * self.duration
-
     @staticmethod
     def joined(done: list[Impulses]) -> Impulses:
-        """All that acted in a step, one after the other."""
-        contacts = joined(a.contacts for a in done)
-        columns = list(zip(*done, strict=True))[1:8]
-        frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns)
-        joints, links = (np.sum([getattr(a, name) for a in done], axis=0) for name in ("joints", "links"))
-        time = np.concatenate([a.time for a in done])
-        created, duration = (sum(getattr(a, name) for a in done) for name in ("created", "duration"))
-        return Impulses(contacts, frame, u, r, status, couple, normal, friction, joints, links, created, time, duration)
+        """The contacts of all that acted in a step, one after the other, and sums of what it did to coordinates."""
+        columns = list(zip(*done, strict=True))
+        frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns[1:8])
+        of_contacts = joined(columns[0]), frame, u, r, status, couple, normal, friction
+        joints, links = (np.sum(parts, axis=0) for parts in columns[8:10])
+        return Impulses(*of_contacts, joints, links, sum(columns[10]), *done[-1][11:])
 
 
 def account(
     s: System,
     met: Encounter,
     velocities: tuple[Array, Array, Array],
-    r: Array,
+    solved: tuple[FC3D, Solution],
     h: float,
     impact: Impact | None,
     couple: Couple,
     mass: Array,
-) -> tuple[Impulses, Works, Warm]:
-    """What the impulses of a move and its impacts did, their works, and what they leave.
+) -> tuple[Impulses, Warm]:
+    """What the impulses of a move and its impacts did, and what they leave.
 
     Parameters
     ----------
@@ -113,8 +113,8 @@ def account(
         What the impulses acted on.
     velocities : three ndarrays of shape (n,)
         Before the impacts, after them, and after the impulses.
-    r : ndarray, shape (3 nr,)
-        Impulses of contacts and joint rows, N·s; empty for none.
+    solved : (FC3D, Solution)
+        Whose impulses are those of contacts and joint rows, but of impacts alone.
     h : float
         The move, s; 0 of impacts alone.
     impact : Impact, optional
@@ -138,9 +138,9 @@ def account(
             (met.stays, met.sticks, couple.work, struck),
         )
         beyond, normal_work, friction_work, rest = _account.account(
-            (mass, d.gravity), (h, s.theta), velocities, rows, r, lasting, s.solver.tol, out
+            (mass, d.gravity), (h, s.theta), velocities, rows, solved[1].r, lasting, s.solver.tol, out
         )
-        total = r
+        total = solved[1].r
     else:
         status, normal, friction, world = np.empty(nc, np.int8), np.zeros(nr), np.zeros(nr), np.zeros((nc, 3))
         total, u_end = np.zeros(3 * nr), met.local[1]
@@ -161,7 +161,7 @@ def account(
         slots = slots / h
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
-    time = np.full(nc, (1.0 - s.theta) * h)
     links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
-    impulses = Impulses(c, met.frame, u, impulse, status, turned, normal, friction, on_joints, links, created, time, h)
-    return impulses, works, Warm(c.key, s.detector.codes(c), world, status, slots)
+    of_contacts, when = (c, met.frame, u, impulse, status, turned, normal, friction), ((1.0 - s.theta) * h, h)
+    impulses = Impulses(*of_contacts, on_joints, links, created, *when, solved, (works,))
+    return impulses, Warm(c.key, s.detector.codes(c), world, status, slots)

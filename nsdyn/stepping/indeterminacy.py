@@ -56,20 +56,20 @@ class Paradoxes:
         return (jam is not None and bool(jam.any())) or self._several(problem, solution)
 
     def told(
-        self, done: list[Impulses], solved: list[tuple[FC3D, Solution]], works: Works, dt: float, rate: Array
+        self, done: list[Impulses], works: Works, dt: float, rate: Array
     ) -> tuple[list[Impulses], Works, Status | None]:
         """What acted and its works, with jams as impacts, and the status of the step, None for nothing odd.
 
         The free acceleration is `rate` (n,). Impacts in no time are collisions.
         """
         status: Status | None = None
-        for k, (problem, solution) in enumerate(solved):
-            nc = done[k].contacts.gap.size
-            if not (nc and problem.nc >= nc and done[k].duration and solution.accepted):
+        for k, acted in enumerate(done):
+            (problem, solution), nc = acted.solved, acted.contacts.gap.size
+            if not (nc and problem.nc >= nc and acted.duration and solution.accepted):
                 continue
             jam = self._jam(problem, solution, nc, dt, rate)
             if jam is not None and jam.any():
-                acted, status = done[k], Status.JAM
+                status = Status.JAM
                 moved = np.where(jam, acted.friction, 0.0)
                 states = np.where(jam, JAM, acted.status).astype(np.int8)
                 normal, friction = acted.normal + moved, acted.friction - moved

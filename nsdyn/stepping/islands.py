@@ -139,7 +139,7 @@ class Islands:
             opened = again
         made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
         left = ~opened[label]
-        out = Passage(begin, half.rate.copy(), True, [], [], [])
+        out = Passage(begin, half.rate.copy(), True, [])
         if tried is not None and left.any():
             kept = self._kept(tried, left, key)
             move, count = finish(s, begin, kept, left), opened.sum()
@@ -151,8 +151,6 @@ class Islands:
         for part, p in made:
             out.rate[part.coordinates] = p.rate
             out.done.extend(part.impulses(a, d.n) for a in p.done)
-            out.solved.extend(p.solved)
-            out.works.extend(p.works)
         end = merged(s, out.end, left, [(part, p.end) for part, p in made])
         return out._replace(end=end, clear=out.clear and all(p.clear for _, p in made))
 

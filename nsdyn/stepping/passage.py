@@ -13,9 +13,7 @@ from nsdyn._kernels.stepping.islands import EVENT, WORK
 from nsdyn._kernels.stepping.law import TURNS
 from nsdyn._kernels.stepping.quiet_checks import GAIN
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Placement
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
@@ -96,8 +94,6 @@ def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Pa
     """The way through a step that is too coarse in one piece."""
     now, rate, clear = state.instant, state.rate, True
     done: list[Impulses] = []
-    solved: list[tuple[FC3D, Solution]] = []
-    works: list[Works] = []
     path: list[Placement] = []
     left, pieces = system.dt, [1, 1]
     while pieces:
@@ -111,9 +107,9 @@ def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Pa
             continue
         begun = system.dt - left
         now, rate, clear, left = p.end, p.rate, p.clear, left - h
-        done, solved, works = done + [_later(a, begun) for a in p.done], solved + p.solved, works + p.works
+        done += [_later(a, begun) for a in p.done]
         path += p.path
-    return Passage(now, rate, clear, done, solved, works, path)
+    return Passage(now, rate, clear, done, path)
 
 
 def _pass(
@@ -127,7 +123,7 @@ def _pass(
     path = [begin.placement]
     out, sunk = _moves(s, loads, begin, end, h, rate, path, effort, begun)
     sunk = sunk or any(turns_far(s, h, a, begin, out.end).any() for a in out.done)
-    now, solved, works = out.end, out.solved, out.works
+    now, works = out.end, [w for a in out.done for w in a.works]
     d, gained = s.dynamics, sum(w.integration for w in works)
     if not any(d.surfaces.carry(a.contacts).any() for a in out.done):  # of what is driven the work is its own
         gained += sum(w.projection for w in works)
@@ -136,7 +132,7 @@ def _pass(
     if gained > 0.0 and not d.trees:  # which keep their own errors small
         # Where all is at rest, what gravity gives in a step is the scale.
         sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * out.rate))
-    coarse = sunk and not any(_jammed(solution) for _, solution in solved)
+    coarse = sunk and not any(_jammed(a.solved[1]) for a in out.done)
     return out._replace(path=[*path, now.placement]), coarse
 
 
@@ -178,15 +174,11 @@ def _moves(
     """
     now, left, clear, sunk = begin, h, True, False
     done: list[Impulses] = []
-    solved: list[tuple[FC3D, Solution]] = []
-    works: list[Works] = []
     for cut in count():
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
-            (now, impulses, more, pair), begun = struck, NEW
+            (now, impulses), begun = struck, NEW
             done.append(_later(impulses, h - left))
-            solved.append(pair)
-            works.append(more)
         soon = left * (AGAIN if cut and struck is None else SOON)
         length, tried = _until_event(s, loads, now, t, left, soon, effort, begun, struck is not None)
         begun = NEW
@@ -196,11 +188,9 @@ def _moves(
         moved = tried.moved
         sunk = sunk or s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
-        solved += m.solved
-        works += m.works
         if left <= 1e-12 * h:
             break
-    return Passage(now, rate, clear, done, solved, works), sunk
+    return Passage(now, rate, clear, done), sunk
 
 
 def _jammed(solution: Solution) -> bool:

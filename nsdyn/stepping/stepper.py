@@ -307,10 +307,11 @@ class Stepper:
             return step
         s = self._now = self.get_state()
         begun = NEW if self._quiet is None else self._quiet.begun(s)
-        now, rate, clear, done, solved, works, _ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
+        now, rate, clear, done, _ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.position, now.position, now.placement, (s.t, s.t + s.dt))
             clear = clear and depth <= self.closed
+        solved = [acted.solved for acted in done]
         k = worst(solved)
         if not solved[k][1].accepted:
             self.failures.tell(*solved[k], done[k].contacts, s, self.solver.tol)
@@ -323,9 +324,9 @@ class Stepper:
             raise ArithmeticError("positions or velocities are no longer finite")
         self._now = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
         problem, solution = solved[k]
-        total = Works.total(works)
+        total = Works.total([works for acted in done for works in acted.works])
         if self._paradoxes.possible:
-            done, total, odd = self._paradoxes.told(done, solved, total, s.dt, rate)
+            done, total, odd = self._paradoxes.told(done, total, s.dt, rate)
             if odd is not None and solution.converged:
                 solution = solution._replace(status=odd)
         ledger = Ledger.of(s.energies, energies, total)
@@ -379,7 +380,7 @@ class Stepper:
         acted = done[0] if len(done) == 1 else Impulses.joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
-        gap = acted.contacts.gap
+        gap, sizes = acted.contacts.gap, [a.status.size for a in done]
         if acted.contacts is not end.contacts:
             gap = self.detector.gaps(acted.contacts, end.contacts, Poses(end.placement.x, end.placement.R))
         joints = pieces = None
@@ -399,15 +400,15 @@ class Stepper:
             r=acted.r,
             couple=acted.couple,
             contact_status=acted.status,
-            contact_time=acted.time,
-            contact_duration=np.repeat([a.duration for a in done], [a.status.size for a in done]),
+            contact_time=np.repeat([a.time for a in done], sizes),
+            contact_duration=np.repeat([a.duration for a in done], sizes),
             work_normal=acted.normal,
             work_friction=acted.friction,
             joints=joints,
             links=acted.links,
             pieces=pieces,
-            wrenches=OnBodies.of([(a.when(self.theta), a.duration, a.wrench) for a in done]),
-            lifts=OnBodies.of([(a.when(self.theta), a.duration, a.lift) for a in done]),
+            wrenches=OnBodies.of([(a.time, a.duration, a.wrench) for a in done]),
+            lifts=OnBodies.of([(a.time, a.duration, a.lift) for a in done]),
             created=acted.created,
             ledger=ledger,
             gauss=certificate,
