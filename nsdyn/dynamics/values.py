@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn.collision.contacts import Looked
 from nsdyn.dynamics.tree_values import FreeMotion, Halfway, Links
 from nsdyn.tools.arrays import Array
 
@@ -89,10 +88,6 @@ class Middle(NamedTuple):
     v: Array
     placement: Placement
     trees: tuple[Halfway, ...]
-
-    def seen(self, looked: Looked) -> Middle:
-        """The same with the frames where their contacts were looked for."""
-        return self._replace(placement=Placement(looked.x, looked.R, self.placement.links))
 
 
 class Forces(NamedTuple):

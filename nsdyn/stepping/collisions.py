@@ -8,6 +8,7 @@ from nsdyn._kernels import reductions as _few
 from nsdyn.collision.contacts import take
 from nsdyn.dynamics.values import Middle, Placement
 from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.half import SILENT, Half
 from nsdyn.stepping.impacts import Round
 from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import DEEP, JOINT, Instant, System, among
@@ -82,9 +83,8 @@ def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[In
             return None
     contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
-    here = Middle(at.position, at.v, at.placement, ())
-    start = at._replace(contacts=contacts)
-    met = Encounter.of(d, contacts, joints, here, forces, start, np.zeros(d.frames), (twist, twist), 0.0, 0.0)
+    half = Half(s, 0.0, t, Middle(at.position, at.v, at.placement, ()), forces, at.v, (twist, twist, twist), SILENT)
+    met = Encounter.of(half, at.placement, contacts, joints, at._replace(contacts=contacts))
     resting = s.resting(met, at.placement, rate)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
     depth[:nc] = s.deep(contacts)

@@ -27,14 +27,15 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
+from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactSet, take
-from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
-from nsdyn.dynamics.values import Forces, Middle
+from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
+    from nsdyn.stepping.half import Half
     from nsdyn.stepping.instant import Instant
 
 __all__ = ["Closing", "Encounter", "foresee"]
@@ -61,10 +62,6 @@ class Encounter(NamedTuple):
     frame : ndarray, shape (nc, 3, 3)
         Rows (n, t1, t2), world axes.
     mu, restitution : ndarray, shape (rows,)
-    place : ndarray of int, shape (nc,)
-        Where the contacts stand in the warm start, -1 for new ones.
-    status : ndarray of int8
-        Of the contacts of the warm start.
     local : ndarray, shape (5, 3 rows)
         u_k, u⁻, u_f and c [m/s], and the last impulses [N·s].
     end_gap : ndarray, shape (rows,)
@@ -89,8 +86,6 @@ class Encounter(NamedTuple):
     frame: Array
     mu: Array
     restitution: Array
-    place: Index
-    status: NDArray[np.int8]
     local: Array
     end_gap: Array
     transport: Array = NOTHING
@@ -103,71 +98,32 @@ class Encounter(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        dynamics: Dynamics,
-        contacts: ContactSet,
-        joints: JointRows | None,
-        middle: Middle,
-        forces: Forces,
-        begin: Instant,
-        reach: Array,
-        surfaces: tuple[Array, Array],
-        h: float,
-        ahead: float,
+        cls, half: Half, there: Placement, contacts: ContactSet, joints: JointRows | None, begin: Instant
     ) -> Encounter:
-        """Relative velocities of a step at its contacts and joint rows.
-
-        Parameters
-        ----------
-        dynamics : Dynamics
-        contacts : ContactSet
-            Where the impulses act.
-        joints : JointRows, optional
-        middle : Middle
-        forces : Forces
-        begin : Instant
-            Where the step begins.
-        reach : ndarray, shape (frames,)
-            How far points of the frames move in about half a step, m.
-        surfaces : two ndarrays of shape (surfaces, 2, 3)
-            Twists of what moves as prescribed, when the impulses act and at the end.
-        h, ahead : float
-            The move, and h₂, s.
-        """
-        there, old, warm = middle.placement, begin.contacts, begin.warm
-        rows, frame = dynamics.rows(contacts, there, forces, joints)
+        """Relative velocities of a move at its contacts and joint rows, with the frames placed `there`."""
+        d, middle, forces, old, warm = half.s.dynamics, half.middle, half.forces, begin.contacts, begin.warm
+        rows, frame = d.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
-        transport = dynamics.surfaces.transport(contacts, frame, middle.position.driven_x, nr, *surfaces)
-        carried = dynamics.surfaces.velocities(old, begin.position.driven_x, surfaces[0])
+        _, here, ended = half.surfaces
+        transport = d.surfaces.transport(contacts, frame, middle.position.driven_x, nr, here, ended)
+        carried = d.surfaces.velocities(old, begin.position.driven_x, here)
         _law.local_velocities(
             full.arrays,
             (begin.v, middle.v, forces.v),
             (carried, *transport, rows.press),
-            (old.key, old.point, old.normal, begin.placement.x, *begin.twists, reach),
+            (old.key, old.point, old.normal, begin.placement.x, *begin.twists, half.reach),
             (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
-            (warm.key, warm.force, h),
-            ahead,
+            (warm.key, warm.force, half.h),
+            half.ahead,
             (local, end_gap, where),
         )
         mu, restitution = contacts.mu, contacts.restitution
         if joints is not None:
-            _of_joints(dynamics, joints, warm, (h, ahead), local[:, 3 * nc :], end_gap[nc:])
+            _of_joints(half, joints, warm, local[:, 3 * nc :], end_gap[nc:])
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
-        return cls(
-            contacts,
-            joints,
-            rows,
-            frame,
-            mu,
-            restitution,
-            where,
-            warm.status,
-            local,
-            end_gap,
-            transport[0],
-            transport[1] - transport[0],
-        )
+        moved = transport[0], transport[1] - transport[0]
+        return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, *moved)
 
     def changed(self, dv: Array, struck: Bools) -> Encounter:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
@@ -199,7 +155,6 @@ class Encounter(NamedTuple):
             frame=self.frame[kept[:nc]],
             mu=self.mu[kept],
             restitution=self.restitution[kept],
-            place=self.place[kept[:nc]],
             local=self.local[:, rows],
             end_gap=self.end_gap[kept],
             transport=self.transport[rows] if self.transport.size else NOTHING,
@@ -268,20 +223,18 @@ class Encounter(NamedTuple):
         return out
 
 
-def _of_joints(
-    dynamics: Dynamics, joints: JointRows, warm: Warm, move: tuple[float, float], local: Array, end_gap: Array
-) -> None:
-    """Impulses to begin from, accelerations and gaps of joint rows in a move = (h, ahead), into local and end_gap."""
-    h, ahead = move
-    local[4] = h * warm.joints[joints.slot].ravel()
+def _of_joints(half: Half, joints: JointRows, warm: Warm, local: Array, end_gap: Array) -> None:
+    """Impulses to begin from, accelerations and gaps of joint rows in a move, into local and end_gap."""
+    local[4] = half.h * warm.joints[joints.slot].ravel()
     # As of springs, the law of actuators is on the velocity here, and that of what slips in axes that turn.
-    here = joints.actuated | dynamics.joints.turning[joints.slot]
+    here = joints.actuated | half.s.dynamics.joints.turning[joints.slot]
     local[3].reshape(-1, 3)[here, 1:] = 0.0
-    end_gap[:] = joints.gap - 0.5 * ahead * local[3, ::3]
+    end_gap[:] = joints.gap - 0.5 * half.ahead * local[3, ::3]
 
 
-def foresee(met: Encounter) -> Bools:
-    """Which contacts slide through the step, by the friction foreseen."""
-    slides = np.empty(met.frame.shape[0], np.bool_)
-    _law.foresee(met.rows.full.arrays, met.mu, met.place, met.status, met.local, slides)
+def foresee(met: Encounter, warm: Warm) -> Bools:
+    """Which contacts slide through the step, by what they did in the last and the friction foreseen."""
+    slides, place = np.empty(met.frame.shape[0], np.bool_), np.empty(met.frame.shape[0], np.int64)
+    _touching.places(warm.key, met.contacts.key, place)
+    _law.foresee(met.rows.full.arrays, met.mu, place, warm.status, met.local, slides)
     return slides

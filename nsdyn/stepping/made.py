@@ -102,8 +102,6 @@ class Made(NamedTuple):
             self.met.frame,
             met.mu,
             met.restitution,
-            self.head[_col.HEAD : _col.HEAD + nc],
-            begin.warm.status,
             own[: 15 * nc].reshape(5, 3 * nc),
             own[_col.FORESEEN * nc : _col.LATE * nc],
             stays=stays,

@@ -193,7 +193,7 @@ def _respond(
     """
     d, forces = s.dynamics, half.forces
     met, impact, kick = _encounter(s, begin, half, there.looked, needs, label)
-    slides = foresee(met)
+    slides = foresee(met, begin.warm)
     if last is not None:
         _resume(met, slides, last)
     closing = s.closing(half.h, barred is None)
@@ -257,13 +257,12 @@ def _encounter(
 ) -> tuple[Encounter, Impact | None, Array | float]:
     """What the second half meets, with impacts that it catches and their change of v."""
     d, (contacts, joints) = s.dynamics, needs
-    every, at = d.with_actuators(joints, half.forces), half.middle.seen(looked)
-    where = half.reach, half.surfaces[1:], half.h, half.ahead
-    met = Encounter.of(d, contacts, every, at, half.forces, begin, *where)
+    there, every = half.middle.placement, d.with_actuators(joints, half.forces)
+    met = Encounter.of(half, there._replace(x=looked.x, R=looked.R), contacts, every, begin)
     impact: Impact | None = None
     kick: Array | float = 0.0
     if label is None:
-        met, impact, kick = caught_impacts(s, met, half.middle.placement, half.rate, half.h)
+        met, impact, kick = caught_impacts(s, met, there, half.rate, half.h)
     limits = _limits(s, met.joints, begin.placement)
     pair = s.detector.codes(contacts)
     return met.lasting(pair, begin, limits, s.closed, half.h, impact is not None), impact, kick
