@@ -181,7 +181,7 @@ def contacts(found, nc):
 
 @kernel(inline="always")
 def rows(found, nc):
-    """(frame, block, start, H, scales, its size and whether they are made) of what was found, as of `free.meet`."""
+    """(frame, block, start, H, scales, its size and whether they are made) of what was found."""
     f, i = found
     return (
         rotations(f, FRAMES, nc),

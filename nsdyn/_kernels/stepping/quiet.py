@@ -7,12 +7,15 @@ import numpy as np
 
 from nsdyn._kernels.clock import seconds
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.dynamics import links, motion
+from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.paradox import suspect
-from nsdyn._kernels.reductions import copy
+from nsdyn._kernels.reductions import copy, most
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import free, touching
+from nsdyn._kernels.stepping import law, touching
+from nsdyn._kernels.stepping.persistence import persists
 from nsdyn._kernels.stepping.quiet_checks import book, eventless, gains, may_gain, rebounds, strikes_at_once
 from nsdyn._kernels.stepping.quiet_meeting import (
     DONE,
@@ -24,9 +27,8 @@ from nsdyn._kernels.stepping.quiet_meeting import (
     OTHERWISE,
     SOLVE,
     catch,
-    lasting,
+    closing_of,
     look,
-    pose,
     strikes,
     take,
 )
@@ -36,7 +38,6 @@ from nsdyn._kernels.stepping.quiet_response import (
     changes,
     end_gaps,
     impulses,
-    push,
     too_wide,
 )
 from nsdyn._kernels.stepping.solving import PASSES
@@ -46,8 +47,9 @@ from nsdyn._kernels.stepping.solving import PASSES
 def opened(system):
     """Views of the packed arrays of a system.
 
-    (numbers, size); (arm, nowhere, inscribed); (mass, J); bodies as of `free.half`; (gravity, no load); masses and
-    movers as of `free.meet`, the latter where the impulses act and where the move begins.
+    (numbers, size); (arm, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹, radii) of bodies; (gravity, no
+    load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as of `links.rows`) where
+    the impulses act, and where the move begins.
     """
     sf, si = system
     num, mass, J = numbers(sf, si, col.NUMBERS), numbers(sf, si, col.MASS), matrices(sf, si, col.INERTIA)
@@ -86,26 +88,26 @@ def depart(s, old, f, w):
 
     It may be given: Python makes its motion where there are trees, and under the forces of the user. s as of `opened`.
     """
-    (num, size), (arm, _, _), _, bodies, (gravity, load), _, movers, _ = s
-    n, reach = size[0], col.column(w, col.REACH, size[0])
-    there = (
-        col.vectors(w, col.X, n),
-        col.quaternions(w, col.QUATERNION, n),
+    (num, size), (arm, _, _), _, bodies, (gravity, load), _, (free, trees), _ = s
+    n, h, theta, (moments, axes, inverse_mass, inverse_J, radius) = size[0], num[col.STEP], num[col.THETA], bodies
+    x, R, reach = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), col.column(w, col.REACH, n)
+    v, v_free, rate = (
         col.velocity(w, col.V_THERE, size),
-        col.rotations(w, col.R_THERE, n),
-    )
-    rate, v_free, looked = (
-        col.velocity(f, col.RATE, size),
         col.velocity(w, col.V_FREE, size),
-        col.placed(old, col.LOOKED, n),
+        col.velocity(f, col.RATE, size),
     )
-    h, theta, near = num[col.STEP], num[col.THETA], (arm, num[col.STILL])
-    if num[col.GIVEN] > 0.0:
-        loads, position = (bodies[4], num[col.WEIGHT]), (there[0], there[3], there[2], v_free)
-        return free.given(movers, loads, position, h, theta, looked, near, (rate, reach))
-    begin = col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, size)
-    loads = gravity, load, num[col.WEIGHT]
-    return free.half(bodies, loads, begin, h, theta, looked, near, (*there, v_free, rate, reach))
+    if num[col.GIVEN] == 0.0:
+        begin = col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, size)
+        flow(moments, axes, *begin, (1.0 - theta) * h, x, col.quaternions(w, col.QUATERNION, n), v)
+        motion.rotations(col.quaternions(w, col.QUATERNION, n), R)
+        motion.accelerate(inverse_mass, inverse_J, gravity, load, load, h, v, v_free)
+    for i in range(rate.size):
+        rate[i] = (v_free[i] - v[i]) / h
+    ahead, fallen = theta * h, theta * h * h * num[col.WEIGHT]
+    motion.reach(v_free, ahead, fallen, radius[:free], reach)
+    if free < n:
+        links.reach(trees, x, v_free, ahead, radius[free:], fallen, reach[free:])
+    return most(reach), touching.unmoved(col.placed(old, col.LOOKED, n), (x, R, reach), arm, num[col.STILL])
 
 
 @kernel(inline="always")
@@ -182,34 +184,68 @@ def posed(s, first, last, met, rows, acted, flags, room):
     """The problem of the move, as foreseen: `DONE`, or `OTHERWISE` where it is none, or something strikes.
 
     last = (warm, forces of what acted last), acted = (keys, pairs, states) of what acts, room = (old state, results and
-    contacts that act, what is at work, of the contacts, places, integers).
+    contacts that act, what is at work, of the contacts, places, integers). Rows that are made are those of contacts
+    that were met before.
     """
-    (num, size), _, _, _, _, masses, movers, _ = s
-    (warm, force), (frame, block, start, H, scales, made) = last, rows
-    (b_old, out, a, w, own, place, head), status, nc = room, acted[2], acted[2].size
-    b, q = out[col.RESULTS :], a[col.FREE * nc : col.U_END * nc]
-    of = frame, block, start, H[: made[col.SIZE]] if made[col.MADE] else H, scales, made[col.MADE] > 0
-    begin, pressed = (first, b_old), (warm[0], force, warm[2])
-    into = place, flags[col.SLIDES, :nc], q
-    made[col.SIZE], _, good = pose(s[0], (masses, movers), begin, pressed, met, of, (w, own), into)
-    made[col.MADE] = 1
+    (num, size), _, _, _, _, masses, (free_bodies, trees), _ = s
+    (warm, force), (frame, block, start, H, scales, made), (names, points, scalars) = last, rows, met
+    (b_old, out, a, w, own, place, head), (keys, pairs, was), nc, n = room, acted, acted[2].size, size[0]
+    b, q, none, (block_of_frame, offset, m_start, m, minv) = out[col.RESULTS :], a[col.FREE * nc :], own[:0], masses
+    q, x, again = q[: 3 * nc], col.vectors(w, col.LOOKED_THERE, n), made[col.MADE] > 0
+    if not again:
+        hang, where = (names[2], names[3]), (points[0], frame)
+        made[col.SIZE] = motion.contact_layout(points[1], *hang, block_of_frame, offset, frame, block, start)
+        if free_bodies < n:
+            H[: made[col.SIZE]] = 0.0
+        motion.free_rows(*hang, *where, x, col.rotations(w, col.LOOKED_THERE + 3, n), free_bodies, start, H)
+        links.rows(trees, *hang, *where, start, H)
+    blocks = (offset, block, start, H[: made[col.SIZE]], m_start, m, minv)
+    if not again:
+        _blocks.delassus_scales(blocks, scales)
+        made[col.MADE] = 1
+    local, end_gap, late = (
+        own[: col.ALONE * nc].reshape((5, 3 * nc)),
+        col.column(own, col.FORESEEN, nc),
+        col.column(own, col.LATE, nc),
+    )
+    slides, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
+    begin, closing = (first[0][4], first[2][0], num[col.CLOSED], num[col.STEP]), closing_of(num)
+    law.local_velocities(
+        blocks,
+        (col.velocity(b_old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
+        (points[0][:0], none, none, none),
+        (
+            first[0][4],
+            first[1][0],
+            first[1][1],
+            col.vectors(b_old, col.X, n),
+            col.vectors(b_old, col.LINEAR, n),
+            col.vectors(b_old, col.ANGULAR, n),
+            col.column(w, col.REACH, n),
+        ),
+        (names[4], names[2], names[3], points[0], frame, scalars[0], x),
+        (warm[0], force, num[col.STEP]),
+        closing[2],
+        (local, end_gap, place),
+    )
+    law.foresee(blocks, scalars[1], place, warm[2], local, slides)
+    late[:] = 0.0
     for c in range(nc):
-        acted[0][c], acted[1][c] = met[0][4, c], met[0][0, c] * int(num[col.GEOMS]) + met[0][1, c]
-    names = (first[0][4], first[2][0]), (acted[0], acted[1]), warm
-    if not good or not lasting(num, met, names, own, flags, status, q):
+        keys[c], pairs[c] = names[4, c], names[0, c] * int(num[col.GEOMS]) + names[1, c]
+    persists((keys, pairs), warm, begin, (none, slides[:0]), local, end_gap, False, (stays, sticks, was))
+    law.offsets(local, (end_gap, scalars[2], none, late, closing), stays, slides, q)
+    norm, good = _blocks.size_of(q, scalars[1])
+    if not (good and _blocks.in_range(scales)):
         return OTHERWISE
-    local, rate = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.velocity(b, col.RATE, size)
-    end_gap = col.column(own, col.FORESEEN, nc)
-    if num[col.ELASTIC] > 0.0 and strikes(num, size[0], movers, met, local, end_gap, rate, w):
+    rate = col.velocity(b, col.RATE, size)
+    if num[col.ELASTIC] > 0.0 and strikes(num, n, (free_bodies, trees), met, local, end_gap, rate, w):
         return OTHERWISE
     copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
     a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
     col.velocity(w, col.TURN, size)[:] = 0.0
     head[col.PASSES_LEFT], head[col.AGAIN], head[col.TURNED], head[col.SOLVED] = PASSES, 0, 0, 0
     col.column(own, col.LEFT_OVER, nc)[:] = np.inf
-    out[col.COUNT], out[col.ERROR], out[col.RESIDUAL] = 0.0, 0.0, 0.0
-    norm, _ = _blocks.size_of(q, met[2][1])
-    out[col.NORM] = norm if norm > 0.0 else 1.0
+    out[col.COUNT], out[col.ERROR], out[col.RESIDUAL], out[col.NORM] = 0.0, 0.0, 0.0, norm if norm > 0.0 else 1.0
     return DONE
 
 
@@ -225,8 +261,15 @@ def solved(s, rows, met, flags, known, label, head, room):
     if impulses(scene, rows, met, flags, known, label, head, room) == SOLVE:
         return SOLVE
     out[col.TIME] += seconds(head[col.CLOCK :]) - began
+    v_turned, change, v_plus = (
+        col.velocity(w, col.V_TURNED, size),
+        col.velocity(w, col.CHANGE, size),
+        col.velocity(w, col.V_PLUS, size),
+    )
+    for i in range(v_plus.size):
+        v_plus[i] = v_turned[i] + change[i]
     if movers[1][0].size > 0:
-        push(size, rows[0], a[col.IMPULSE * nc : col.U * nc], w)
+        _blocks.momentum(rows[0], a[col.IMPULSE * nc : col.U * nc], col.velocity(w, col.PUSHED, size))
         return MOVE
     arrive(num, size, bodies, out[col.RESULTS :], w)
     return DONE

@@ -11,8 +11,9 @@ from nsdyn._kernels.problem.gauss import certificate_of
 from nsdyn._kernels.reductions import least
 from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import free, law, reversal, touching
+from nsdyn._kernels.stepping import law, reversal, touching
 from nsdyn._kernels.stepping.islands import located
+from nsdyn._kernels.stepping.quiet_meeting import all_twists
 from nsdyn._kernels.vectors import square
 
 GAIN = 1e-5
@@ -55,14 +56,14 @@ def strikes_at_once(num, met, last, old, n):
 def rebounds(scene, movers, met, old, w):
     """Whether anything strikes where the step begins, or parts, faster than what rests, of what may rebound.
 
-    scene = (numbers, size), movers as of `free.meet` where it begins.
+    scene = (numbers, size), movers as of `opened` where it begins.
     """
     (num, size), n, rates = scene, scene[1][0], np.empty((2, scene[1][0], 3))
     v, v_free, x = col.velocity(old, col.V, size), col.velocity(w, col.V_FREE, size), col.vectors(old, col.X, n)
     change = np.empty(v.size)
     for i in range(change.size):
         change[i] = (v_free[i] - v[i]) / num[col.STEP]
-    free.moving(movers, x, col.rotations(old, col.R, n), change, rates[0], rates[1])
+    all_twists(movers, x, col.rotations(old, col.R, n), change, rates[0], rates[1])
     twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
     return bounces(num, met, x, twists, (rates[0], rates[1]))
 

@@ -4,15 +4,22 @@ import numpy as np
 
 from nsdyn._kernels.collision.search import LEFT, gather, seek
 from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.dynamics import links, motion
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import free, law, persistence, sight, touching
+from nsdyn._kernels.stepping import sight, touching
 
 DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD, MORE, MOVE, EVENT = range(8)
 """How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
 the problem is to be solved; the geoms where it ends; there is no room for so many contacts; trees are to be moved to
 the end; the move is made, but is no whole step. After LOOK, SOLVE, LOOK_AHEAD and MOVE it goes on with what Python has
 done."""
+
+
+@in_place
+def all_twists(movers, x, R, v, linear, angular):
+    """Velocities of all frames, at x (n, 3), and angular ones, world axes, into (n, 3) each; movers as of `opened`."""
+    motion.twists(R, v, movers[0], linear, angular)
+    links.twists(movers[1], x, v, linear, angular)
 
 
 @in_place
@@ -57,8 +64,8 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
     if num[col.ELASTIC] > 0.0 and known[2].any():
         R, at = col.rotations(old, col.R, n), col.vectors(old, col.X, n)
         where = before[2], before[3], begun[0], begun[1], at
-        free.moving(movers_begun, at, R, v_begin, twists[3, 0], twists[3, 1])
-        free.moving(movers_begun, at, R, rate, twists[4, 0], twists[4, 1])
+        all_twists(movers_begun, at, R, v_begin, twists[3, 0], twists[3, 1])
+        all_twists(movers_begun, at, R, rate, twists[4, 0], twists[4, 1])
         moving = (twists[3, 0], twists[3, 1]), (twists[4, 0], twists[4, 1])
         sight.parting(where, np.zeros(gap.size), known[0], known[2], moving, (closed, tol, bounces_of), gap)
     if touching.all_known(names[4], before[4], gap, closed):
@@ -66,15 +73,15 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
         return nc
     pair, deep, R = np.empty(nc, np.int64), np.empty(nc), col.rotations(w, col.R_THERE, n)
     there, at = col.rotations(old, col.R, n), col.vectors(old, col.X, n)
-    free.moving(movers_begun, at, there, v_begin, twists[3, 0], twists[3, 1])
+    all_twists(movers_begun, at, there, v_begin, twists[3, 0], twists[3, 1])
     parts = np.empty(before.shape[1])
     touching.approach((before[2], before[3], begun[0], begun[1], at), (twists[3, 0], twists[3, 1]), parts)
     for c in range(nc):
         pair[c] = names[0, c] * geoms + names[1, c]
         deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
-    free.moving(movers, x, R, v_begin, twists[0, 0], twists[0, 1])
-    free.moving(movers, x, R, v, twists[1, 0], twists[1, 1])
-    free.moving(movers, x, R, rate, twists[2, 0], twists[2, 1])
+    all_twists(movers, x, R, v_begin, twists[0, 0], twists[0, 1])
+    all_twists(movers, x, R, v, twists[1, 0], twists[1, 1])
+    all_twists(movers, x, R, rate, twists[2, 0], twists[2, 1])
     sight.caught(
         (names[4], pair, deep, scalars[0], scalars[2]),
         (names[2], names[3], points[0], points[1], x),
@@ -111,46 +118,12 @@ def closing_of(num):
     return num[col.CLOSED], num[col.SHALLOW], num[col.THETA] * num[col.STEP], num[col.UNTIL]
 
 
-@in_place
-def pose(scene, bodies, begin, last, met, rows, room, out):
-    """The problem of the step: the size of H, the norm of b, and its validity.
-
-    scene = (numbers, size), bodies = (masses, movers) and rows as of `free.meet`, begin = (contacts where the step
-    begins, the scene there), last = (keys, forces, states) of what acted last, room = (w, own), out = (place, slides,
-    b).
-    """
-    (num, size), (masses, movers), (w, own), (place, slides, b) = scene, bodies, room, out
-    n = size[0]
-    nc = place.size
-    (names, points, _), old = begin
-    x, R = col.vectors(w, col.LOOKED_THERE, n), col.rotations(w, col.LOOKED_THERE + 3, n)
-    return free.meet(
-        masses,
-        movers,
-        (met[0][4], met[0][2], met[0][3], met[1][0], met[1][1], met[2][0], x, R),
-        (
-            names[4],
-            points[0],
-            points[1],
-            col.vectors(old, col.X, n),
-            col.vectors(old, col.LINEAR, n),
-            col.vectors(old, col.ANGULAR, n),
-            col.column(w, col.REACH, n),
-        ),
-        (col.velocity(old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
-        (last[0], last[1], num[col.STEP], last[2]),
-        (met[2][1], met[2][2], closing_of(num)),
-        rows,
-        (own[: col.ALONE * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc), place, slides, b),
-    )
-
-
 @kernel
 def strikes(num, n, movers, met, local, end_gap, rate, w):
     """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`."""
     (names, points, scalars), x = met, col.vectors(w, col.X, n)
     rates, where = np.empty((2, n, 3)), (names[2], names[3], points[0], points[1], x)
-    free.moving(movers, x, col.rotations(w, col.R_THERE, n), rate, rates[0], rates[1])
+    all_twists(movers, x, col.rotations(w, col.R_THERE, n), rate, rates[0], rates[1])
     for c in range(names.shape[1]):
         closes = end_gap[c] + num[col.THETA] * num[col.STEP] * (local[2, 3 * c] + local[3, 3 * c]) <= 0.0
         if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0 and closes:
@@ -159,25 +132,3 @@ def strikes(num, n, movers, met, local, end_gap, rate, w):
             if local[0, 3 * c] < -resting:
                 return True
     return False
-
-
-@in_place
-def lasting(num, met, names, own, flags, was, b):
-    """What persists, into the flags, as of `persistence.persists`, and the problem with that, if anything does.
-
-    names = (begin, acted, warm): (keys, gaps), (keys, pairs) and (keys, pairs, states). What contacts were goes into
-    was (nc,). Returns whether the problem is valid.
-    """
-    (begin, acted, warm), nc, none = names, was.size, own[:0]
-    local, end_gap, late = (
-        own[: col.ALONE * nc].reshape((5, 3 * nc)),
-        col.column(own, col.FORESEEN, nc),
-        col.column(own, col.LATE, nc),
-    )
-    slides, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
-    late[:] = 0.0
-    before, limits = (begin[0], begin[1], num[col.CLOSED], num[col.STEP]), (none, slides[:0])
-    if persistence.persists(acted, warm, before, limits, local, end_gap, False, (stays, sticks, was)):
-        law.offsets(local, (end_gap, met[2][2], none, late, closing_of(num)), stays, slides, b)
-        return _blocks.size_of(b, met[2][1])[1]
-    return True

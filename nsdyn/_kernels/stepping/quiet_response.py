@@ -5,11 +5,13 @@ import numpy as np
 from nsdyn._kernels.collision import keys
 from nsdyn._kernels.collision.search import fields_of, room_of
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.dynamics import motion
+from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.solvers.start import by_factors, widest
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import free, law, persistence, touching
+from nsdyn._kernels.stepping import law, persistence, touching
 from nsdyn._kernels.stepping.quiet_meeting import DONE, SOLVE, closing_of
 from nsdyn._kernels.stepping.solving import slips_otherwise, thaw
 
@@ -87,37 +89,12 @@ def pose_anew(scene, rows, met, flags, head, room):
 @in_place
 def arrive(num, size, bodies, f, w):
     """The second half of a step of free bodies."""
-    n = size[0]
-    free.end(
-        col.velocity(w, col.V_TURNED, size),
-        col.velocity(w, col.CHANGE, size),
-        bodies,
-        (col.vectors(w, col.X, n), col.quaternions(w, col.QUATERNION, n)),
-        num[col.THETA] * num[col.STEP],
-        (
-            col.velocity(w, col.V_PLUS, size),
-            col.vectors(f, col.X, n),
-            col.quaternions(f, col.QUATERNION, n),
-            col.velocity(f, col.V, size),
-            col.rotations(f, col.R, n),
-            col.vectors(f, col.LINEAR, n),
-            col.vectors(f, col.ANGULAR, n),
-        ),
-    )
-
-
-@in_place
-def push(size, blocks, r, w):
-    """The velocity after the impulses, v⁺ = v_f + M̃⁻¹ H r, and H r."""
-    v, change, impulse = (
-        col.velocity(w, col.V_TURNED, size),
-        col.velocity(w, col.CHANGE, size),
-        col.velocity(w, col.PUSHED, size),
-    )
-    v_plus = col.velocity(w, col.V_PLUS, size)
-    for i in range(v.size):
-        v_plus[i] = v[i] + change[i]
-    _blocks.momentum(blocks, r, impulse)
+    n, x, quaternion = size[0], col.vectors(f, col.X, size[0]), col.quaternions(f, col.QUATERNION, size[0])
+    there = col.vectors(w, col.X, n), col.quaternions(w, col.QUATERNION, n), col.velocity(w, col.V_PLUS, size)
+    v, R = col.velocity(f, col.V, size), col.rotations(f, col.R, n)
+    flow(bodies[0], bodies[1], *there, num[col.THETA] * num[col.STEP], x, quaternion, v)
+    motion.rotations(quaternion, R)
+    motion.twists(R, v, n, col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
 
 
 @in_place
