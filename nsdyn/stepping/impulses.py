@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import law as _law
 from nsdyn.collision.contacts import ContactSet, joined
 from nsdyn.dynamics.ledger import Works
@@ -137,7 +136,7 @@ def account(
             (met.rows.full.arrays, met.transport, met.mu, met.local, met.frame),
             (met.stays, met.sticks, couple.work, struck),
         )
-        beyond, normal_work, friction_work, rest = _account.account(
+        beyond, normal_work, friction_work, rest = _law.outcome(
             (mass, d.gravity), (h, s.theta), velocities, rows, solved[1].r, lasting, s.solver.tol, out
         )
         total = solved[1].r

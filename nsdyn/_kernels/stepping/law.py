@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.dynamics.motion import beyond_potential
 from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
@@ -322,24 +323,24 @@ def states(r, mu, out):
 
 
 @in_place
-def outcome(rows, v_plus, r, lasting, slow, out):
-    """How a step ends at its contacts and joint rows: states, works [J], relative velocities, impulses in world axes.
+def outcome(bodies, move, velocities, rows, r, lasting, slow, out):
+    """How a step ends at its contacts and joint rows: states, works [J], relative velocities, forces in world axes.
 
     Into out = (status, normal, friction, u_end, world), from what is `lasting`, (stays, sticks, works of couples) as of
     `persistence` and the normal impulses of impacts (empty for none). `rows` are the factors of W, the transport of
     surfaces that move, mu, what `local_velocities` gives and the directions of the contacts. The
     states are those of `states`, but what ends no faster than `slow` sticks: impulses that redundant contacts share may
     lie anywhere in their cones. The works (rows,) are those of the impulses at the one configuration where they act,
-    ½ (u + u⁺)·r. Returns the sums of what they are in the limit of small steps: (normal, friction, nothing). Nothing is
-    the work of a contact that stays closed, with its couple, or was struck, normal, and sticks, tangential; joint rows
-    always do work.
+    ½ (u + u⁺)·r. Returns `beyond_potential` of bodies = (mass, gravity) in a move = (h, theta), and the sums of what
+    they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays
+    closed, with its couple, or was struck, normal, and sticks, tangential; joint rows always do work.
     """
     blocks, transport, mu, local, frame = rows
     stays, sticks, turned, struck = lasting
-    u, drift = local[1], local[3]
+    u, drift, (h, _) = local[1], local[3], move
     status, normal, friction, u_end, world = out
     nc = status.size
-    relative_velocity(blocks, v_plus, u_end)
+    relative_velocity(blocks, velocities[2], u_end)
     for i in range(transport.size):
         u_end[i] += transport[i]
     impact, slip, rest = 0.0, 0.0, 0.0
@@ -360,7 +361,7 @@ def outcome(rows, v_plus, r, lasting, slow, out):
             nothing = stays[c] or (struck.size > c and struck[c] > 0.0)
             held = sticks[c] and status[c] == 1
             for j in range(3):
-                world[c, j] = frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]
+                world[c, j] = (frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]) / h
         if nothing:
             rest += normal[c]
         else:
@@ -369,4 +370,4 @@ def outcome(rows, v_plus, r, lasting, slow, out):
             rest += friction[c]
         else:
             slip += friction[c]
-    return impact, slip, rest
+    return beyond_potential(*bodies, *move, *velocities), impact, slip, rest

@@ -9,11 +9,11 @@ from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.gauss import certificate_of
 from nsdyn._kernels.reductions import least
-from nsdyn._kernels.stepping import account as _account
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import law, reversal, touching
 from nsdyn._kernels.stepping.islands import located
 from nsdyn._kernels.stepping.quiet_meeting import all_twists
+from nsdyn._kernels.stepping.sight import rests_of
 from nsdyn._kernels.vectors import square
 
 GAIN = 1e-5
@@ -22,21 +22,6 @@ GAIN = 1e-5
 SURELY = 0.5
 """Part of `GAIN` that contacts joined by bodies may add, so that those of any larger island add less than that: its
 energy, at the velocity of all or at what gravity gives them, is at least half the sum of theirs."""
-
-
-@in_place
-def bounces(num, met, x, twists, rates):
-    """Whether anything that is closed, and may rebound, strikes or parts faster than what rests, as `System.rests`."""
-    names, points, scalars = met
-    where = names[2], names[3], points[0], points[1], x
-    for c in range(names.shape[1]):
-        e = scalars[2, c]
-        if e > 0.0 and scalars[0, c] <= num[col.CLOSED]:
-            u = touching.approach_of(c, where, twists)
-            rests = num[col.HALF] * touching.weight_of(c, where, rates) * max(1.0 - e, num[col.LEAST])
-            if u > num[col.TOL] + rests or u < -(num[col.TOL] + rests / e):
-                return True
-    return False
 
 
 @in_place
@@ -58,14 +43,24 @@ def rebounds(scene, movers, met, old, w):
 
     scene = (numbers, size), movers as of `opened` where it begins.
     """
-    (num, size), n, rates = scene, scene[1][0], np.empty((2, scene[1][0], 3))
+    (num, size), n, rates, (names, points, scalars) = scene, scene[1][0], np.empty((2, scene[1][0], 3)), met
     v, v_free, x = col.velocity(old, col.V, size), col.velocity(w, col.V_FREE, size), col.vectors(old, col.X, n)
     change = np.empty(v.size)
     for i in range(change.size):
         change[i] = (v_free[i] - v[i]) / num[col.STEP]
     all_twists(movers, x, col.rotations(old, col.R, n), change, rates[0], rates[1])
-    twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
-    return bounces(num, met, x, twists, (rates[0], rates[1]))
+    where, twists = (
+        (names[2], names[3], points[0], points[1], x),
+        (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)),
+    )
+    for c in range(names.shape[1]):
+        e = scalars[2, c]
+        if e > 0.0 and scalars[0, c] <= num[col.CLOSED]:
+            weight = touching.weight_of(c, where, (rates[0], rates[1]))
+            u, rests = touching.approach_of(c, where, twists), rests_of(weight, e, (num[col.HALF], num[col.LEAST]))
+            if u > num[col.TOL] + rests or u < -(num[col.TOL] + rests / e):
+                return True
+    return False
 
 
 @kernel
@@ -208,7 +203,7 @@ def book(scene, bodies, rows, met, flags, direction, head, status, room):
     b, mu, r = f[col.RESULTS :], met[2][1], acted[col.IMPULSE * nc : col.U * nc]
     v, v_plus = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_PLUS, size)
     couples = col.column(own, col.COUPLE_WORK, nc) if head[col.TURNED] else none
-    beyond, out[col.NORMAL], out[col.FRICTION], rest = _account.account(
+    beyond, out[col.NORMAL], out[col.FRICTION], rest = law.outcome(
         (mass, gravity),
         (h, num[col.THETA]),
         (v, v, v_plus),
