@@ -30,7 +30,7 @@ from nsdyn.stepping.passage import through, turns_far
 from nsdyn.stepping.reversal import endings
 from nsdyn.stepping.sight import followed, parting
 from nsdyn.stepping.state import State
-from nsdyn.stepping.trial import NEW, Begun, Trial
+from nsdyn.stepping.trial import Known, Trial, parted
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Islands"]
@@ -57,7 +57,7 @@ class Islands:
         self._node = np.where(frame >= 0, d.node[frame], -1)
         self._parts: dict[tuple[int, ...], Part] = {}
 
-    def step(self, state: State, loads: Loads, begun: Begun = NEW) -> Passage:
+    def step(self, state: State, loads: Loads, begun: Known) -> Passage:
         """Everything dt later.
 
         Parameters
@@ -66,7 +66,8 @@ class Islands:
         loads : callable
             What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it. An island that is made by
             itself asks in each of its moves; all others are then where the step begins.
-        begun : Begun
+        begun : Half or Trial, optional
+            What is known of the step in one move.
         """
         s = self.whole.during(state.next_t - state.dt, state.dt, state.instant.position)
         out = self._step(s, state, loads, begun)
@@ -74,24 +75,24 @@ class Islands:
             return out
         return out._replace(end=driven(out.end, *s.dynamics.surfaces.poses(state.next_t, s.theta)))
 
-    def _step(self, s: System, state: State, loads: Loads, begun: Begun) -> Passage:
+    def _step(self, s: System, state: State, loads: Loads, begun: Known) -> Passage:
         if self.count < 2:
             return through(self.whole, state, loads, begun)
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
-        callbacks = loads(t + (1.0 - s.theta) * h)
-        half = begun.half or first_half(s, begin, t, h, callbacks)
+        callbacks, (half, made) = loads(t + (1.0 - s.theta) * h), parted(begun)
+        half = half or first_half(s, begin, t, h, callbacks)
         label, count = self._foreseen(begin, half)
         if count < 2:
-            return through(self.whole, state, loads, Begun(half, begun.move))
+            return through(self.whole, state, loads, made or half)
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._struck(begin, half)]] = True
         large = _islands.EVENT * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > _islands.WORK
-        if begun.move is None and (unseen := large & ~opened).any():
+        if made is None and (unseen := large & ~opened).any():
             # One whose events are not located is made roughly first, which shows whether it meets any.
             meets |= self._hit(attempt(s, begin, half, None, label, ~unseen[label], rough=True), label, unseen)
             opened |= meets
         if not (skipped := opened.copy()).all():
-            tried = attempt(s, begin, half, callbacks, label, opened[label], begun)
+            tried = attempt(s, begin, half, callbacks, label, opened[label], made)
             self._open(begin, tried, label, opened, large)
             meets |= self._hit(tried, label, ~skipped)
             opened |= meets
@@ -121,8 +122,8 @@ class Islands:
                 if (name := tuple(nodes.tolist())) in done:
                     continue
                 part = self._part(name, nodes)
-                begun = Begun(meets=bool(meets[nodes].any()))
-                passage = through(part.system, part.state(state, key), part.loads(loads, begin), begun)
+                own_state, own_loads = part.state(state, key), part.loads(loads, begin)
+                passage = through(part.system, own_state, own_loads, meets=bool(meets[nodes].any()))
                 done[name], key = (part, passage), passage.end.memory.next_key
                 own = self._swept(part.system, passage.path)
                 moves = part.system.detector.frame >= 0

@@ -22,7 +22,7 @@ from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
 from nsdyn.stepping.solving import slips_otherwise, solve
-from nsdyn.stepping.trial import NEW, Begun, Trial
+from nsdyn.stepping.trial import Known, Trial, parted
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["attempt", "trial"]
@@ -44,7 +44,7 @@ def trial(
     t: float,
     h: float,
     barred: Index | None,
-    begun: Begun = NEW,
+    begun: Known = None,
 ) -> Trial:
     """Move for h seconds from the time t.
 
@@ -66,19 +66,20 @@ def trial(
     barred : ndarray of int, optional
         Codes, as of `others`, of what is left alone where it is open, as is all that would become deep, or strike: the
         move then says what it ran into. None: all is caught.
-    begun : Begun
+    begun : Half or Trial, optional
+        What is known of it.
     """
-    half, made, callbacks = begun.half, None, loads(t + (1.0 - s.theta) * h)
+    (half, made), callbacks = parted(begun), loads(t + (1.0 - s.theta) * h)
     if half is None and (s.dynamics.trees or callbacks is not None):
         half = first_half(s, begin, t, h, callbacks)
-    if begun.move is not None and barred is not None:
-        made = begun.move
-    elif s.mover is not None and barred is not None:
+    if barred is None:
+        made = None
+    elif made is None and s.mover is not None:
         made = s.mover.respond(s, begin, t, h, barred, half)
     if made is None:
         made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
     if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
-        return trial(s, lambda _: None, begin, t, h, barred, Begun(again))
+        return trial(s, lambda _: None, begin, t, h, barred, again)
     return _met(s, begin, made, barred)
 
 
@@ -131,19 +132,18 @@ def attempt(
     callbacks: Callbacks,
     label: Index,
     skip: Bools,
-    begun: Begun = NEW,
+    made: Trial | None = None,
     rough: bool = False,
 ) -> Trial:
     """A move of all islands that leaves alone what may strike, as a `trial` with nothing barred.
 
     Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
-    nodes `skip`, whose contacts are passed over. A `rough` one is only to show what is met: its persistent contacts do
-    some work.
+    nodes `skip`, whose contacts are passed over. One that is `made` serves where nothing is. A `rough` one is only to
+    show what is met: its persistent contacts do some work.
     """
-    made = None
-    if begun.move is not None and not skip.any():
-        made = begun.move
-    elif s.mover is not None and not skip.any() and not rough:
+    if skip.any():
+        made = None
+    elif made is None and s.mover is not None and not rough:
         made = s.mover.respond(s, begin, half.end - half.h, half.h, NO_SLOTS, half)
     if made is None:
         there, (contacts, joints) = _reachable(s, begin, half, NO_SLOTS)
@@ -151,7 +151,7 @@ def attempt(
             contacts = take(contacts, ~skip[s.nodes(contacts)])
         made = _respond(s, begin, half, there, (contacts, joints), NO_SLOTS, None, rough, label)
     if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
-        return attempt(s, begin, again, None, label, skip, NEW, rough)
+        return attempt(s, begin, again, None, label, skip, None, rough)
     return _run_into(s, made, made.moved.limits)
 
 

@@ -24,7 +24,7 @@ from nsdyn.stepping.move import trial
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import moved_by, parting
 from nsdyn.stepping.state import State
-from nsdyn.stepping.trial import NEW, Begun, Trial
+from nsdyn.stepping.trial import Known, Trial
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["through", "turns_far"]
@@ -70,7 +70,7 @@ def _contacts(begin: Instant) -> int:
     return max(1, begin.contacts.gap.size)
 
 
-def through(system: System, state: State, loads: Loads, begun: Begun = NEW) -> Passage:
+def through(system: System, state: State, loads: Loads, begun: Known = None, meets: bool = False) -> Passage:
     """Moves and impacts of a step, in one piece, or in several where that is too coarse (`_pass`).
 
     Parameters
@@ -80,13 +80,15 @@ def through(system: System, state: State, loads: Loads, begun: Begun = NEW) -> P
         Where the step begins.
     loads : callable
         What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
-    begun : Begun
-        Of the step in one move.
+    begun : Half or Trial, optional
+        What is known of the step in one move.
+    meets : bool
+        Whether that is known to meet an event.
     """
     begin = state.instant
     system = system.during(state.next_t - state.dt, state.dt, begin.position)
     effort = Effort()
-    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort, begun)
+    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort, begun, meets)
     return _in_pieces(system, state, loads, effort) if coarse and _contacts(begin) <= WORK else whole
 
 
@@ -113,75 +115,32 @@ def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Pa
 
 
 def _pass(
-    s: System, loads: Loads, begin: Instant, end: float, h: float, rate: Array, effort: Effort, begun: Begun = NEW
-) -> tuple[Passage, bool]:
-    """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
-
-    They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly,
-    and where contacts that persist, or what is lifted, add energy.
-    """
-    path = [begin.placement]
-    out, sunk = _moves(s, loads, begin, end, h, rate, path, effort, begun)
-    sunk = sunk or any(turns_far(s, h, a, begin, out.end).any() for a in out.done)
-    now, works = out.end, [w for a in out.done for w in a.works]
-    d, gained = s.dynamics, sum(w.integration for w in works)
-    if not any(d.surfaces.carry(a.contacts).any() for a in out.done):  # of what is driven the work is its own
-        gained += sum(w.projection for w in works)
-        if not any((a.contacts.restitution > 0.0).any() for a in out.done):  # contacts then only take energy
-            gained += sum(max(0.0, w.normal + w.friction) for w in works)
-    if gained > 0.0 and not d.trees:  # which keep their own errors small
-        # Where all is at rest, what gravity gives in a step is the scale.
-        sunk = sunk or gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * out.rate))
-    coarse = sunk and not any(_jammed(a.solved[1]) for a in out.done)
-    return out._replace(path=[*path, now.placement]), coarse
-
-
-def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:
-    """Contacts (nc,) that touch, of bodies that turn so far in half a move of h s that its law does not foresee it."""
-    c, out = acted.contacts, np.empty(acted.status.size, np.bool_)
-    touch = c.frame1, c.frame2, c.gap, acted.status, s.closed
-    _touching.turns_far(touch, (begin.twists[1], end.twists[1]), TURNS / (s.theta * h), out)
-    return out
-
-
-def _moves(
     s: System,
     loads: Loads,
     begin: Instant,
     end: float,
     h: float,
     rate: Array,
-    path: list[Placement],
     effort: Effort,
-    begun: Begun,
+    begun: Known = None,
+    meets: bool = False,
 ) -> tuple[Passage, bool]:
-    """Moves and impacts of h seconds until the time `end`; whether bodies sank into each other.
+    """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
-    Parameters
-    ----------
-    s : System
-    loads : callable
-    begin : Instant
-    end, h : float
-        s.
-    rate : ndarray, shape (n,)
-        Free acceleration at the beginning, m/s² and rad/s².
-    path : list of Placement
-        Where bodies were goes into it.
-    effort : Effort
-    begun : Begun
-        Of a move all the way, without impacts before it.
+    They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly,
+    and where energy is gained. The free acceleration is `rate` (n,) at the beginning; `begun` and `meets` as `through`
+    has them, of a move all the way.
     """
-    now, left, clear, sunk = begin, h, True, False
+    now, left, clear, sunk, path = begin, h, True, False, [begin.placement]
     done: list[Impulses] = []
     for cut in count():
         t = end - left
         if (struck := collide(s, now, t, left, rate)) is not None:
-            (now, impulses), begun = struck, NEW
+            (now, impulses), begun = struck, None
             done.append(_later(impulses, h - left))
         soon = left * (AGAIN if cut and struck is None else SOON)
-        length, tried = _until_event(s, loads, now, t, left, soon, effort, begun, struck is not None)
-        begun = NEW
+        length, tried = _until_event(s, loads, now, t, left, soon, effort, begun, meets or struck is not None)
+        begun, meets = None, False
         m = finish(s, now, tried)
         path += [tried.half.middle.placement, tried.moved.placement, m.end.placement]
         done.append(_later(m.done[0], h - left))
@@ -190,7 +149,30 @@ def _moves(
         now, rate, left, clear = m.end, m.rate, left - length, m.clear
         if left <= 1e-12 * h:
             break
-    return Passage(now, rate, clear, done), sunk
+    sunk = sunk or any(turns_far(s, h, a, begin, now).any() for a in done) or _gains(s, begin, h * rate, done)
+    return Passage(now, rate, clear, done, path), sunk and not any(_jammed(a.solved[1]) for a in done)
+
+
+def _gains(s: System, begin: Instant, fallen: Array, done: list[Impulses]) -> bool:
+    """Whether contacts that persist, or what is lifted, add energy; free accelerations alone give `fallen` (n,)."""
+    d, works = s.dynamics, [w for a in done for w in a.works]
+    gained = sum(w.integration for w in works)
+    if not any(d.surfaces.carry(a.contacts).any() for a in done):  # of what is driven the work is its own
+        gained += sum(w.projection for w in works)
+        if not any((a.contacts.restitution > 0.0).any() for a in done):  # contacts then only take energy
+            gained += sum(max(0.0, w.normal + w.friction) for w in works)
+    if gained <= 0.0 or d.trees:  # which keep their own errors small
+        return False
+    # Where all is at rest, what gravity gives in a step is the scale.
+    return gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, fallen))
+
+
+def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:
+    """Contacts (nc,) that touch, of bodies that turn so far in half a move of h s that its law does not foresee it."""
+    c, out = acted.contacts, np.empty(acted.status.size, np.bool_)
+    touch = c.frame1, c.frame2, c.gap, acted.status, s.closed
+    _touching.turns_far(touch, (begin.twists[1], end.twists[1]), TURNS / (s.theta * h), out)
+    return out
 
 
 def _jammed(solution: Solution) -> bool:
@@ -211,8 +193,8 @@ def _until_event(
     h: float,
     soon: float,
     effort: Effort,
-    begun: Begun = NEW,
-    struck: bool = False,
+    begun: Known = None,
+    meets: bool = False,
     cut: bool = False,
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
@@ -229,23 +211,23 @@ def _until_event(
     soon : float
         Before this, s, slip that turns round is not located.
     effort : Effort
-    begun : Begun
-        Of the move of h seconds.
-    struck : bool
-        Whether anything has just struck, and may be in a row of impacts.
+    begun : Half or Trial, optional
+        What is known of the move of h seconds.
+    meets : bool
+        Whether it is known to meet an event, or anything has just struck, and may be in a row of impacts.
     cut : bool
         Whether it ends where slip was to turn round.
     """
 
-    def capture(begun: Begun) -> tuple[float, Trial]:
+    def capture(begun: Known) -> tuple[float, Trial]:
         return h, trial(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most meet no event.
-    if not (affords := effort.affords(begin, EVENT)) and (struck or begun.meets or effort.left < WORK):
+    if not (affords := effort.affords(begin, EVENT)) and (meets or effort.left < WORK):
         return capture(begun)
     effort.spend(begin)
     m = trial(s, loads, begin, t, h, NONE, begun)
-    begun, met = Begun(m.half), bool(m.hits.size)
+    begun, met = m.half, bool(m.hits.size)
     if _jammed(m.solution) or (not affords and (met or m.touched < h or not m.solution.accepted)):
         return capture(begun)
     if m.touched < h:

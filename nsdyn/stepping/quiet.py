@@ -22,7 +22,7 @@ from nsdyn.stepping.made import Made
 from nsdyn.stepping.mover import NO_PAIRS, Mover
 from nsdyn.stepping.sight import touched
 from nsdyn.stepping.state import State
-from nsdyn.stepping.trial import Begun
+from nsdyn.stepping.trial import Known
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Quiet"]
@@ -82,15 +82,14 @@ class Quiet:
         self._left, self._pause = self._pause, min(2 * self._pause + 1, PAUSE)
         return None
 
-    def begun(self, state: State) -> Begun:
+    def begun(self, state: State) -> Known:
         """What the last attempt at a step from a state has found of it."""
         s, (old, made, motion) = self._system, self._tried
         if old is not None:
             self._mover.given = state.instant, ((old.floats, old.acted, old.status), old.found)
         if made is None:
-            return Begun(None if motion is None else motion.half)
-        move = made.values(s, state.instant, state.next_t - s.dt, s.dt, motion)
-        return Begun(move.half, move)
+            return None if motion is None else motion.half
+        return made.values(s, state.instant, state.next_t - s.dt, s.dt, motion)
 
     def _next(self, old: Flat, certify: Certify) -> Flat | None:
         """The next state, None where more may happen."""

@@ -39,7 +39,6 @@ from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
 from nsdyn.stepping.state import OnBodies, Pieces, Start, State, Step
 from nsdyn.stepping.system import check_options, system_of
-from nsdyn.stepping.trial import NEW
 from nsdyn.stepping.untold import Untold
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
@@ -306,7 +305,7 @@ class Stepper:
         if self._quiet is not None and (step := self._quietly(self._quiet)) is not None:
             return step
         s = self._now = self.get_state()
-        begun = NEW if self._quiet is None else self._quiet.begun(s)
+        begun = None if self._quiet is None else self._quiet.begun(s)
         now, rate, clear, done, _ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.position, now.position, now.placement, (s.t, s.t + s.dt))

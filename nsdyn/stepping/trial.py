@@ -1,4 +1,4 @@
-"""What a move does, and what is known of one before it is made."""
+"""What a move does."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["NEW", "Begun", "Trial"]
+__all__ = ["Known", "Trial", "parted"]
 
 NO_CODES = np.empty(0, np.int64)
 
@@ -79,22 +79,10 @@ class Trial(NamedTuple):
         return self.solution.r[0 : 3 * self.met.contacts.gap.size : 3]
 
 
-class Begun(NamedTuple):
-    """What is known of a step before it is made.
-
-    Attributes
-    ----------
-    half : Half, optional
-        Its first half, in one move.
-    move : Trial, optional
-        All of that move, with nothing barred, but for what it runs into.
-    meets : bool
-        Whether that move meets an event.
-    """
-
-    half: Half | None = None
-    move: Trial | None = None
-    meets: bool = False
+Known = Half | Trial | None
+"""What is known of a move before it is made: its first half, or all with nothing barred but what it runs into."""
 
 
-NEW = Begun()
+def parted(known: Known) -> tuple[Half | None, Trial | None]:
+    """The first half and the move, as far as they are known."""
+    return (known.half, known) if isinstance(known, Trial) else (known, None)
