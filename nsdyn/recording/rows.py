@@ -57,7 +57,8 @@ def keep(step: Any) -> Any:
 
 def begin(state: Any) -> Columns:
     """Columns of the initial state."""
-    return _columns(_stacked([_read_state(state)]))
+    columns = _columns(_stacked([_read_state(state)]))
+    return {name: x for name, x in columns.items() if name in STATES + LINKS}
 
 
 def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:

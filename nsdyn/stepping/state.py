@@ -23,7 +23,7 @@ from nsdyn.tools.naming import counted
 if TYPE_CHECKING:
     from nsdyn.stepping.untold import Untold
 
-__all__ = ["OnBodies", "Pieces", "Start", "State", "Step", "Touch"]
+__all__ = ["OnBodies", "Pieces", "State", "Step", "Touch"]
 
 
 class State(NamedTuple):
@@ -275,6 +275,8 @@ class Step:
         raise AttributeError(f"a step does not change: {name} cannot be set")
 
     def __repr__(self) -> str:
+        if not hasattr(self, "solution"):  # where a recording begins
+            return f"<Step of nothing at t = {self.t:.6g} s>"
         return f"<Step to t = {self.t:.6g} s: {counted(self.gap.size, 'contact')}, {self.solution.status.name}>"
 
     @property
@@ -331,14 +333,3 @@ class Step:
     def energy(self) -> dict[str, float]:
         """The terms of the ledger by their names, J."""
         return self.ledger._asdict()
-
-
-class Start(NamedTuple):
-    """The initial state as a recording shows it: a `Step` without what steps do."""
-
-    t: float
-    q: Array
-    v: Array
-    frames_x: Array | None
-    frames_quat: Array | None
-    energy: dict[str, float]

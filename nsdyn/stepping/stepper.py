@@ -37,7 +37,7 @@ from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
-from nsdyn.stepping.state import OnBodies, Pieces, Start, State, Step
+from nsdyn.stepping.state import OnBodies, Pieces, State, Step
 from nsdyn.stepping.system import check_options, system_of
 from nsdyn.stepping.untold import Untold
 from nsdyn.tools import callbacks
@@ -238,13 +238,13 @@ class Stepper:
             state = state._replace(origin=state.t, dt=self.dt, count=0)
         self._now = state
 
-    def start(self) -> Start:
-        """The present state as row 0 of a recording."""
+    def start(self) -> Step:
+        """The present state as row 0 of a recording: a step without what steps do."""
         state, d = self.get_state(), self.dynamics
-        s, (kinetic, potential) = state.instant, state.energies
+        s, ledger = state.instant, Ledger.of(state.energies, state.energies, Works())
         q, v = d.pinocchio_state(s.position, s.v)
         x, quaternion = d.poses(s.position, s.placement)
-        return Start(self.t, q, v, x, quaternion, {"kinetic": kinetic, "potential": potential})
+        return Step(t=self.t, q=q, v=v, frames_x=x, frames_quat=quaternion, ledger=ledger)
 
     def mass_matrix(self) -> Array:
         """M(q) at the present state, shape (n, n), kg, kg m and kg m², for v in Pinocchio's layout, as `Step.v` is."""

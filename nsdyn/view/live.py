@@ -21,7 +21,7 @@ from nsdyn.view.solids import body_path, geom_path, shape_commands
 from nsdyn.view.stage import View, stage_commands
 
 if TYPE_CHECKING:
-    from nsdyn.stepping.state import Start, Step
+    from nsdyn.stepping.state import Step
     from nsdyn.stepping.stepper import Stepper
 
 __all__ = ["Live"]
@@ -81,7 +81,7 @@ class Live:
         self._send(set_property("/Cameras/default/rotated/<object>", "position", camera))
         self.show(start)
 
-    def show(self, state: Step | Start) -> None:
+    def show(self, state: Step) -> None:
         """Show a state, unless the last is shown for less than a picture's time."""
         if time.monotonic() < self._next:
             return

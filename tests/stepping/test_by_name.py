@@ -99,6 +99,7 @@ def test_a_robot_begins_anew(standing):
     stepper.reset(q=q)
     begun = stepper.start()
     np.testing.assert_allclose(begun.q, q, rtol=0, atol=1e-15)
+    assert repr(begun) == "<Step of nothing at t = 0 s>"
     assert begun.t == 0.0 and not begun.v.any() and stepper.step().force("quadruped")[2] == 0.0
 
 
