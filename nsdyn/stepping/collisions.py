@@ -21,27 +21,25 @@ __all__ = ["caught_impacts", "collide", "striking"]
 
 def caught_impacts(
     s: System, met: Encounter, there: Placement, rate: Array, h: float
-) -> tuple[Encounter, Impact | None, Array | float]:
+) -> tuple[Encounter, Impact | None]:
     """Impacts in no time where the other impulses act, of contacts that close within the move of h s.
 
-    What the others meet then, the impacts, and the change of v by them, 0 where there are none. `rate` (n,) is the free
-    acceleration.
+    What the others meet then, and the impacts, if there are any. `rate` (n,) is the free acceleration.
     """
     struck = striking(s, met, there, rate, h)
     if struck is None:
-        return met, None, 0.0
+        return met, None
     # Rows that turn with their bodies are no approach.
     resting = s.resting(met, there, rate)
     resting = np.where(struck, resting, resting + 2.0 * np.abs(met.local[3, 0::3]))
     closed = struck | (met.end_gap <= s.closed)
     while True:
         impact = _strike(s, met, closed, resting, resting)
-        kick = met.rows.velocity_change(impact.r)
-        after = met.changed(kick, struck)
+        after = met.changed(met.rows.velocity_change(impact.r), struck)
         # What is so driven against others strikes them too.
         driven = ~closed & (met.restitution > 0.0) & (after.local[1, 0::3] < -resting) & _closes(s, after, h)
         if not driven.any():
-            return after, impact, kick
+            return after, impact
         closed, struck = closed | driven, struck | driven
 
 

@@ -315,7 +315,6 @@ class Islands:
             couple=turned,
             met=a.met.take(kept),
             impact=None,
-            kick=0.0,
             problem=problem,
             solution=solution,
             moved=a.moved._replace(contacts=contacts, limits=limits, memory=a.moved.memory._replace(next_key=next_key)),

@@ -117,7 +117,6 @@ class Made(NamedTuple):
         return {
             "met": encounter,
             "impact": None,
-            "kick": 0.0,
             "slides": slides,
             "problem": problem,
             "solution": solution,

@@ -192,7 +192,8 @@ def _respond(
     and that is left to see who asks.
     """
     d, forces = s.dynamics, half.forces
-    met, impact, kick = _encounter(s, begin, half, there.looked, needs, label)
+    met, impact = _encounter(s, begin, half, there.looked, needs, label)
+    kick = None if impact is None else met.rows.velocity_change(impact.r)
     slides = foresee(met, begin.warm)
     if last is not None:
         _resume(met, slides, last)
@@ -205,7 +206,7 @@ def _respond(
     while True:
         met, problem, solution = solve(met, s.solver, known, slides, closing, rough, label is None, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
-        v = v if impact is None else v + kick
+        v = v if kick is None else v + kick
         impulse, v = met.rows.response(solution.r, v)
         if label is None and (limited := d.within_limits(half.middle, forces, v)) is not forces:
             return _respond(s, begin, replace(half, forces=limited), there, needs, barred, last, rough)
@@ -231,7 +232,7 @@ def _respond(
         met, known, passes, back = alone.turned(couple.dv, solution.r), solution, passes - 1, True
     couple = worked(s, met, half, v, couple)
     solved = slides, problem, solution, couple
-    return Trial(half, met, impact, kick, *solved, v, impulse, trees, moved, there.memory)
+    return Trial(half, met, impact, *solved, v, impulse, trees, moved, there.memory)
 
 
 def _arrive(
@@ -254,18 +255,17 @@ def _arrive(
 
 def _encounter(
     s: System, begin: Instant, half: Half, looked: Looked, needs: Needs, label: Index | None
-) -> tuple[Encounter, Impact | None, Array | float]:
-    """What the second half meets, with impacts that it catches and their change of v."""
+) -> tuple[Encounter, Impact | None]:
+    """What the second half meets, with impacts that it catches."""
     d, (contacts, joints) = s.dynamics, needs
     there, every = half.middle.placement, d.with_actuators(joints, half.forces)
     met = Encounter.of(half, there._replace(x=looked.x, R=looked.R), contacts, every, begin)
     impact: Impact | None = None
-    kick: Array | float = 0.0
     if label is None:
-        met, impact, kick = caught_impacts(s, met, there, half.rate, half.h)
+        met, impact = caught_impacts(s, met, there, half.rate, half.h)
     limits = _limits(s, met.joints, begin.placement)
     pair = s.detector.codes(contacts)
-    return met.lasting(pair, begin, limits, s.closed, half.h, impact is not None), impact, kick
+    return met.lasting(pair, begin, limits, s.closed, half.h, impact is not None), impact
 
 
 def _ending(s: System, half: Half, met: Encounter, r: Array, moved: Instant) -> tuple[Encounter, Bools]:

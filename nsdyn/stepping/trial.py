@@ -31,8 +31,6 @@ class Trial(NamedTuple):
     met : Encounter
     impact : Impact or None
         Impacts that were caught, before the other impulses.
-    kick : ndarray or 0
-        Change of v by them.
     slides : ndarray of bool, shape (nc,)
         Contacts that slide through.
     problem : FC3D
@@ -59,7 +57,6 @@ class Trial(NamedTuple):
     half: Half
     met: Encounter
     impact: Impact | None
-    kick: Array | float
     slides: Bools
     problem: FC3D
     solution: Solution
@@ -72,6 +69,11 @@ class Trial(NamedTuple):
     hits: Index = NO_CODES
     limit: float = np.inf
     touched: float = np.inf
+
+    @property
+    def kick(self) -> Array | float:
+        """Change of v by the impacts, (n,), 0 without any."""
+        return 0.0 if self.impact is None else self.met.rows.velocity_change(self.impact.r)
 
     @property
     def normal(self) -> Array:
