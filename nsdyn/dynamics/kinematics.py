@@ -51,20 +51,10 @@ class Kinematics(Layout):
     def end(
         self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, driven: tuple[Array, Array]
     ) -> tuple[Position, Array, Placement, tuple[Flow, ...]]:
-        """(position, velocity, frames, trees) after a step's second part, without forces.
+        """(position, velocity, frames, trees) after a step's second part of h s, without forces.
 
-        Parameters
-        ----------
-        middle : Middle
-        forces : Forces
-        v : ndarray, shape (n,)
-            Velocity that forces and impulses leave in the middle.
-        impulse : ndarray, shape (n,)
-            H r of contacts and joint rows, which tells which trees are pushed.
-        h : float
-            Length of that part, s.
-        driven : two ndarrays of shapes (nd, 3) and (nd, 4)
-            Poses of driven bodies there.
+        These and the impulses leave the velocity v (n,) in the middle. What contacts and joint rows push, by H r (n,),
+        is told by `impulse`; there driven bodies have the poses `driven`, (nd, 3) and (nd, 4).
         """
         position = middle.position
         if self._lone:
@@ -127,16 +117,9 @@ class Kinematics(Layout):
         return linear, angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
-        """How far any point of each frame's shapes may move, m, shape (frames,).
+        """How far any point of each frame's shapes may move in h s, in dt of which they fall, m, shape (frames,).
 
-        Parameters
-        ----------
-        place : Placement
-        v : ndarray, shape (n,)
-        h, dt : float
-            How long they move, and how long of that under gravity, s.
-        twist : ndarray, shape (surfaces, 2, 3)
-            Linear and angular velocities of driven bodies, world axes.
+        At a velocity v (n,), and of driven bodies at a twist (surfaces, 2, 3), linear and angular, world axes.
         """
         out = np.zeros(self.frames)
         fall = h * dt * self.weight

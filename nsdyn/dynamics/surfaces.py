@@ -96,19 +96,9 @@ class Surfaces:
     ) -> tuple[Array, Array]:
         """What the surfaces add to the relative velocities of the contacts at the beginning and the end of a step.
 
-        Shapes (3 rows,), 0 beyond the contacts, m/s; empty in a scene without surfaces.
-
-        Parameters
-        ----------
-        contacts : ContactSet
-        frame : ndarray, shape (nc, 3, 3)
-            Their normals and tangents.
-        driven_x : ndarray, shape (nd, 3)
-            Origins of the driven bodies, m.
-        rows : int
-            Contacts and joint rows.
-        begun, ended : ndarray, shape (surfaces, 2, 3)
-            Linear and angular velocities of the surfaces, world axes.
+        Shapes (3 rows,), 0 beyond the contacts, m/s; empty in a scene without surfaces. The contacts have such frames
+        (nc, 3, 3), driven bodies are at driven_x (nd, 3), m, and the surfaces have the twists `begun` and `ended`
+        (surfaces, 2, 3).
         """
         if not self.count:
             return NOTHING, NOTHING

@@ -104,17 +104,7 @@ class FC3D:
 
     @classmethod
     def prepared(cls, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> FC3D:
-        """Problem as of `from_blocks`, of what has been looked at.
-
-        Parameters
-        ----------
-        blocks : Blocks
-        q : ndarray, shape (3 nc,)
-            m/s.
-        mu, scales : ndarray, shape (nc,)
-        q_norm : float
-            ‖q‖₂, m/s.
-        """
+        """Problem as of `from_blocks`, of what has been looked at, with ‖q‖₂, m/s."""
         problem = cls.__new__(cls)
         problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm = blocks, q, mu, scales, q_norm or 1.0
         return problem

@@ -101,19 +101,7 @@ class Multipliers:
 
 
 def newton(problem: FC3D, W: Operator, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
-    """Newton for any W: (factorisations, measure of r).
-
-    Parameters
-    ----------
-    problem : FC3D
-    W : Operator
-    r : ndarray, shape (3 nc,)
-        Where it begins, N·s, and what it finds.
-    tol, penalty : float
-        As of `Newton`.
-    most : int
-        Factorisations.
-    """
+    """Newton for any W from r (3 nc,), N·s, in place: (factorisations, which are `most` at most, measure of r)."""
     run = Multipliers(problem, W, r, penalty)
     run.run(tol, most)
     return run.count, run.best

@@ -61,18 +61,10 @@ def striking(s: System, met: Encounter, there: Placement, rate: Array, h: float)
 
 
 def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[Instant, Impulses] | None:
-    """Impacts in no time of what is closed at an instant; None where nothing strikes.
+    """Impacts in no time of what is closed at an instant, and it after them; None where nothing strikes.
 
-    What rests, but closes so fast that it would become deep in the move to come, strikes without restitution.
-
-    Parameters
-    ----------
-    s : System
-    at : Instant
-    t, h : float
-        Time, and length of the move to come, s.
-    rate : ndarray, shape (n,)
-        Free acceleration there, m/s² and rad/s².
+    What rests, but closes so fast that it would become deep in the move of h s from the time t, strikes without
+    restitution. The free acceleration there is `rate` (n,).
     """
     d, c = s.dynamics, at.contacts
     if not (d.surfaces.count or _hits(s, at, h)):

@@ -67,20 +67,9 @@ class Prescribed:
     def check(self, begin: Position, end: Position, there: Placement, times: tuple[float, float]) -> float:
         """Deepest overlap that prescribed motions leave at the end of a step, m, 0 if none.
 
-        The way there is followed in so many parts that nothing passes through anything unseen.
-
-        Parameters
-        ----------
-        begin, end : Position
-        there : Placement
-            At the end.
-        times : (float, float)
-            Of both, s.
-
-        Raises
-        ------
-        ValueError
-            Where it is deeper than what is taken, at the end or on the way: naming both, the depth and the time.
+        The way from `begin` to `end`, where the frames are placed `there`, at such times [s], is followed in so many
+        parts that nothing passes through anything unseen. ValueError where what is deeper than what is taken is met
+        there or on the way: naming both, the depth and the time.
         """
         self._check_limits(there, times[1])
         if not self._frames.size:

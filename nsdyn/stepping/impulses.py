@@ -103,23 +103,10 @@ def account(
     couple: Couple,
     mass: Array,
 ) -> tuple[Impulses, Warm]:
-    """What the impulses of a move and its impacts did, and what they leave.
+    """What the impulses of a move of h s and its impacts did, and what they leave; h = 0: of impacts alone.
 
-    Parameters
-    ----------
-    s : System
-    met : Encounter
-        What the impulses acted on.
-    velocities : three ndarrays of shape (n,)
-        Before the impacts, after them, and after the impulses.
-    solved : (FC3D, Solution)
-        Whose impulses are those of contacts and joint rows, but of impacts alone.
-    h : float
-        The move, s; 0 of impacts alone.
-    impact : Impact, optional
-    couple : Couple
-    mass : ndarray, shape (free,)
-        Of the free bodies, on which gravity works, kg.
+    The impulses that are `solved` for act on what is `met`, and change the velocities (n,) of before the impacts and
+    after them to the last ones. Gravity works on free bodies of such masses (free,), kg.
     """
     d, c, nc, nr = s.dynamics, met.contacts, met.frame.shape[0], met.mu.size
     actuation = beyond = normal_work = friction_work = rest = created = 0.0

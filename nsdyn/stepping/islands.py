@@ -58,16 +58,10 @@ class Islands:
         self._parts: dict[tuple[int, ...], Part] = {}
 
     def step(self, state: State, loads: Loads, begun: Known) -> Passage:
-        """Everything dt later.
+        """Everything dt later, of which it is known what has `begun` in one move.
 
-        Parameters
-        ----------
-        state : State
-        loads : callable
-            What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it. An island that is made by
-            itself asks in each of its moves; all others are then where the step begins.
-        begun : Half or Trial, optional
-            What is known of the step in one move.
+        What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.half` does. An island that is made
+        by itself asks in each of its moves; all others are then where the step begins.
         """
         s = self.whole.during(state.next_t - state.dt, state.dt, state.instant.position)
         out = self._step(s, state, loads, begun)

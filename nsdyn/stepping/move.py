@@ -52,22 +52,11 @@ def trial(
 
         q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
 
-    and the contact law of `encounter`, with the contacts that the motion shows. Where the callbacks say another f̃ at
-    the mean velocity ½ (v⁻ + v⁺) the motion is found once more, with that.
+    and the contact law of `encounter`, with the contacts that the motion shows. Where the callbacks, which `loads`
+    gives at a time [s], say another f̃ at the mean velocity ½ (v⁻ + v⁺) the motion is found once more, with that.
 
-    Parameters
-    ----------
-    s : System
-    loads : callable
-        What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
-    begin : Instant
-    t, h : float
-        s.
-    barred : ndarray of int, optional
-        Codes, as of `others`, of what is left alone where it is open, as is all that would become deep, or strike: the
-        move then says what it ran into. None: all is caught.
-    begun : Half or Trial, optional
-        What is known of it.
+    `barred` are codes, as of `others`, of what is left alone where it is open, as is all that would become deep, or
+    strike: the move then says what it ran into. None: all is caught. `begun` is what is known of it.
     """
     (half, made), callbacks = parted(begun), loads(t + (1.0 - s.theta) * h)
     if half is None and (s.dynamics.trees or callbacks is not None):

@@ -73,17 +73,8 @@ def _contacts(begin: Instant) -> int:
 def through(system: System, state: State, loads: Loads, begun: Known = None, meets: bool = False) -> Passage:
     """Moves and impacts of a step, in one piece, or in several where that is too coarse (`_pass`).
 
-    Parameters
-    ----------
-    system : System
-    state : State
-        Where the step begins.
-    loads : callable
-        What the user has to say at a time [s], as `nsdyn.stepping.half` asks for it.
-    begun : Half or Trial, optional
-        What is known of the step in one move.
-    meets : bool
-        Whether that is known to meet an event.
+    What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.half` does. `begun` is what is known
+    of the step in one move, `meets` whether that is known to meet an event.
     """
     begin = state.instant
     system = system.during(state.next_t - state.dt, state.dt, begin.position)
@@ -199,24 +190,10 @@ def _until_event(
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
-    Or to where a slip turns round. Too long take so many moves as would be too much to try.
-
-    Parameters
-    ----------
-    s : System
-    loads : callable
-    begin : Instant
-    t, h : float
-        Where it begins and how long it lasts at most, s.
-    soon : float
-        Before this, s, slip that turns round is not located.
-    effort : Effort
-    begun : Half or Trial, optional
-        What is known of the move of h seconds.
-    meets : bool
-        Whether it is known to meet an event, or anything has just struck, and may be in a row of impacts.
-    cut : bool
-        Whether it ends where slip was to turn round.
+    Or to where a slip turns round, but for that before `soon`, s. Too long take so many moves as would be too much to
+    try. The move of h seconds from the time t is known as far as it has `begun`; it `meets` an event where that is
+    known, or anything has just struck, and may be in a row of impacts. It is `cut` if it ends where slip was to turn
+    round.
     """
 
     def capture(begun: Known) -> tuple[float, Trial]:
@@ -252,20 +229,8 @@ def _located(
 ) -> tuple[float, Trial] | None:
     """The move that ends where it first touches what is barred, and its length; None if none is found.
 
-    Parameters
-    ----------
-    s : System
-    loads : callable
-    begin : Instant
-    t : float
-        Where the move begins, s.
-    moves : dict
-        One that has run into what is barred, by its length, s.
-    barred : ndarray of int
-        Codes, as of `Trial`.
-    limit : float
-        How far they may run into each other, m.
-    effort : Effort
+    It begins at the time t, s. One of the `moves`, by its length, s, has run into what is `barred`, codes as of
+    `Trial`, which may run into each other by `limit`, m.
     """
     (h,) = moves
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))

@@ -60,18 +60,8 @@ def turned(
 ) -> tuple[Couple, Bools] | None:
     """Couples with which contacts that persist do no work, and which contacts have others than act; None if none do.
 
-    Parameters
-    ----------
-    s : System
-    met : Encounter
-    half : Half
-    solution : Solution
-    v : ndarray, shape (n,)
-        The velocity to which it brings.
-    slides : ndarray of bool, shape (nc,)
-        Contacts that slide through.
-    couple : Couple
-        What acts.
+    With the impulses of a solution, which lead to the velocity v (n,), contacts that slide through (nc,), and the
+    couples that act.
     """
     d, c, rows = s.dynamics, met.contacts, met.rows.full
     if not d.free:

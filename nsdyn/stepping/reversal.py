@@ -30,17 +30,8 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution, 
     """The fraction of a move after which the first slip turns round, 1 if none does.
 
     With the slip u_k where the move begins and u_e where it would end if friction did not change its direction, the
-    forces of the move being constant: u_k/(u_k - u_e). What is solved loosely tells of none.
-
-    Parameters
-    ----------
-    met : Encounter
-    solver : Solver
-    problem : FC3D
-    solution : Solution
-    cut : bool
-        Whether the move has been cut: then only friction that still drives, as where stiff forces change with the time,
-        tells of one.
+    forces of the move being constant: u_k/(u_k - u_e). What is solved loosely tells of none. Where the move has been
+    `cut` only friction that still drives, as where stiff forces change with the time, tells of one.
     """
     local = met.begun
     if not solution.converged or (end := endings(met, problem, solution)) is None:

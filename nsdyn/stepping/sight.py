@@ -97,17 +97,8 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
 
     And how far they may run into each other, m or rad, infinite where nothing strikes. The code of a contact is that of
     its pair of shapes, that of joint limit i is -1 - i. A contact that is met but not pressed is left alone, too: where
-    bodies turn it may open, and strike again when it closes.
-
-    Parameters
-    ----------
-    s : System
-    found, met : ContactSet
-    r : ndarray, shape (nc,)
-        Normal impulses of those met, N·s.
-    limits : ndarray
-    slot : ndarray of int
-        Joint rows that are met.
+    bodies turn it may open, and strike again when it closes. Met are some contacts with normal impulses r (nc,), N·s,
+    and the joint rows of some slots.
     """
     if not limits.size and (found is met or _touching.all_known(found.key, met.key, -r, -_touching.LEAST)):
         return NO_CODES, np.inf
@@ -215,23 +206,10 @@ def shown(
 ) -> tuple[ContactSet, ContactMemory, Index]:
     """Contacts that the motion of a move shows, of those met with impulses r and those missed, and what to keep.
 
-    What ends deep with features that were not met is met with those, where they were in the middle: the projection of
-    positions would lift it without taking its speed.
-
-    Parameters
-    ----------
-    s : System
-    met : Encounter
-    r : ndarray, shape (3 rows,)
-    moved : Instant
-        Where the motion ends.
-    memory : ContactMemory
-    middle : Placement
-        Where the impulses act.
-    fast : bool
-        Whether anything is so fast that it might pass through unseen.
-    kept : ndarray of int
-        Keys of contacts that were missed before: they stay.
+    What ends deep with features that were not met is met with those, where they were in the `middle`, where the
+    impulses act: the projection of positions would lift it without taking its speed. The motion ends at `moved`; `fast`
+    is whether anything is so fast that it might pass through unseen; `kept` are keys of contacts that were missed
+    before: they stay.
     """
     found = moved.contacts
     real = ~_ghosts(s, met, r, found) | among(met.contacts.key, kept)

@@ -30,24 +30,12 @@ def solve(
     shares: bool,
     off: Bools | None,
 ) -> tuple[Encounter, FC3D, Solution]:
-    """What is met, its problem, and the impulses.
+    """What is met, its problem, and the impulses, where the contacts `slides` (nc,) slide through.
 
-    Parameters
-    ----------
-    met : Encounter
-    solver : Solver
-    last : Solution, optional
-        Of the same move with other contacts, or rough. Where it has not converged no more is asked for than
-        `Graded.loosely` gives.
-    slides : ndarray of bool, shape (nc,)
-        Which contacts slide through.
-    closing : Closing
-    rough : bool
-        Whether what `Graded.roughly` gives is enough.
-    shares : bool
-        Whether the shares that the friction of ball joints has are sought, by more solves.
-    off : ndarray of bool, shape (rows,), optional
-        Rows of whose islands alone the solution differs from the last.
+    The `last` solution is of the same move with other contacts, or rough; where it has not converged no more is asked
+    for than `Graded.loosely` gives, and where this is to be rough, than `Graded.roughly` does. The solution differs
+    from it in the islands alone of which rows are `off` (rows,). With `shares` those of the friction of ball joints are
+    sought, by more solves.
     """
 
     def once(met: Encounter, last: Solution | None, off: Bools | None) -> tuple[FC3D, Solution]:

@@ -65,21 +65,7 @@ def system_of(
     scheme: tuple[float, float],
     law: Law,
 ) -> System:
-    """What does not change from move to move, of a scene with such shapes.
-
-    Parameters
-    ----------
-    scene : Scene
-    geoms : list of Geom
-        Its shapes.
-    dynamics : Dynamics
-    detector : Detector
-    solver : Solver
-    scheme : (float, float)
-        θ and the step, s.
-    law : Law
-        Of impact.
-    """
+    """What does not change from move to move, of a scene with such shapes: scheme = (θ, step [s]), law of impact."""
     # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
     size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
     # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
