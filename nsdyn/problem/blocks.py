@@ -59,6 +59,12 @@ class Blocks(NamedTuple):
         """The factors of some contacts."""
         return self._replace(block=self.block[some], start=self.start[some])
 
+    def islands(self) -> Index:
+        """Island of each contact, shape (nc,), from 0 in the order of their first contacts: islands share no block."""
+        label = np.empty(self.nc, np.int64)
+        _blocks.islands(self.block, self.offset.size - 1, label)
+        return label
+
     def relative_velocity(self, v: Array) -> Array:
         """u = Hᵀ v, shape (3 nc,)."""
         u = np.empty(3 * self.nc)

@@ -170,13 +170,11 @@ class FC3D:
         return len(self.mu)
 
     def islands(self) -> Index:
-        """Island of each contact, shape (nc,), from 0 in the order of their first contacts: islands share no block."""
-        if self.blocks is None:
-            indptr, indices, data = self.csr
-            label: Index = connected_components(sp.csr_array((np.ones(len(data)), indices, indptr)))[1].astype(np.int64)
-            return label
-        label = np.empty(self.nc, np.int64)
-        _blocks.islands(self.blocks.block, self.blocks.offset.size - 1, label)
+        """Island of each contact, as of `Blocks.islands`."""
+        if self.blocks is not None:
+            return self.blocks.islands()
+        indptr, indices, data = self.csr
+        label: Index = connected_components(sp.csr_array((np.ones(len(data)), indices, indptr)))[1].astype(np.int64)
         return label
 
     def velocity(self, r: Array) -> Array:

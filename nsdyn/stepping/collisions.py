@@ -14,9 +14,11 @@ from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import DEEP, JOINT, Instant, System, among
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["caught_impacts", "collide", "striking"]
+__all__ = ["caught_impacts", "collide", "limits_struck", "striking"]
+
+NO_SLOTS = np.empty(0, np.int64)
 
 
 def caught_impacts(
@@ -67,7 +69,7 @@ def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[In
     restitution. The free acceleration there is `rate` (n,).
     """
     d, c = s.dynamics, at.contacts
-    if not (d.surfaces.count or _hits(s, at, h)):
+    if not (d.surfaces.count or limits_struck(s, at, h).size):
         limit = s.solver.tol if s.elastic and _few.most(c.restitution) > 0.0 else s.slow / h
         if s.striking_speed(at) >= -limit:
             return None
@@ -84,11 +86,10 @@ def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[In
         depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
     slow = np.where(met.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
-    if impact.problem is None or impact.solution is None:
+    if impact.solved is None:
         return None
     v = at.v + met.rows.velocity_change(impact.r)
-    solved = impact.problem, impact.solution
-    impulses, _ = account(s, met, (at.v, v, v), solved, 0.0, impact, NO_COUPLE, d.mass)
+    impulses, _ = account(s, met, (at.v, v, v), impact.solved, 0.0, impact, NO_COUPLE, d.mass)
     if any(free.constraints is not None for free in forces.trees):
         push, (works,) = met.rows.full.momentum(impact.r), impulses.works
         for tree, free in zip(d.trees, forces.trees, strict=True):
@@ -109,10 +110,10 @@ def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Arra
     return strike(s.impact, at, resting, slow)
 
 
-def _hits(s: System, at: Instant, h: float) -> bool:
-    """Whether a joint at a limit may strike it, with a move of h s to come."""
+def limits_struck(s: System, at: Instant, h: float) -> Index:
+    """Slots of the joint limits that a joint is at and may strike, with a move of h s to come."""
     if not _few.any_below(at.limits, s.closed):
-        return False
-    joints = s.dynamics.joints
-    limit = np.where(joints.restitution[joints.limits] > 0.0, s.solver.tol, s.depth * JOINT / h)
-    return bool(((at.limits <= s.closed) & (joints.rates(joints.limits, at.v) < -limit)).any())
+        return NO_SLOTS
+    joints, slots = s.dynamics.joints, s.dynamics.joints.limits
+    limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * JOINT / h)
+    return slots[(at.limits <= s.closed) & (joints.rates(slots, at.v) < -limit)]

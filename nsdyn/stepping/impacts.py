@@ -21,7 +21,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -78,9 +77,7 @@ class Round(NamedTuple):
 
     def islands(self) -> Index:
         """The island of each contact, from 0 on."""
-        label = np.empty(self.mu.size, np.int64)
-        _blocks.islands(self.blocks.block, self.blocks.offset.size - 1, label)
-        return label
+        return self.blocks.islands()
 
     def work(self, r: Array, label: Index) -> Array:
         """Work of impulses on each island, J: ½ (U⁻ + U⁺)·r."""

@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import islands as _islands
 from nsdyn._kernels.stepping.quiet_checks import GAIN
 from nsdyn.collision.contacts import ContactSet, Poses, take
@@ -21,9 +20,10 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.ball_joints import unbalanced
 from nsdyn.stepping.booking import Passage, finish
-from nsdyn.stepping.collisions import striking
+from nsdyn.stepping.collisions import limits_struck, striking
+from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.half import Half, Loads, first_half
-from nsdyn.stepping.instant import FAST, JOINT, Instant, System
+from nsdyn.stepping.instant import FAST, Instant, System
 from nsdyn.stepping.move import attempt
 from nsdyn.stepping.parts import Part, driven, merged
 from nsdyn.stepping.passage import through, turns_far
@@ -194,7 +194,7 @@ class Islands:
     def _struck(self, begin: Instant, half: Half) -> Index:
         """Nodes of closed contacts and joint limits that approach so fast that they may strike in no time."""
         s, d, c = self.whole, self.whole.dynamics, begin.contacts
-        out = [np.empty(0, np.int64)]
+        out = [d.joints.block[limits_struck(s, begin, half.h)]]
         if c.gap.size:
             u = parting(d, c, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
             limit = np.where(c.restitution > 0.0, s.solver.tol, s.slow / half.h)
@@ -202,10 +202,6 @@ class Islands:
             if strikes.any():  # not what pressed before, which turns with its bodies
                 strikes &= (c.restitution > 0.0) | (s.last_status(c, begin.warm) == 0)
             out += self._nodes(c, strikes)
-        if _few.any_below(begin.limits, s.closed):
-            joints, slots = d.joints, d.joints.limits
-            limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * JOINT / half.h)
-            out.append(joints.block[slots[(begin.limits <= s.closed) & (joints.rates(slots, begin.v) < -limit)]])
         return np.concatenate(out)
 
     def _nodes(self, c: ContactSet, which: Bools) -> list[Index]:
@@ -213,6 +209,13 @@ class Islands:
         node = self.whole.dynamics.node
         both = np.concatenate((node[c.frame1[which]], node[c.frame2[which]]))
         return [both[both >= 0]]
+
+    def _of_rows(self, met: Encounter, which: Bools) -> list[Index]:
+        """Nodes of some rows."""
+        out, nc = self._nodes(met.contacts, which[: met.contacts.gap.size]), met.contacts.gap.size
+        if met.joints is not None:
+            out.append(self.whole.dynamics.joints.block[met.joints.slot[which[nc:]]])
+        return out
 
     def _hit(self, tried: Trial, label: Index, of: Bools) -> Bools:
         """Which islands run into what their move did not meet, of some (islands,)."""
@@ -233,9 +236,8 @@ class Islands:
         out += self._nodes(found, found.gap < -s.closed)
         out.append(d.joints.block[d.joints.limits[limits < -s.closed]])
         if (ends := endings(a.met, a.problem, a.solution)) is not None:
-            out += self._nodes(c, (ends[: c.gap.size] > 0) & ~large[label[s.nodes(c)]])
-            if a.met.joints is not None:
-                out.append(d.joints.block[a.met.joints.slot[ends[c.gap.size :] > 0]])
+            ends[: c.gap.size][large[label[s.nodes(c)]]] = 0
+            out += self._of_rows(a.met, ends > 0)
         if a.met.joints is not None and (balls := a.met.rows.balls).size:
             off = unbalanced(a.met.rows, a.solution.r, a.solution.u, a.problem.scales)
             out.append(d.joints.block[a.met.joints.slot[balls[off] - c.gap.size]])
@@ -243,9 +245,7 @@ class Islands:
             out += self._nodes(c, np.ones(c.gap.size, np.bool_))
         half = a.half
         if (struck := striking(s, a.met, half.middle.placement, half.rate, half.h)) is not None:
-            out += self._nodes(c, struck[: c.gap.size])
-            if a.met.joints is not None:
-                out.append(d.joints.block[a.met.joints.slot[struck[c.gap.size :]]])
+            out += self._of_rows(a.met, struck)
         limited = d.within_limits(a.half.middle, a.half.forces, a.v)
         changed = [x is not y for x, y in zip(limited.trees, a.half.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.collision.contacts import Looked, take
 from nsdyn.dynamics.values import Forces
 from nsdyn.problem.blocks import Blocks
@@ -87,8 +86,7 @@ def project(s: System, at: Instant, forces: Forces) -> tuple[Instant, bool]:
 
 def _without_squeezed(blocks: Blocks, solution: Solution) -> Array:
     """The impulses of a projection, none in islands where they do not even halve an overlap."""
-    label = np.empty(blocks.block.shape[0], np.int64)
-    _blocks.islands(blocks.block, blocks.offset.size - 1, label)
+    label = blocks.islands()
     squeezed = np.isin(label, label[solution.u[0::3] < -0.5])
     out: Array = np.where(np.repeat(squeezed, 3), 0.0, solution.r)
     return out

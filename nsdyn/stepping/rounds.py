@@ -32,8 +32,8 @@ class Impact(NamedTuple):
     created : float
         Energy created, J: the sum over rounds and islands of contacts whose impulses together did positive work, by
         more than their solution leaves.
-    problem, solution : FC3D and Solution, or None
-        Of those solved the worst.
+    solved : (FC3D, Solution) or None
+        Of the problems solved the worst; None where nothing struck.
     """
 
     r: Array
@@ -41,8 +41,7 @@ class Impact(NamedTuple):
     normal: Array
     friction: Array
     created: float
-    problem: FC3D | None
-    solution: Solution | None
+    solved: tuple[FC3D, Solution] | None
 
 
 def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
@@ -62,7 +61,7 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
     label = np.full(closed.size, -1)
     label[closed] = at.of(closed).islands()
     total, works, bounced = np.zeros_like(u), np.zeros_like(u), np.zeros(closed.size, np.bool_)
-    created, worst, where = 0.0, None, None
+    created, worst = 0.0, None
     for k in range(ROUNDS):
         hit = closed & (u[0::3] < -slow)
         if not hit.any():
@@ -91,10 +90,10 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
         total += r
         u = after
         for problem, solution in solved:
-            if worst is None or solution.error > worst.error:
-                worst, where = solution, problem
+            if worst is None or solution.error > worst[1].error:
+                worst = problem, solution
         if not all(solution.accepted for _, solution in solved):  # what follows on no solution is none either
             break
     # What a loose solution leaves may strike again.
     works = np.where(np.repeat(bounced, 3), works, 0.5 * (at.before + u) * total)
-    return Impact(total, u, works[0::3], works[1::3] + works[2::3], created, where, worst)
+    return Impact(total, u, works[0::3], works[1::3] + works[2::3], created, worst)

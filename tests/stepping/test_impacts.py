@@ -189,7 +189,7 @@ def gains_on_operators(law, seeds):
         work = (impact.normal + impact.friction).sum()
         assert now - energy == pytest.approx(work, abs=1e-10 * max(now, energy))
         gain = max(gain, work / energy, impact.created / energy)
-        solved = impact.solution is None or impact.solution.status is nd.Status.CONVERGED
+        solved = impact.solved is None or impact.solved[1].status is nd.Status.CONVERGED
         approach, loose = max(approach, -impact.u[0::3].min() if solved else 0.0), loose + (not solved)
     return gain, approach, loose
 
