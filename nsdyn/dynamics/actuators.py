@@ -112,18 +112,9 @@ def left_to_rows(halfway: Halfway, loads: TreeLoads, limit: Array, mobility: Arr
     """The loads of a step without the control of the actuators `over` (nv,) their limits, which is left to rows.
 
     τ = clip(τ₀ - b v', ±L) is that of a clutch that slips at L, between the joint and a rotor of mass h b that turns at
-    τ₀/b without it: its row is in `nsdyn.dynamics.joints`. Beside the mobility of a joint a small b is nothing: then τ
-    is what it is at v.
-
-    Parameters
-    ----------
-    halfway : Halfway
-    loads : TreeLoads
-    limit, mobility : ndarray, shape (nv,)
-        L, N m or N, and 1/mass of the joints.
-    v : ndarray, shape (nv,)
-        Velocity after the forces by which the limits are exceeded.
-    over : ndarray of bool, shape (nv,)
+    τ₀/b without it: its row is in `nsdyn.dynamics.joints`. Beside the mobility of a joint, 1/mass, a small b is
+    nothing: then τ is what it is at v, the velocity after the forces by which the limits L (nv,), N m or N, are
+    exceeded.
     """
     kp, kd, alpha, beta, force = loads.laws[1]
     h, v0 = halfway.h, halfway.v

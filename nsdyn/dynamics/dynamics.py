@@ -57,19 +57,10 @@ class Dynamics(Kinematics):
         control: Controls = NOTHING,
         last: Array | None = None,
     ) -> Forces:
-        """What acts in a step: M̃ (v_f - v⁻) = h f̃.
+        """What acts in a step of h s until the time t, s: M̃ (v_f - v⁻) = h f̃.
 
-        Parameters
-        ----------
-        middle : Middle
-        t, h : float
-            Time at the end of the step, and step, s.
-        wrenches : (mapping, mapping), optional
-            As `wrenches` makes them.
-        control : mapping
-            As `controls` makes it.
-        last : ndarray, shape (slots, 3), optional
-            Last impulses of the joint rows.
+        With what `wrenches` and `controls` make of the user's functions, and the last impulses of the joint rows
+        (slots, 3).
         """
         loads, applied = wrenches or (NOTHING, NOTHING)
         load = reduce(add, loads.values()) if loads else self.no_load

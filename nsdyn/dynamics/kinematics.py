@@ -21,18 +21,10 @@ class Kinematics(Layout):
     """Motion of a scene between the instants at which forces act."""
 
     def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> Middle:
-        """Where the forces of a step of h act: after (1 - θ) h of motion without any, Φ.
+        """Where the forces of a step of h s act: after (1 - θ) h of motion without any, Φ.
 
-        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it.
-
-        Parameters
-        ----------
-        position : Position
-        v : ndarray, shape (n,)
-        h, theta : float
-            Step, s, and θ.
-        twist : ndarray, shape (surfaces, 2, 3)
-            Linear and angular velocities of driven bodies, world axes.
+        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it, driven bodies at a
+        twist (surfaces, 2, 3), linear and angular, world axes.
         """
         ahead = (1.0 - theta) * h
         if self._lone:

@@ -40,24 +40,9 @@ Rate = Callable[[Array, Array], tuple[Array, float]]
 
 
 def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float, coarser: float = 1.0) -> Flow:
-    """Motion in parts of `runge_kutta`, which err by less than `TOLERANCE`.
+    """Motion for h s in parts of `runge_kutta`, which err by less than `TOLERANCE`, or `coarser` times as much.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-    rate : callable
-    q, v : ndarray, shapes (nq,), (nv,)
-    h : float
-        s.
-    turn : float
-        About the fastest rate of a joint, rad/s.
-    coarser : float
-        How many times more than that they may err.
-
-    Raises
-    ------
-    ArithmeticError
-        Where no part is, naming the joint that is fastest.
+    The fastest joint turns at about the rate `turn`, rad/s. ArithmeticError, naming it, where no part is so exact.
     """
     left = h
     part = longest = h / math.ceil(min(max(h * turn / TURN, 1.0), 1.0 / FINEST))
@@ -94,7 +79,7 @@ def fastest(model: pin.Model, v: Array) -> str:
 def runge_kutta(
     model: pin.Model, rate: Rate, q: Array, v: Array, first: tuple[Array, float], h: float, whole: float
 ) -> tuple[Flow, float]:
-    """One step of the classical Runge–Kutta method of fourth order, and its error.
+    """One step of h s of the classical Runge–Kutta method of fourth order, and its error; first = rate(q, v).
 
     Its last combination is made of two displacements one after the other, so that it is of that order for free and
     spherical joints too. What it changes of energy and momentum is O(h⁵). The error is a fraction of what `TOLERANCE`
@@ -102,16 +87,6 @@ def runge_kutta(
     rule, whose difference from the step, as a fraction of the velocity, is z³/6 for a vibration that turns by z in h,
     where the step errs by z⁵/120. Where the first two stages say that even the first order would do, also for the work
     of driven joints, they are all, and the midpoint rule is the step; of what is `SLOW`, the first order is.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-    rate : callable
-    q, v : ndarray, shapes (nq,), (nv,)
-    first : (ndarray, float)
-        rate(q, v).
-    h, whole : float
-        Length of the step, and of the whole motion, s.
 
     References
     ----------

@@ -206,22 +206,10 @@ class Tree(Linkage):
     ) -> tuple[Works, tuple[float, float]]:
         """The tree's part in the ledger of a step, and its (kinetic, potential) energy at the end, J.
 
-        Parameters
-        ----------
-        halfway : Halfway
-        free : FreeMotion
-        v : ndarray, shape (nv,)
-            Velocity that the forces leave.
-        end : Flow
-        lifted : ndarray, shape (nq,)
-            Configuration after the position projection, end.q itself without.
-        impulse : ndarray, shape (nv,)
-            H r of contacts and joint rows.
-        before : (float, float)
-            Kinetic and potential energy at its beginning, J.
-        joints : ndarray, shape (6, n)
-            Of the scene, where rows 0, 3 and 5 are for impulses of actuation, of external wrenches, and the most that
-            actuators may give, N m s or N s.
+        The forces leave the velocity v (nv,), with H r of contacts and joint rows, `impulse` (nv,). The position
+        projection has lifted it, end.q itself without; `before` are its energies at the beginning. Impulses of
+        actuation, of external wrenches, and the most that actuators may give, N m s or N s, go into rows 0, 3 and 5 of
+        the joints of the scene.
         """
         h, loads = halfway.h, free.loads
         limit = self._no_control.law[-1] if loads.limit is None else loads.limit

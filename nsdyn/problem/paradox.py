@@ -99,18 +99,9 @@ def _apart(problem: FC3D, r: Array, other: Array) -> bool:
 
 
 def jams(problem: FC3D, solution: Solution, contacts: int, fall: float, solve: Solve) -> NDArray[np.bool_]:
-    """Which contacts of a solution stop by an impulse that no force gives, shape (contacts,).
+    """Which of the contacts of a solution, its first rows, stop by an impulse that no force gives, shape (contacts,).
 
-    Parameters
-    ----------
-    problem : FC3D
-    solution : Solution
-    contacts : int
-        Rows of the problem that are contacts, the first; others are of joints.
-    fall : float
-        Velocity that free accelerations give in the step, m/s.
-    solve : callable
-        A solver.
+    Free accelerations give a velocity `fall` in the step, m/s.
     """
     q, u, r = (x.reshape(-1, 3)[:contacts] for x in (problem.q, solution.u, solution.r))
     pressed = r[:, 0] > 0.0

@@ -57,13 +57,7 @@ def _now(rows: Rows) -> Array:
 def unbalanced(rows: Rows, r: Array, u: Array, scales: Array) -> Bools:
     """Which ball joints slip along another direction than their friction, shape (balls,).
 
-    Parameters
-    ----------
-    rows : Rows
-    r, u : ndarray, shape (3 nc,)
-        Impulses [N m s] and velocities [rad/s] of all rows.
-    scales : ndarray, shape (nc,)
-        Mobilities of the rows, as of `FC3D`.
+    At impulses r and velocities u (3 nc,) of all rows, whose mobilities are `scales` (nc,), as of `FC3D`.
     """
     out: Bools = np.abs(_wanted(rows, r, u, scales) - _now(rows)) > ALIKE
     return out
