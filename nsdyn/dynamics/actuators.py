@@ -50,17 +50,10 @@ nothing: at its limit it is a constant."""
 
 
 class Actuators:
-    """The actuators of an articulation, which read what a controller returns.
+    """The actuators of an articulation, those of its file, which read what a controller returns.
 
-    Parameters
-    ----------
-    axes : Axes
-    effort : ndarray, shape (nv,)
-        Most that a `PD` gives unless it says otherwise, N m or N.
-    trees : sequence of slice
-        Coordinates of each of its trees.
-    actuators : sequence of Actuator
-        Those of its file.
+    A `PD` gives at most the `effort` (nv,), N m or N, unless it says otherwise. Each of its `trees` has some
+    coordinates.
     """
 
     def __init__(self, axes: Axes, effort: Array, trees: Sequence[slice], actuators: Sequence[Actuator] = ()) -> None:

@@ -82,13 +82,7 @@ def admissible(B: Array, F: Array) -> tuple[Array, Array]:
 class Closures:
     """Closed loops and gears of one tree as φ(q) = 0: points of two links coincide, or frames do; q2 = a q1 + b.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-    loops : sequence of Loop
-    gears : sequence of Gear
-    driven : ndarray, shape (k, nv), optional
-        Rows of coordinates that do not give way.
+    The rows `driven` (k, nv) are of coordinates that do not give way.
     """
 
     def __init__(

@@ -33,20 +33,9 @@ STAYS: Way = 0.0, lambda part, x, R: None
 class Prescribed:
     """Bodies, links and joints of a scene that nothing but prescribed motion moves, and what they may run into.
 
-    Parameters
-    ----------
-    scene : Scene
-    dynamics : Dynamics
-    arm : ndarray, shape (frames,)
-        How far shapes reach from the origins of their frames, m.
-    overlap : float
-        Deepest overlap that is taken, as a fraction of the inscribed radius of the smaller body; of joint limits as one
-        of `JOINT`.
-
-    Raises
-    ------
-    ValueError
-        Where they contradict each other from the start, as `check`.
+    Shapes reach `arm` (frames,) from the origins of their frames, m. The deepest `overlap` that is taken is a fraction
+    of the inscribed radius of the smaller body, of joint limits one of `JOINT`. ValueError where they contradict each
+    other from the start, as of `check`.
     """
 
     def __init__(self, scene: Scene, dynamics: Dynamics, arm: Array, overlap: float) -> None:

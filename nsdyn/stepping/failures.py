@@ -32,20 +32,10 @@ NAMED = 3
 
 
 class Failures:
-    """Failing steps of a run, and what is done of each.
+    """Failing steps of a run, and what is done of each, as of `nsdyn.Stepper`; the names are of the shapes.
 
-    Parameters
-    ----------
-    on_fail : {"warn", "raise", "dump", "ignore"}
-    folder : path, optional
-        Where the problems of failing steps are written, FCLIB files; None writes none, unless `on_fail` is "dump".
-    names : list of str
-        Of the shapes.
-
-    Raises
-    ------
-    ValueError
-        For what is none of the choices, and where the folder cannot be written.
+    Problems of failing steps are written into the `folder`; None writes none, unless `on_fail` is "dump". ValueError
+    for what is none of the choices, and where the folder cannot be written.
     """
 
     def __init__(self, on_fail: str, folder: str | Path | None, names: list[str]) -> None:

@@ -21,14 +21,7 @@ Callback = (
 
 
 class Functions:
-    """What controls the joints of a scene and pushes its bodies.
-
-    Parameters
-    ----------
-    controller, external_force : callable, optional
-        As of `nsdyn.Stepper`.
-    dynamics : Dynamics
-        Of the scene.
+    """What controls the joints of a scene and pushes its bodies, as of `nsdyn.Stepper`.
 
     Attributes
     ----------
@@ -36,11 +29,6 @@ class Functions:
         Whether one of them takes the last step.
     push : bool
         Whether free bodies have loads, as of `nsdyn.dynamics.dynamics.Wrenches`.
-
-    Raises
-    ------
-    ValueError
-        For what is no function.
     """
 
     def __init__(self, controller: Callback | None, external_force: Callback | None, dynamics: Dynamics) -> None:

@@ -30,16 +30,7 @@ class Paradoxes:
 
     A body of mass m, whose least moment of inertia is J and whose shapes reach b from its centre, has
     W_NN - μ‖W_NT‖ ≥ 1/m - μ² b²/4 J: friction turns it so fast only where μ > 2 (J/m)^½/b. Of articulations nothing is
-    known beforehand.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-    solver : Solver
-    arm : ndarray, shape (frames,)
-        How far shapes reach from the origins of their frames, m.
-    mu : float
-        Largest coefficient of friction of the scene.
+    known beforehand. Shapes reach `arm` (frames,) from the origins of their frames, m, and μ is at most `mu`.
     """
 
     def __init__(self, dynamics: Dynamics, solver: Solver, arm: Array, mu: float) -> None:

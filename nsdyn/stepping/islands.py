@@ -43,12 +43,7 @@ BENT = 0.25
 
 
 class Islands:
-    """The step of a scene, and the systems of its islands.
-
-    Parameters
-    ----------
-    whole : System
-    """
+    """The step of a scene, and the systems of its islands."""
 
     def __init__(self, whole: System) -> None:
         d = whole.dynamics

@@ -107,20 +107,9 @@ class Mover:
     ) -> Made | None:
         """The move of length = (h [s], depth) from a state; None where the kernel does not make it.
 
-        Parameters
-        ----------
-        old : Acted
-        begun : Found
-            Contacts there.
-        length : (float, float)
-        direction : ndarray
-        barred : ndarray of int
-        step : bool
-            As of the kernel.
-        moves : bool
-            Whether anything is likely to move, so that there should be room for what is found then.
-        motion : Motion, optional
-            Of trees, or under the forces of the user.
+        It begins at `old`, with the contacts `begun`. Direction, what is barred and whether it is a `step` are as of
+        the kernel; if it `moves`, which is likely, there should be room for what is found then. The `motion` is of
+        trees, or under the forces of the user.
         """
         detector, constrained = self._detector, self._dynamics.constrained
         if constrained and begun.nc:  # problems have the coordinates that loops leave

@@ -16,14 +16,7 @@ __all__ = ["Names"]
 
 
 class Names:
-    """The names of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-    geoms : sequence of Geom
-        Its shapes.
-    """
+    """The names of a scene with such shapes."""
 
     def __init__(self, scene: Scene, geoms: Sequence[Geom]) -> None:
         labels = [(g.body, g.link or g.name) for g in geoms]

@@ -29,19 +29,12 @@ T = TypeVar("T")
 
 
 class Part:
-    """Some nodes of a scene as a system of their own.
-
-    Parameters
-    ----------
-    whole : System
-    nodes : ndarray of int
-        Ascending.
+    """Some nodes of a scene, ascending, as a system of their own.
 
     Attributes
     ----------
     system : System
-    nodes : ndarray of int
-    geoms, coordinates : ndarray of int
+    nodes, geoms, coordinates : ndarray of int
         Those of the part in the whole, ascending.
     """
 

@@ -39,22 +39,9 @@ def project(s: System, at: Instant, forces: Forces) -> tuple[Instant, bool]:
     """The closest position without overlap, in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0.
 
     Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes and joint limits where the
-    last one has brought them.
-
-    Parameters
-    ----------
-    s : System
-    at : Instant
-        Where the motion ends. Its velocities stay what they are.
-    forces : Forces
-        Whose mass matrices are the metric.
-
-    Returns
-    -------
-    Instant
-        `at` itself where nothing overlaps by more than what counts as closed.
-    bool
-        Whether that is so at last. Where bodies are squeezed nothing helps: these, and what touches them, stay.
+    last one has brought them; the mass matrices of the forces are the metric. Velocities stay what they are `at` the
+    end of the motion. That itself is returned where nothing overlaps by more than what counts as closed, and whether
+    that is so at last: where bodies are squeezed nothing helps. These, and what touches them, stay.
     """
     d, closed = s.dynamics, s.closed
     for _ in range(PASSES):

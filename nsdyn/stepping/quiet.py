@@ -39,20 +39,10 @@ ASKS = 50
 
 
 class Quiet:
-    """Steps by a kernel as long as they meet no event.
+    """Steps by a kernel as long as they meet no event: nothing strikes or overlaps, and no slip turns round.
 
-    Nothing strikes or overlaps, and no slip turns round.
-
-    Parameters
-    ----------
-    system : System
-    mover : Mover
-    polish : bool
-        Whether certificates are polished: no one of the kernel is then enough.
-    loads : callable
-        What the user has to say at a time [s].
-    paradoxes : Paradoxes
-        Of these there are none in such a step.
+    If certificates are to `polish`, none of the kernel is enough. `loads` is what the user has to say at a time [s]; of
+    `paradoxes` there are none in such a step.
     """
 
     def __init__(self, system: System, mover: Mover, polish: bool, loads: Loads, paradoxes: Paradoxes) -> None:
