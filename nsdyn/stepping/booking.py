@@ -93,10 +93,25 @@ def tree_works(
 ) -> tuple[Works, Energies]:
     """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
 
-    Of `left` nodes alone, if not of all. `before` are their energies where the move begins, v (n,) is what the forces
-    leave with the impulses, whose H r is `impulse` (n,). Impulses of actuation, of external wrenches and the most that
-    actuators may give go into rows 0, 3 and 5 of the joints in acted = (joints, links), as of `Impulses`, the change of
-    velocity of driven joints into row 6, the wrenches into the links.
+    Parameters
+    ----------
+    s : System
+    before : tuple of (float, float)
+        Their energies where the move begins.
+    half : Half
+    v : ndarray, shape (n,)
+        What the forces leave, with the impulses.
+    ends : tuple of Flow
+    impulse : ndarray, shape (n,)
+        H r of contacts and joint rows.
+    lifted : Position
+    acted : (ndarray, ndarray)
+        (joints, links), as of `Impulses`. The impulses of actuation, of external wrenches and the most that actuators
+        may give go into rows 0, 3 and 5 of the joints, the change of velocity of driven joints into row 6, the wrenches
+        into the links.
+    own : Works
+    left : ndarray of bool, optional
+        Nodes; trees that are not among them are passed over.
     """
     works, energies, (joints, links), link = [own], [], acted, 0
     of_trees = zip(s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, before, strict=True)

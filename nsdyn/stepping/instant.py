@@ -95,6 +95,11 @@ class System(NamedTuple):
         """The least of what is `deep`."""
         return self.depth * self.smallest
 
+    @property
+    def capturing(self) -> System:
+        """The same in a move that catches what it meets, and what strikes as slowly where it begins."""
+        return self._replace(depth=max(self.depth, SHALLOW))
+
     def during(self, t: float, h: float, begin: Position) -> System:
         """The same in a step of h s from t on that begins at a position."""
         return self._replace(dynamics=self.dynamics.during(t, h, begin)) if self.dynamics.surfaces.count else self

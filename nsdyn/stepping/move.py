@@ -177,8 +177,27 @@ def _respond(
     """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
 
     The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve:
-    not where nodes have a label (nodes,), that of their island. Then nothing is done to an island because of another,
-    and that is left to see who asks.
+    not where nodes have a label, that of their island. Then nothing is done to an island because of another, and that
+    is left to see who asks.
+
+    Parameters
+    ----------
+    s : System
+    begin : Instant
+        Where the move begins.
+    half : Half
+        Its first half.
+    there : Instant
+        What was found where the impulses act.
+    needs : Needs
+        Of that, what the second half needs.
+    barred : ndarray of int, optional
+        As of `trial`.
+    last : Trial, optional
+        What was found before.
+    rough : bool
+        Whether a rough solution is enough.
+    label : ndarray of int, shape (nodes,), optional
     """
     d, forces = s.dynamics, half.forces
     met, impact = _encounter(s, begin, half, there.looked, needs, label)

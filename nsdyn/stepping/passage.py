@@ -19,7 +19,7 @@ from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.instant import DEEP, SHALLOW, Instant, System, among
+from nsdyn.stepping.instant import DEEP, Instant, System, among
 from nsdyn.stepping.move import trial
 from nsdyn.stepping.reversal import reversal
 from nsdyn.stepping.sight import moved_by, parting
@@ -119,14 +119,31 @@ def _pass(
     """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
 
     They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly,
-    and where energy is gained. The free acceleration is `rate` (n,) at the beginning; `begun` and `meets` as `through`
-    has them, of a move all the way.
+    and where energy is gained. What strikes where no event is located is struck first only if it would become deeper
+    than what a move catches.
+
+    Parameters
+    ----------
+    s : System
+    loads : callable
+    begin : Instant
+    end, h : float
+        s.
+    rate : ndarray, shape (n,)
+        Free acceleration at the beginning, m/s² and rad/s².
+    effort : Effort
+    begun : Half or Trial, optional
+        As of `through`, of a move all the way.
+    meets : bool
+        As of `through`.
     """
     now, left, clear, sunk, path = begin, h, True, False, [begin.placement]
     done: list[Impulses] = []
     for cut in count():
         t = end - left
-        if (struck := collide(s, now, t, left, rate)) is not None:
+        located = effort.affords(now, EVENT)
+        meets = meets or (not located and s.striking_speed(now) < -s.slow / left)
+        if (struck := collide(s if located else s.capturing, now, t, left, rate)) is not None:
             (now, impulses), begun = struck, None
             done.append(_later(impulses, h - left))
         soon = left * (AGAIN if cut and struck is None else SOON)
@@ -190,14 +207,28 @@ def _until_event(
 ) -> tuple[float, Trial]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
-    Or to where a slip turns round, but for that before `soon`, s. Too long take so many moves as would be too much to
-    try. The move of h seconds from the time t is known as far as it has `begun`; it `meets` an event where that is
-    known, or anything has just struck, and may be in a row of impacts. It is `cut` if it ends where slip was to turn
-    round.
+    Or to where a slip turns round. Too long take so many moves as would be too much to try.
+
+    Parameters
+    ----------
+    s : System
+    loads : callable
+    begin : Instant
+    t, h : float
+        Where it begins and how long it lasts at most, s.
+    soon : float
+        Before this, s, slip that turns round is not located.
+    effort : Effort
+    begun : Half or Trial, optional
+        Of the move of h seconds.
+    meets : bool
+        Whether it is known to meet an event, or anything has just struck, and may be in a row of impacts.
+    cut : bool
+        Whether it ends where slip was to turn round.
     """
 
     def capture(begun: Known) -> tuple[float, Trial]:
-        return h, trial(s._replace(depth=max(s.depth, SHALLOW)), loads, begin, t, h, None, begun)
+        return h, trial(s.capturing, loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most meet no event.
     if not (affords := effort.affords(begin, EVENT)) and (meets or effort.left < WORK):

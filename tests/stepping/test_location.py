@@ -121,3 +121,19 @@ def test_what_pressed_is_met_as_it_stands_where_the_move_begins(status, beside, 
         out,
     )
     assert out[0] == met
+
+
+@pytest.mark.parametrize(("rows", "speed", "first"), [(2, 2e-3, True), (6, 2e-3, False), (6, 0.2, True)])
+def test_what_strikes_slowly_where_no_event_is_located_is_caught_in_the_move(rows, speed, first):
+    """A wall all of whose bricks begin to fall: they strike first where they would be deep in each other else.
+
+    That is by 1e-3 of their inscribed radius of 5 cm in a large island, 1 cm/s at 5 ms, by 1e-5 in a small one.
+    """
+    stepper = nd.Stepper(nd.scenes.load("wall")(rows=rows, columns=rows), dt=5e-3)
+    v = np.zeros_like(stepper.start().v)
+    v[2::6] = -speed
+    stepper.reset(v=v)
+    step = stepper.step()
+    assert bool((step.contact_duration == 0.0).any()) is first
+    assert np.abs(step.v).max() <= 1e-4  # m/s: the loose tolerance
+    assert step.ledger.kinetic <= 1e-8 and abs(step.ledger.defect) <= 1e-9  # J

@@ -203,11 +203,8 @@ def posed(s, first, last, met, rows, acted, flags, room):
     if not again:
         _blocks.delassus_scales(blocks, scales)
         made[col.MADE] = 1
-    local, end_gap, late = (
-        own[: col.ALONE * nc].reshape((5, 3 * nc)),
-        col.column(own, col.FORESEEN, nc),
-        col.column(own, col.LATE, nc),
-    )
+    local, end_gap = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc)
+    late = col.column(own, col.LATE, nc)
     slides, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
     begin, closing = (first[0][4], first[2][0], num[col.CLOSED], num[col.STEP]), closing_of(num)
     law.local_velocities(
