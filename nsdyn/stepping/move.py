@@ -20,7 +20,7 @@ from nsdyn.stepping.instant import Instant, System, among
 from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.sight import caught, caught_limits, others, parting, reached, shown, touched
+from nsdyn.stepping.sight import caught, caught_limits, missed, others, parting, reached, shown, touched, united
 from nsdyn.stepping.solving import slips_otherwise, solve
 from nsdyn.stepping.trial import Known, Trial, parted
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -67,6 +67,8 @@ def trial(
         made = s.mover.respond(s, begin, t, h, barred, half)
     if made is None:
         made = _moved(s, begin, half or first_half(s, begin, t, h, callbacks), barred)
+    if barred is not None:
+        made = _whole(s, begin, made, barred)
     if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
         return trial(s, lambda _: None, begin, t, h, barred, again)
     return _met(s, begin, made, barred)
@@ -78,16 +80,29 @@ def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial
     # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
     rough = barred is None
     m = _respond(s, begin, half, there, needs, barred, None, rough)
-    missed = NO_SLOTS
+    kept = NO_SLOTS
     for left in reversed(range(LOOKS - 1 if barred is None else 0)):
         half, r = m.half, m.solution.r
-        real, memory, missed = shown(s, m.met, r, m.moved, there.memory, half.middle.placement, half.fast, missed)
+        real, memory, kept = shown(s, m.met, r, m.moved, there.memory, half.middle.placement, half.fast, kept)
         same = real is m.met.contacts
         if same and not rough:
             break
         rough = not same and left > 0
         there, needs = there._replace(memory=memory), (real, needs[1])
         m = _respond(s, begin, half, there, needs, barred, m, rough)
+    return m
+
+
+def _whole(s: System, begin: Instant, m: Trial, barred: Index, label: Index | None = None) -> Trial:
+    """The move with the contacts that its motion shows to be `missed`; they stay as long as nothing moves."""
+    for _ in range(LOOKS):
+        late = missed(s, m.met, m.normal, m.moved, begin.placement, m.half.middle.placement)
+        if late is None:
+            break
+        there, (_, joints) = _reachable(s, begin, m.half, barred)
+        contacts, memory = united(there.contacts, late, s.detector), m.memory.joined(m.moved.memory, late.key)
+        there, met = there._replace(contacts=contacts, memory=memory), united(m.met.contacts, late, s.detector)
+        m = _respond(s, begin, m.half, there, (met, joints), barred, m, False, label)
     return m
 
 
@@ -139,6 +154,8 @@ def attempt(
         if skip.any():
             contacts = take(contacts, ~skip[s.nodes(contacts)])
         made = _respond(s, begin, half, there, (contacts, joints), NO_SLOTS, None, rough, label)
+    if not rough:
+        made = _whole(s, begin, made, NO_SLOTS, label)
     if (again := corrected(s, begin, made.half, made.v, callbacks)) is not made.half:
         return attempt(s, begin, again, None, label, skip, None, rough)
     return _run_into(s, made, made.moved.limits)

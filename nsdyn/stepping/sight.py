@@ -27,12 +27,14 @@ __all__ = [
     "caught",
     "caught_limits",
     "followed",
+    "missed",
     "moved_by",
     "others",
     "parting",
     "reached",
     "shown",
     "touched",
+    "united",
 ]
 
 NO_CODES = np.empty(0, np.int64)
@@ -149,7 +151,7 @@ def reached(
     first = take(c, deep)
     codes = s.detector.codes
     others = take(contacts, ~among(codes(contacts), codes(first)))
-    return _merged(others, first, s.detector), touches.memory
+    return united(others, first, s.detector), touches.memory
 
 
 def followed(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
@@ -223,10 +225,31 @@ def shown(
     if fast:
         (passed, _, memory), codes = s.touches(begin, end, memory, met.contacts), s.detector.codes
         passed = carry(passed, end, begin)
-        late = _merged(take(late, ~among(codes(late), codes(passed))), passed, s.detector)
+        late = united(take(late, ~among(codes(late), codes(passed))), passed, s.detector)
     if not late.gap.size:
         return contacts, memory, kept
-    return _merged(contacts, late, s.detector), memory, np.concatenate((kept, late.key))
+    return united(contacts, late, s.detector), memory, np.concatenate((kept, late.key))
+
+
+def missed(
+    s: System, met: Encounter, r: Array, moved: Instant, begin: Placement, middle: Placement
+) -> ContactSet | None:
+    """Contacts that a move misses, of those met with normal impulses r (nc,), as they are in the `middle`.
+
+    A patch is met by a few of its points. Where none of these bears what presses, as at a rim between them, the bodies
+    turn about two, and another, which touched where the move begins, ends in the other body. None if there are none.
+    """
+    found, codes = moved.contacts, s.detector.codes
+    if found is met.contacts or _few.least(found.gap) >= -s.closed:
+        return None
+    deep = (found.gap < -s.closed) & ~among(found.key, met.contacts.key)
+    deep &= among(codes(found), codes(take(met.contacts, r > 0.0)))
+    if not deep.any():
+        return None
+    late, end = take(found, deep), Poses(*moved.placement[:2])
+    before, there = (s.detector.carry(late, end, Poses(*placement[:2]))[0] for placement in (begin, middle))
+    touched = np.abs(before.gap) <= s.closed
+    return take(there, touched) if touched.any() else None
 
 
 def _parting(s: System, late: ContactSet, met: ContactSet, end: Poses, middle: Poses) -> ContactSet:
@@ -251,6 +274,6 @@ def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
     return out
 
 
-def _merged(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSet:
+def united(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSet:
     """Contacts of both, sorted by their pairs."""
     return detector.ordered(joined((one, other)))

@@ -91,7 +91,7 @@ class Stepper:
         answer and warns once, but raises where that is none: an error above 1e-3, or no velocity that opens every
         contact, which a solution needs. "dump" does the same, and writes the problem of every such step.
     max_points : int
-        Most contact points per pair of shapes.
+        Most contact points per pair of shapes, but for corners and points of rims that the motion shows to be missed.
     dump_on_fail : path, optional
         Folder for the problems of failing steps, whatever else is done: FCLIB global files named by the step, the
         answer as a guess in them. "failed-steps" where `on_fail` is "dump".

@@ -158,3 +158,40 @@ def test_pyramid_of_logs():
     # With much more on one side the other still decides.
     assert speed(run("logs", 0.3, mu=1.0, mu_ground=limit / 3 * short)) > 1e-7
     assert speed(run("logs", 0.3, mu=limit * short, mu_ground=1.0)) > 1e-7
+
+
+def round_foot(kind, share, heading):
+    """Greatest tilt in a second, and speed of turning after it, on a slope with tan α = share · radius/(height/2).
+
+    Downhill is `heading` rad from the body's own x axis: there a rim has none of the eight points that stand for it.
+    """
+    radius, height, corners, grips = 0.1, 0.6, 16, nd.Material(mu=1.0)
+    slope, turn = np.arctan(share * radius / (height / 2)), 2 * np.pi * np.arange(corners) / corners
+    down = np.sin(slope) * np.cos(heading), np.sin(slope) * np.sin(heading), -np.cos(slope)
+    scene = nd.Scene(gravity=g * np.array(down))
+    scene.add_halfspace("ground", material=grips)
+    if kind == "cylinder":
+        scene.add_cylinder("foot", radius, height, 1.0, position=(0, 0, height / 2), material=grips)
+    else:  # its sides are as far from the axis as a cylinder's
+        rim = radius / np.cos(np.pi / corners) * np.array([np.cos(turn), np.sin(turn)]).T
+        vertices = [(*xy, z) for xy in rim for z in (-height / 2, height / 2)]
+        scene.add_convex("foot", vertices, 1.0, position=(0, 0, height / 2), material=grips)
+    foot = nd.simulate(scene, 1.0, dt=1e-2).body("foot")
+    tilt = 2 * np.arcsin(np.hypot(*foot.quaternion[:, :2].T))
+    return tilt.max(), np.linalg.norm(foot.angular_velocity[-20:], axis=1).max()
+
+
+@pytest.mark.parametrize(("kind", "share"), [("cylinder", 0.95), ("cylinder", 0.99), ("prism", 0.95), ("prism", 0.999)])
+@pytest.mark.parametrize("heading", [np.pi / 16, 0.3, np.pi / 8])
+def test_a_round_foot_stands_where_its_rim_carries_it(kind, share, heading):
+    """It tips where tan α exceeds the way from the axis to the rim over half the height, whatever way is downhill.
+
+    A prism of 16 sides, where downhill is at the angle β from the middle of a side, has 1/cos β of that.
+    """
+    beta = heading % (np.pi / 8) - np.pi / 16 if kind == "prism" else 0.0
+    limit = 1.0 / np.cos(beta)
+    tilt, speed = round_foot(kind, share * limit, heading)
+    assert tilt <= 1e-6  # rad: less is not seen of a rim's lowest point in a step
+    assert speed <= 1e-9  # rad/s, of the solver's tolerance of 1e-8 m/s
+    tilt, _ = round_foot(kind, 1.001 * limit, heading)
+    assert tilt > 1e-4

@@ -224,7 +224,7 @@ def of_cylinder(geometry, g, m, cap, rim, poly):
     """The cap of cylinder g outermost along m (shape frame) as `rim` points, or that line of its side; their number."""
     s, c, side = row(geometry.size, g), row(geometry.t, g), np.hypot(m[0], m[1])
     # Where the circle dips deepest; in an upright cylinder that is noise, so any fixed direction does.
-    x, y = (m[0] / side, m[1] / side) if side > 1e-6 else (1.0, 0.0)
+    x, y = (m[0] / side, m[1] / side) if side > 1e-9 else (1.0, 0.0)
     if cap:
         for k in range(rim):
             u, v = s[0] * math.cos(2.0 * math.pi * k / rim), s[0] * math.sin(2.0 * math.pi * k / rim)
