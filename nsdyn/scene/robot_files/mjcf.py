@@ -26,7 +26,7 @@ from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, of_o
 from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
 from nsdyn.scene.robot_files.mjcf_geoms import Geoms, mesh_name
-from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, set_joints, start_of
+from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, place_joints, set_joints, start_of
 from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
@@ -69,6 +69,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in joints_of(root)))
         model, geometry = _build(root, path)
         check_size(name, model)
+        place_joints(model)
         stiffness, rest = set_joints(root, model, report)
         q, controls = start_of(root, model, keyframe, len(driven), report)
         loops = tuple(loops_of(root, model, q, report.missing))
@@ -232,6 +233,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     trees, geoms = _trees(world, moving), Geoms(_meshes(root), paints)
     # What is fixed is a body of the scene, whose name no link and no joint has.
     taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
+    tops = world.findall("body")
     for body in [world, *world.iter("body")]:
         where = body.get("name", "")
         body[:] = sorted(body, key=lambda child: child.tag == "body")  # a body comes before those that it carries
@@ -242,6 +244,10 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
                 )
             if child.tag not in ("body", "joint", "freejoint", "inertial", "geom", "site"):
                 body.remove(child)
+            if child.tag == "freejoint" or (child.tag == "joint" and child.get("type") == "free"):
+                if body not in tops:
+                    raise ValueError(f"body {where!r} must be at the top of the world to have a free joint")
+                child.attrib.pop("pos", None)  # MuJoCo does not look at it
         solids = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
         if solids and where in moving and (by_geoms or body.find("inertial") is None):
             report.missing.append(f"body {where!r}: inertia of its meshes")

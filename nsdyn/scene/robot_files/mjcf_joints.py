@@ -1,4 +1,4 @@
-"""Joints of MJCF files: their limits, springs and friction, and where a keyframe puts them.
+"""Joints of MJCF files: their places, limits, springs and friction, and where a keyframe puts them.
 
 Pinocchio takes the range of a slide for degrees, shifts that of a joint with `ref`, and knows no springs: the values of
 the joints are read here.
@@ -12,12 +12,14 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import pinocchio as pin
 
+from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.robot_files.xml import Report, is_range, numbers
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["SIZES", "joints_of", "set_joints", "start_of"]
+__all__ = ["SIZES", "joints_of", "place_joints", "set_joints", "start_of"]
 
 SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
 """(nq, nv) of every type of joint."""
@@ -34,6 +36,13 @@ def joints_of(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
             nq, nv = SIZES[kind]
             yield element, kind, slice(q, q + nq), slice(v, v + nv)
             q, v = q + nq, v + nv
+
+
+def place_joints(model: Any) -> None:
+    """Put the free joints of a model that Pinocchio built where MuJoCo has them: coordinates are those of the world."""
+    for joint, kind in enumerate(model.joints):
+        if kind.shortname() == FREE:  # Pinocchio turns the position of the body, and leaves the difference here
+            model.jointPlacements[joint] = pin.SE3.Identity()
 
 
 def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
