@@ -49,3 +49,47 @@ def test_turned_free_bodies_are_where_the_file_has_them(tmp_path, joint):
 def test_free_joints_are_at_the_top_of_the_world(tmp_path):
     with pytest.raises(ValueError, match="body 'b' must be at the top of the world to have a free joint"):
         loaded(tmp_path, f'<body pos="1 0 0">{TURNED.format("<freejoint/>")}</body>')
+
+
+HINGE = '<joint name="a" axis="0 1 0" pos=".1 .2 .1" ref="30"/>'
+SLIDE = '<joint name="s" type="slide" axis="1 0 1" ref=".4"/>'
+LAST = '<joint name="c" axis="0 0 1" pos="0 .2 0" ref="-20"/>'
+
+
+@pytest.mark.parametrize(
+    ("joints", "q", "place", "wxyz", "masses"),
+    [
+        (
+            HINGE + SLIDE + LAST,
+            (0.3, -0.2, 0.5),
+            (0.4321369332222761, -0.1485672070198934, 0.505827104081807),
+            (0.35087955654801944, 0.03939237967423717, -0.10438081426086109, 0.9297507315590053),
+            (0.20711261871378336, -0.05181095502613833, 0.051600335722107725, 1, -0.1125223261570164, 7 / 60),
+        ),
+        (
+            SLIDE + HINGE,
+            (0.3, -0.2),
+            (0.5, 0.02055513067423867, 0.8881379354058391),
+            (0.6613297000008891, 0.2502858923246256, -0.2502858923246256, 0.661329700000889),
+            (1, 0.08745709088926351, 1 / 12),
+        ),
+    ],
+)
+def test_every_joint_of_a_body_has_its_ref(tmp_path, joints, q, place, wxyz, masses):
+    """At its `ref` a joint has its body where it is written; elsewhere places and mass matrix are MuJoCo 4.0's."""
+    body = (
+        f'<body name="b" pos=".5 0 1" euler="0 0 90">{joints}'
+        '<geom type="box" size=".1 .2 .3" pos=".3 .1 .2" mass="1"/></body>'
+    )
+    refs = {"a": np.radians(30), "s": 0.4, "c": np.radians(-20)}
+    a = loaded(tmp_path, body).articulations["r"]
+    # The round-off of some products of numbers of size 1, on both sides.
+    np.testing.assert_allclose(a.q, [refs[name] for name in a.coordinates], rtol=0, atol=1e-14)
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(pin.SE3ToXYZQUAT(pose(a, "b")), (0.5, 0, 1, 0, 0, half, half), rtol=0, atol=1e-14)
+    a = loaded(tmp_path, body, q=q).articulations["r"]
+    np.testing.assert_allclose(pose(a, "b").translation, place, rtol=0, atol=1e-14)
+    expected = pin.Quaternion(*wxyz).toRotationMatrix()
+    np.testing.assert_allclose(pose(a, "b").rotation, expected, rtol=0, atol=1e-14)
+    M = np.array(pin.crba(a.model, a.model.createData(), a.q))
+    np.testing.assert_allclose(M[np.triu_indices(len(q))], masses, rtol=0, atol=1e-14)

@@ -24,6 +24,8 @@ __all__ = ["SIZES", "joints_of", "place_joints", "set_joints", "start_of"]
 SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
 """(nq, nv) of every type of joint."""
 
+COMPOSITE = "JointModelComposite"
+
 
 def joints_of(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
     """(element, type, its part of q, its part of v) of every joint, in the order of Pinocchio: depth first."""
@@ -39,10 +41,15 @@ def joints_of(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
 
 
 def place_joints(model: Any) -> None:
-    """Put the free joints of a model that Pinocchio built where MuJoCo has them: coordinates are those of the world."""
+    """Put the joints of a model that Pinocchio built where MuJoCo has them."""
     for joint, kind in enumerate(model.joints):
         if kind.shortname() == FREE:  # Pinocchio turns the position of the body, and leaves the difference here
             model.jointPlacements[joint] = pin.SE3.Identity()
+        if kind.shortname() == COMPOSITE:  # of several joints of a body it leaves out the `ref` of the first
+            first = kind.extract().joints[0]
+            moved = first.createData()
+            first.calc(moved, np.array(model.referenceConfigurations["qpos0"]))
+            model.jointPlacements[joint] *= moved.M.inverse()
 
 
 def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
