@@ -93,3 +93,32 @@ def test_every_joint_of_a_body_has_its_ref(tmp_path, joints, q, place, wxyz, mas
     np.testing.assert_allclose(pose(a, "b").rotation, expected, rtol=0, atol=1e-14)
     M = np.array(pin.crba(a.model, a.model.createData(), a.q))
     np.testing.assert_allclose(M[np.triu_indices(len(q))], masses, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("joint", ['<joint name="j" type="free" armature="1"/>', '<joint name="j" type="free"/>'])
+def test_armature_of_free_joints_is_told(tmp_path, joint):
+    """A rotor has it, and a free body none: one that spins goes straight on."""
+    default = "" if "armature" in joint else '<default><joint armature="1"/></default>'
+    body = f'<body name="b">{joint}<geom type="box" size=".1 .1 .1" mass="1"/></body>'
+    with pytest.warns(UserWarning, match="'r' leaves out: joint 'j': armature of a free joint"):
+        scene = loaded(tmp_path, body, default, v=(1, 0, 0, 0, 0, 3))
+    scene.gravity = np.zeros(3)
+    assert not scene.articulations["r"].armature.any()
+    run = nd.simulate(scene, 1.0, dt=1e-3)
+    # Steps of fourth order leave 1.5e-12.
+    np.testing.assert_allclose(run.body("r/b").position[-1], (1, 0, 0), rtol=0, atol=1e-11)
+
+
+def test_armature_of_a_ball_joint_is_inertia(tmp_path):
+    """The same about all axes, so that of axes fixed to the body, too: R (I + a) ω stays as it is."""
+    body = (
+        '<body name="b"><joint name="j" type="ball" armature=".5"/>'
+        '<inertial pos="0 0 0" mass="1" diaginertia=".1 .2 .25"/></body>'
+    )
+    a = (scene := loaded(tmp_path, body, v=(1, 2, 3))).articulations["r"]
+    np.testing.assert_array_equal(a.armature, (0.5, 0.5, 0.5))
+    run = nd.simulate(scene, 1.0, dt=1e-3)
+    inertia = np.array((0.6, 0.7, 0.75))
+    turn = pin.Quaternion(run.q[-1]).toRotationMatrix()
+    # Steps of fourth order leave 5e-14.
+    np.testing.assert_allclose(turn @ (inertia * run.v[-1]), inertia * (1, 2, 3), rtol=0, atol=1e-11)

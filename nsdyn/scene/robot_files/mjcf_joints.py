@@ -93,9 +93,11 @@ def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]
                 report.missing.append(f"{label}: range of a {kind} joint")
             if value("stiffness"):
                 report.missing.append(f"{label}: stiffness of a {kind} joint")
-            if value("frictionloss") and kind == "free":
-                report.missing.append(f"{label}: frictionloss of a {kind} joint")
-                friction[rows] = 0.0
+            # Armature is that of a rotor, which no free joint has: along axes that turn it would bend a body's way.
+            for attribute, values in (("frictionloss", friction), ("armature", armature)):
+                if value(attribute) and kind == "free":
+                    report.missing.append(f"{label}: {attribute} of a {kind} joint")
+                    values[rows] = 0.0
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
     model.damping, model.armature, model.upperEffortLimit = damping, armature, effort
     model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -friction, friction
