@@ -317,6 +317,25 @@ def test_mjcf_loops(mjcf):
     assert (data.oMi[2] * weld.placement1).isApprox(data.oMi[5] * weld.placement2, 1e-14)
 
 
+def test_weld_with_relpose_and_anchor(tmp_path):
+    """`relpose` says where the anchor, a point of the second body, and its axes are in the first, as for MuJoCo."""
+    path, scene = tmp_path / "r.xml", nd.Scene()
+    bodies = (
+        '<body name="a" pos="0 0 1"><joint axis="0 1 0"/><geom size=".1"/></body>'
+        '<body name="c" pos=".5 -.2 1" euler="0 0 90"><freejoint/><geom size=".1"/></body>'
+    )
+    weld = '<weld body1="a" body2="c" anchor=".2 0 0" relpose=".5 0 0 1 0 0 1"/>'
+    path.write_text(f"<mujoco><worldbody>{bodies}</worldbody><equality>{weld}</equality></mujoco>")
+    scene.add_mjcf("m", path)
+    a = scene.articulations["m"]
+    (loop,) = a.loops
+    np.testing.assert_array_equal(loop.placement1.translation, (0.5, 0, 0))
+    np.testing.assert_array_equal(loop.placement2.translation, (0.2, 0, 0))
+    data = a.model.createData()
+    pin.forwardKinematics(a.model, data, a.q)
+    assert (data.oMi[loop.joint1] * loop.placement1).isApprox(data.oMi[loop.joint2] * loop.placement2, 1e-14)
+
+
 def test_mjcf_keyframe(mjcf):
     a = loaded_mjcf(mjcf, keyframe="home")
     # Quaternions of the file are w x y z.

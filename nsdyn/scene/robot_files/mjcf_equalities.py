@@ -46,6 +46,9 @@ def loops_of(root: Element, model: Any, q: Array, missing: Notes) -> Iterator[Lo
             placement1 = placement1 * pin.XYZQUATToSE3(
                 np.r_[pose[:3], np.roll(pose[3:], -1) / np.linalg.norm(pose[3:])]
             )
+            # It is the anchor, a point of the second body, whose place in the first `relpose` says.
+            anchor = numbers(element.get("anchor"), 3, (0, 0, 0), f"anchor of {label!r}")
+            placement2 = placement2 * pin.SE3(np.eye(3), anchor)
         if not sites and not pose[3:].any():
             placement2 = data.oMi[joint2].actInv(data.oMi[joint1] * placement1)
         yield Loop(label, joint1, placement1, joint2, placement2, "point" if element.tag == "connect" else "frame")
