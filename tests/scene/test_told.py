@@ -260,6 +260,16 @@ def test_values_that_change_nothing():
     assert not changes_nothing("0 0", "0")
 
 
+def test_a_bound_of_masses_is_told_where_it_is_left_out(tmp_path):
+    """It holds for the <inertial> of b, of 1 kg; c has the mass of its geoms."""
+    told, a = loaded(tmp_path, "mjcf", mjcf(compiler='boundmass="5"'))
+    assert told == "'r' leaves out: body 'c': boundmass where its geoms have less"
+    assert a.model.inertias[1].mass == 5.0
+    told, _ = loaded(tmp_path, "mjcf", mjcf(compiler='boundmass="5" inertiafromgeom="true"'))
+    assert told.count("boundmass") == 2
+    assert loaded(tmp_path, "mjcf", mjcf(compiler='boundmass="0"'))[0] == ""
+
+
 def test_joints_written_after_the_bodies_they_carry(tmp_path):
     """What acts in a joint is that of its own element: Pinocchio numbers a body before those that it carries."""
     parts = '<joint name="j" damping="1" range="-1 1" axis="0 1 0"/>', '<geom name="g" size=".1"/>'

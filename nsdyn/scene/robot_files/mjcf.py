@@ -230,6 +230,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     moving = {e.get("name", "") for carrier in carriers for e in carrier.iter("body")}
     paints = {e.get("name", ""): e for e in root.iterfind("asset/material")}
     by_geoms = any(e.get("inertiafromgeom") == "true" for e in root.iterfind("compiler"))
+    bounds = [numbers(e.get("boundmass"), 1, (0.0,), "boundmass of <compiler>") for e in root.iterfind("compiler")]
     trees, geoms = _trees(world, moving), Geoms(_meshes(root), paints)
     # What is fixed is a body of the scene, whose name no link and no joint has.
     taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
@@ -249,8 +250,11 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
                     raise ValueError(f"body {where!r} must be at the top of the world to have a free joint")
                 child.attrib.pop("pos", None)  # MuJoCo does not look at it
         solids = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
-        if solids and where in moving and (by_geoms or body.find("inertial") is None):
-            report.missing.append(f"body {where!r}: inertia of its meshes")
+        if where in moving and (by_geoms or body.find("inertial") is None):
+            if solids:
+                report.missing.append(f"body {where!r}: inertia of its meshes")
+            if any(bounds):  # Pinocchio bounds what <inertial> says, and does not tell what a body has of its geoms
+                report.missing.append(f"body {where!r}: boundmass where its geoms have less")
         if trees[where] == WORLD:  # of which only the shapes count; Pinocchio says that a plane has 1 kg
             for inertial in body.findall("inertial"):
                 body.remove(inertial)
