@@ -181,10 +181,11 @@ def round_foot(kind, share, heading):
     return tilt.max(), np.linalg.norm(foot.angular_velocity[-20:], axis=1).max()
 
 
+@pytest.mark.case(6)
 @pytest.mark.parametrize(("kind", "share"), [("cylinder", 0.95), ("cylinder", 0.99), ("prism", 0.95), ("prism", 0.999)])
 @pytest.mark.parametrize("heading", [np.pi / 16, 0.3, np.pi / 8])
 def test_a_round_foot_stands_where_its_rim_carries_it(kind, share, heading):
-    """It tips where tan α exceeds the way from the axis to the rim over half the height, whatever way is downhill.
+    """Case 6: it tips where tan α exceeds the way from the axis to the rim over half the height, whatever is downhill.
 
     A prism of 16 sides, where downhill is at the angle β from the middle of a side, has 1/cos β of that.
     """
