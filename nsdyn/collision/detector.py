@@ -109,11 +109,12 @@ class Detector(Candidates):
         memory: ContactMemory,
         known: ContactSet | None = None,
         least: Array | None = None,
+        together: ContactSet | None = None,
     ) -> Touches:
         """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
 
         A pair is followed by conservative advancement [1]_: its distance over a bound of its approach speed is a time
-        in which it cannot touch.
+        in which it cannot touch. One that is together at the beginning is found only after it has parted further.
 
         Parameters
         ----------
@@ -125,6 +126,8 @@ class Detector(Candidates):
             Pairs with a contact here, sorted as `find` returns them, are left out.
         least : ndarray, shape (geoms,), optional
             Pairs that move past each other by no more than the smaller of theirs are left out, m; default 0.
+        together : ContactSet, optional
+            Pairs with a contact here are together at the beginning: they touch, or are about to.
 
         References
         ----------
@@ -139,16 +142,25 @@ class Detector(Candidates):
         least = np.zeros(len(self._arm)) if least is None else least
         before = memory.names, memory.points
         count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, before, pairs)
-        touching = []
+        close = frozenset() if together is None else frozenset(self.codes(together).tolist())
+        found = []
         for p in pairs[:count].tolist():
-            touch = self._first_touch(p, begin, end, turn)
+            touch = self._first_touch(p, begin, end, turn, least if int(self._codes[p]) in close else None)
             if touch is not None:
-                touching.append((p, *touch))
-        return self._remember(touching, end, memory) if touching else Touches(_NO_CONTACTS, np.empty(0), memory)
+                found.append((p, *touch))
+        return self._remember(found, end, memory) if found else Touches(_NO_CONTACTS, np.empty(0), memory)
 
-    def _first_touch(self, p: int, begin: Poses, end: Poses, turn: Array) -> tuple[float, Array, Array] | None:
-        """Fraction of the way at which pair p touches, and where its geoms are then, (R, t); None if it does not."""
+    def _first_touch(
+        self, p: int, begin: Poses, end: Poses, turn: Array, least: Array | None
+    ) -> tuple[float, Array, Array] | None:
+        """Fraction of the way at which pair p touches, and where its geoms are then, (R, t); None if it does not.
+
+        One that is together at the beginning has `least` (geoms,), as of `touches`: until it has parted it is looked at
+        as often as it moves by so much.
+        """
         geoms, near, s = (int(self._first[p]), int(self._second[p])), TOUCH / MARGIN * self._pair_base[p], 0.0
+        parted, stride = least is None, near if least is None else max(near, min(least[g] for g in geoms))
+        together = near
         room, motion, some = (self._R.copy(), self._t.copy()), (begin.x, begin.R, end.x, turn), list(geoms)
         solids = [self._solids[g] for g in geoms]
         for _ in range(ADVANCES):
@@ -158,14 +170,16 @@ class Detector(Candidates):
             n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
             if not np.isfinite(n).all():  # deep inside each other
                 break
-            shown = s, distance, near, tuple(n), points
+            together = near + max(0.0, distance) if s == 0.0 else together
+            parted = parted or distance > together
+            shown = s, distance, near if parted else stride, tuple(n), points
             later, speed = advancement.advance(self.fields, self._arm, motion, geoms, shown, room)
-            if distance <= near and speed > 0.0:
+            if parted and distance <= near and speed > 0.0:
                 break
             if later >= 1.0:
                 return None
             s = later
-        return s, R, t
+        return (s, R, t) if parted else None
 
     def _manifold(self, p: int, R: Array, t: Array) -> tuple[Array, Array, Array]:
         """Points, normals and gaps of pair p at rest where its geoms are."""

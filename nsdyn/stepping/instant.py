@@ -113,9 +113,16 @@ class System(NamedTuple):
         shallow = min(SHALLOW * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if caught else 0.0
         return self.closed, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt
 
-    def touches(self, begin: Poses, end: Poses, memory: ContactMemory, known: ContactSet) -> Touches:
+    def touches(
+        self,
+        begin: Poses,
+        end: Poses,
+        memory: ContactMemory,
+        known: ContactSet | None,
+        together: ContactSet | None = None,
+    ) -> Touches:
         """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
-        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed)
+        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed, together)
 
     def unmoved(self, looked: Looked, now: Placement, reach: Array) -> bool:
         """Whether the contacts found somewhere are those of now, up to the gaps that `reach` (frames,) allows, m."""

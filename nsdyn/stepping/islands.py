@@ -250,8 +250,9 @@ class Islands:
         if not opened[label[fast[fast >= 0]]].all():
             poses = [Poses(*p[:2]) for p in (begin.placement, a.half.middle.placement, a.moved.placement)]
             known = followed(s, begin.contacts, found)
-            for one, other in pairwise(poses):
-                met = s.touches(one, other, a.memory, known).contacts
+            closed, pressed = take(begin.contacts, begin.contacts.gap <= s.closed), take(c, a.normal > 0.0)
+            for (one, other), together in zip(pairwise(poses), (closed, pressed), strict=True):
+                met = s.touches(one, other, a.memory, known, together).contacts
                 opened[label[self._nodes(met, np.ones(met.gap.size, np.bool_))[0]]] = True
 
     def _gaining(self, begin: Instant, made: Passage, tried: Trial, label: Index, opened: Bools) -> None:

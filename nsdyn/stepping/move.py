@@ -118,7 +118,8 @@ def _met(s: System, begin: Instant, m: Trial, barred: Index | None) -> Trial:
     if not half.fast or barred.size:
         return m
     first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
-    own = begin.contacts, moved.contacts, (first, second, third), m.memory
+    contacts = begin.contacts, take(m.met.contacts, m.normal > 0.0), moved.contacts
+    own = contacts, (first, second, third), m.memory
     return m._replace(touched=touched(s, *own, half.h, half.reach / half.ahead))
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import Poses
+from nsdyn.collision.contacts import Poses, take
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
@@ -152,8 +152,8 @@ class Quiet:
         s, n, w = self._system, self._system.dynamics.frames, made.work
         there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.REACH * n].reshape(n, 3, 3))
         places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
-        own = old.found.contacts(), new.found.contacts(), places, made.found.memory
-        return touched(s, *own, s.dt, reach / (s.theta * s.dt)) < s.dt
+        contacts = old.found.contacts(), take(new.met.contacts(), new.status > 0), new.found.contacts()
+        return touched(s, contacts, places, made.found.memory, s.dt, reach / (s.theta * s.dt)) < s.dt
 
     def _is_ready(self, old: Flat) -> bool:
         """Whether the kernel is compiled: that takes half a minute, in which general steps do the same."""

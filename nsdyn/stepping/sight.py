@@ -143,7 +143,7 @@ def reached(
 ) -> tuple[ContactSet, ContactMemory]:
     """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
-    touches = s.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, closed)
+    touches = s.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, None, closed)
     c = touches.contacts
     deep = c.gap < -FAST * np.minimum(s.inscribed[c.geom1], s.inscribed[c.geom2])
     if not deep.any():
@@ -157,36 +157,38 @@ def reached(
 def followed(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
     """Contacts where a move begins of pairs that do not pass through each other unseen, of the contacts at its end.
 
-    They are closed, or the same features are on the same sides there.
+    The same features are on the same sides there.
     """
     c = begin
     where = np.empty(c.gap.size, np.int64)
     _touching.places(end.key, c.key, where)
     same = where >= 0
     same[same] = (c.normal[same] * end.normal[where[same]]).sum(axis=1) > 0.0
-    return take(c, (c.gap <= s.closed) | same)
+    return take(c, same)
 
 
 def touched(
     s: System,
-    begin: ContactSet,
-    end: ContactSet,
+    contacts: tuple[ContactSet, ContactSet, ContactSet],
     places: tuple[Poses, Poses, Poses],
     memory: ContactMemory,
     h: float,
     speed: Array,
 ) -> float:
-    """Time just after a pair that is open where a move of h s begins touches on its way unseen, s; h if none does.
+    """Time just after a pair that is open touches unseen on its way in a move of h s, s; h if none does.
 
     Not much after it, so that what is hit is seen from the side where it is: the frames move with `speed` (frames,).
-    The places are those where the move begins, where its impulses act and where it ends.
+    The places are those where the move begins, where its impulses act and where it ends, the contacts those where it
+    begins, those that press and those where it ends. What touches where it begins, and what presses, which the second
+    half brings together, is found where it touches once more.
     """
-    known, (first, second, third) = followed(s, begin, end), places
+    (begin, pressed, end), (first, second, third) = contacts, places
+    known, closed = followed(s, begin, end), take(begin, begin.gap <= s.closed)
     before, length = 0.0, (1.0 - s.theta) * h
-    touches = s.touches(first, second, memory, known)
+    touches = s.touches(first, second, memory, known, closed)
     if not touches.fraction.size:
         before, length = length, s.theta * h
-        touches = s.touches(second, third, memory, known)
+        touches = s.touches(second, third, memory, known, pressed)
     if not touches.fraction.size:
         return h
     k, c = int(touches.fraction.argmin()), touches.contacts

@@ -278,3 +278,24 @@ def test_what_leaves_what_it_is_in_is_not_hit():
     begin = poses(((0, 0, 0), np.eye(3)), ((0.0, 0.0, 0.149), np.eye(3)))
     end = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, 0, 0.5]]))
     assert detector(box, ball).touches(begin, end, EMPTY).contacts.gap.size == 0
+
+
+def test_what_touches_is_found_where_it_touches_again():
+    """A rod turns away from a ball that it touches by 3 rad, and meets it with its other half after π - 2φ."""
+    rod, ball = shapes.box((2.0, 0.02, 0.02)), shapes.sphere(0.1)
+    begin = poses(((0, 0, 0), np.eye(3)), ((0.5, 0.11, 0), np.eye(3)))
+    d = detector(rod, ball)
+    resting, memory = d.find(*begin, np.zeros(2), EMPTY)
+    assert resting.gap.size == 1
+    back = begin._replace(R=np.array([about((0, 0, 1), -3.0), np.eye(3)]))
+    touches = d.touches(begin, back, memory, together=resting)
+    # What is nearer than 1e-4 of the ball's radius touches: at 0.5 m/rad, 7e-6 of the way.
+    assert touches.fraction[0] == pytest.approx((np.pi - 2.0 * np.arctan2(0.11, 0.5)) / 3.0, abs=1e-5)
+    short = begin._replace(R=np.array([about((0, 0, 1), -2.5), np.eye(3)]))
+    assert d.touches(begin, short, memory, together=resting).contacts.gap.size == 0
+    # What does not part is not found: it touches all the way, or closes the gap that it has.
+    along = begin._replace(x=begin.x + np.array([[0, 0, 0], [-0.9, -1e-4, 0]]))
+    assert d.touches(begin, along, memory, together=resting).contacts.gap.size == 0
+    above = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, 1e-3, 0]]))
+    assert d.touches(above, along, memory, together=resting).contacts.gap.size == 0
+    assert d.touches(above, along, memory).contacts.gap.size == 1
