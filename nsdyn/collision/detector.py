@@ -114,7 +114,8 @@ class Detector(Candidates):
         """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
 
         A pair is followed by conservative advancement [1]_: its distance over a bound of its approach speed is a time
-        in which it cannot touch. One that is together at the beginning is found only after it has parted further.
+        in which it cannot touch. One that is together at the beginning is found only after it has parted further,
+        or where it gets deep.
 
         Parameters
         ----------
@@ -156,7 +157,7 @@ class Detector(Candidates):
         """Fraction of the way at which pair p touches, and where its geoms are then, (R, t); None if it does not.
 
         One that is together at the beginning has `least` (geoms,), as of `touches`: until it has parted it is looked at
-        as often as it moves by so much.
+        as often as it moves by so much, and touches where it gets as deep.
         """
         geoms, near, s = (int(self._first[p]), int(self._second[p])), TOUCH / MARGIN * self._pair_base[p], 0.0
         parted, stride = least is None, near if least is None else max(near, min(least[g] for g in geoms))
@@ -174,8 +175,8 @@ class Detector(Candidates):
             parted = parted or distance > together
             shown = s, distance, near if parted else stride, tuple(n), points
             later, speed = advancement.advance(self.fields, self._arm, motion, geoms, shown, room)
-            if parted and distance <= near and speed > 0.0:
-                break
+            if distance <= (near if parted else -stride) and speed > 0.0:
+                return s, R, t
             if later >= 1.0:
                 return None
             s = later

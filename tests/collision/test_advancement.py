@@ -293,9 +293,15 @@ def test_what_touches_is_found_where_it_touches_again():
     assert touches.fraction[0] == pytest.approx((np.pi - 2.0 * np.arctan2(0.11, 0.5)) / 3.0, abs=1e-5)
     short = begin._replace(R=np.array([about((0, 0, 1), -2.5), np.eye(3)]))
     assert d.touches(begin, short, memory, together=resting).contacts.gap.size == 0
-    # What does not part is not found: it touches all the way, or closes the gap that it has.
+    # What does not part is not found, but where it gets deep: it touches all the way, or closes the gap that it has.
+    least = np.full(2, 1e-3)
     along = begin._replace(x=begin.x + np.array([[0, 0, 0], [-0.9, -1e-4, 0]]))
-    assert d.touches(begin, along, memory, together=resting).contacts.gap.size == 0
+    assert d.touches(begin, along, memory, together=resting, least=least).contacts.gap.size == 0
     above = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, 1e-3, 0]]))
-    assert d.touches(above, along, memory, together=resting).contacts.gap.size == 0
+    assert d.touches(above, along, memory, together=resting, least=least).contacts.gap.size == 0
     assert d.touches(above, along, memory).contacts.gap.size == 1
+    through = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, -0.25, 0]]))
+    assert d.touches(begin, through, memory).fraction.tolist() == [0.0]
+    # It moves on by as much as it may be deep: 1/250 of the way.
+    found = d.touches(begin, through, memory, together=resting, least=least).fraction
+    np.testing.assert_allclose(found, [1 / 250], rtol=0, atol=1e-6)
