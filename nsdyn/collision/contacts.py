@@ -119,11 +119,14 @@ class Touches(NamedTuple):
         Part of the way in [0, 1] at which the pair touches.
     memory : ContactMemory
         The one given and these contacts at the end of the way.
+    far : ndarray of int
+        Codes of pairs that may touch of which a body turns so far that it is not known how: then no other is followed.
     """
 
     contacts: ContactSet
     fraction: Array
     memory: ContactMemory
+    far: Index
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:

@@ -110,6 +110,7 @@ class Detector(Candidates):
         known: ContactSet | None = None,
         least: Array | None = None,
         together: ContactSet | None = None,
+        foreseen: Array | None = None,
     ) -> Touches:
         """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
 
@@ -120,7 +121,6 @@ class Detector(Candidates):
         Parameters
         ----------
         begin, end : Poses
-            No frame turns by more than half a turn between them.
         memory : ContactMemory
             Of the configuration whose contacts go on, as for `find`.
         known : ContactSet, optional
@@ -129,27 +129,42 @@ class Detector(Candidates):
             Pairs that move past each other by no more than the smaller of theirs are left out, m; default 0.
         together : ContactSet, optional
             Pairs with a contact here are together at the beginning: they touch, or are about to.
+        foreseen : ndarray, shape (nframes, 3), optional
+            Rotation vectors, as far as known; default 0. Poses tell of half a turn at most: a pair that may touch, and
+            of which a frame turns by more than `HALF_TURN`, is told, and none is followed.
 
         References
         ----------
         .. [1] B. Mirtich, Impulse-based Dynamic Simulation of Rigid Body Systems, PhD thesis, Berkeley 1996, ch. 2.
         """
         turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
-        advancement.motions(self.frame, self._arm, *begin, *end, turn, reach)
+        foreseen = np.zeros_like(begin.x) if foreseen is None else foreseen
+        advancement.motions(self.frame, self._arm, *begin, *end, foreseen, turn, reach)
         self._renew(begin.x, begin.R, reach)
-        codes = _NONE if known is None else self.codes(known)
-        pairs, motion = np.empty(len(self._first), dtype=np.int64), (begin.x, end.x, turn)
-        candidates, placed = (self._first, self._second, codes), (self._R, self._t, self._lower, self._upper)
+        motion, placed = (begin.x, end.x, turn), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least
         before = memory.names, memory.points
-        count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, before, pairs)
+
+        def may_touch(known: Index) -> Index:
+            pairs = np.empty(len(self._first), dtype=np.int64)
+            candidates = self._first, self._second, known
+            count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, before, pairs)
+            return pairs[:count]
+
+        if (whirls := np.append(np.linalg.norm(foreseen, axis=1) > advancement.HALF_TURN, False)).any():
+            # Of what is known from both ends nothing holds on whole turns between.
+            pairs = may_touch(_NONE)
+            far = whirls[self.frame[self._first[pairs]]] | whirls[self.frame[self._second[pairs]]]
+            if far.any():
+                return Touches(_NO_CONTACTS, _NOTHING, memory, self._codes[pairs[far]])
+        pairs = may_touch(_NONE if known is None else self.codes(known))
         close = frozenset() if together is None else frozenset(self.codes(together).tolist())
         found = []
-        for p in pairs[:count].tolist():
+        for p in pairs.tolist():
             touch = self._first_touch(p, begin, end, turn, least if int(self._codes[p]) in close else None)
             if touch is not None:
                 found.append((p, *touch))
-        return self._remember(found, end, memory) if found else Touches(_NO_CONTACTS, np.empty(0), memory)
+        return self._remember(found, end, memory) if found else Touches(_NO_CONTACTS, _NOTHING, memory, _NONE)
 
     def _first_touch(
         self, p: int, begin: Poses, end: Poses, turn: Array, least: Array | None
@@ -228,7 +243,7 @@ class Detector(Candidates):
         points = np.concatenate((memory.points[:, ~others], points), axis=1)
         order = np.argsort(names[0] * len(R) + names[1], kind="stable")
         remembered = ContactMemory(names.take(order, axis=1), points.take(order, axis=1), next_key)
-        return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered)
+        return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered, _NONE)
 
 
 def _distance(shapes: Any, R: Array, t: Array) -> tuple[float, Any]:

@@ -108,6 +108,14 @@ class Kinematics(Layout):
             _links.twists((*self.linkages, place.fields), place.x, v, linear, angular)
         return linear, angular
 
+    def spins(self, angular: Array, twist: Array) -> Array:
+        """Angular velocities of all frames from those of `twists` and of driven bodies, (frames, 3), rad/s, world axes.
+
+        `twist` (surfaces, 2, 3) as of `reach`.
+        """
+        driven = self.frames - self.radii.size
+        return np.concatenate((angular[: self.radii.size], twist[:driven, 1])) if driven else angular
+
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
         """How far any point of each frame's shapes may move in h s, in dt of which they fall, m, shape (frames,).
 

@@ -92,6 +92,12 @@ class Half:
         fast: bool = _few.most(self.reach) > FAST * self.s.smallest
         return fast
 
+    def turns(self, begin: Instant, moved: Instant) -> tuple[Array, Array]:
+        """About how far frames turn in either half from one instant to another, rotation vectors, (frames, 3) each."""
+        d, ends = self.s.dynamics, (begin.twists[1], moved.twists[1])
+        first, second = (d.spins(w, twist) for w, twist in zip(ends, self.surfaces[::2], strict=True))
+        return (self.h - self.ahead) * first, self.ahead * second
+
     @property
     def driven(self) -> tuple[Array, Array]:
         """Poses of driven bodies at the end, shapes (nd, 3) and (nd, 4)."""

@@ -120,9 +120,10 @@ class System(NamedTuple):
         memory: ContactMemory,
         known: ContactSet | None,
         together: ContactSet | None = None,
+        foreseen: Array | None = None,
     ) -> Touches:
         """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
-        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed, together)
+        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed, together, foreseen)
 
     def unmoved(self, looked: Looked, now: Placement, reach: Array) -> bool:
         """Whether the contacts found somewhere are those of now, up to the gaps that `reach` (frames,) allows, m."""

@@ -251,9 +251,12 @@ class Islands:
             poses = [Poses(*p[:2]) for p in (begin.placement, a.half.middle.placement, a.moved.placement)]
             known = followed(s, begin.contacts, found)
             closed, pressed = take(begin.contacts, begin.contacts.gap <= s.closed), take(c, a.normal > 0.0)
-            for (one, other), together in zip(pairwise(poses), (closed, pressed), strict=True):
-                met = s.touches(one, other, a.memory, known, together).contacts
-                opened[label[self._nodes(met, np.ones(met.gap.size, np.bool_))[0]]] = True
+            turns = half.turns(begin, a.moved)
+            for (one, other), together, turn in zip(pairwise(poses), (closed, pressed), turns, strict=True):
+                touches = s.touches(one, other, a.memory, known, together, turn)
+                nodes = self._node[np.concatenate(np.divmod(touches.far, self._node.size))]
+                (met,) = self._nodes(touches.contacts, np.ones(touches.fraction.size, np.bool_))
+                opened[label[np.concatenate((met, nodes[nodes >= 0]))]] = True
 
     def _gaining(self, begin: Instant, made: Passage, tried: Trial, label: Index, opened: Bools) -> None:
         """Open the islands whose contacts add energy in a move made: by themselves these take it in pieces."""

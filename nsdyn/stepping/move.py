@@ -119,7 +119,7 @@ def _met(s: System, begin: Instant, m: Trial, barred: Index | None) -> Trial:
         return m
     first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
     contacts = begin.contacts, take(m.met.contacts, m.normal > 0.0), moved.contacts
-    own = contacts, (first, second, third), m.memory
+    own = contacts, (first, second, third), half.turns(begin, moved), m.memory
     return m._replace(touched=touched(s, *own, half.h, half.reach / half.ahead))
 
 

@@ -153,7 +153,8 @@ class Quiet:
         there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.REACH * n].reshape(n, 3, 3))
         places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
         contacts = old.found.contacts(), take(new.met.contacts(), new.status > 0), new.found.contacts()
-        return touched(s, contacts, places, made.found.memory, s.dt, reach / (s.theta * s.dt)) < s.dt
+        turns = (1.0 - s.theta) * s.dt * old.twists[1], s.theta * s.dt * new.twists[1]
+        return touched(s, contacts, places, turns, made.found.memory, s.dt, reach / (s.theta * s.dt)) < s.dt
 
     def _is_ready(self, old: Flat) -> bool:
         """Whether the kernel is compiled: that takes half a minute, in which general steps do the same."""

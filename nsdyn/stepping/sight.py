@@ -8,9 +8,12 @@ are dropped, pairs that it would pass through and contacts that end deep are add
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
+from nsdyn._kernels.collision.advancement import HALF_TURN
 from nsdyn._kernels.stepping import sight as _sight
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry, joined, take
@@ -171,12 +174,14 @@ def touched(
     s: System,
     contacts: tuple[ContactSet, ContactSet, ContactSet],
     places: tuple[Poses, Poses, Poses],
+    turns: tuple[Array, Array],
     memory: ContactMemory,
     h: float,
     speed: Array,
 ) -> float:
     """Time just after a pair that is open touches unseen on its way in a move of h s, s; h if none does.
 
+    Or one in which all that may touch turns by no more than half a turn in either half, for which more is unseen.
     Not much after it, so that what is hit is seen from the side where it is: the frames move with `speed` (frames,).
     The places are those where the move begins, where its impulses act and where it ends, the contacts those where it
     begins, those that press and those where it ends. What touches where it begins, and what presses, which the second
@@ -185,10 +190,16 @@ def touched(
     (begin, pressed, end), (first, second, third) = contacts, places
     known, closed = followed(s, begin, end), take(begin, begin.gap <= s.closed)
     before, length = 0.0, (1.0 - s.theta) * h
-    touches = s.touches(first, second, memory, known, closed)
-    if not touches.fraction.size:
+    touches = s.touches(first, second, memory, known, closed, turns[0])
+    turn = turns[0]
+    if not touches.fraction.size and not touches.far.size:
         before, length = length, s.theta * h
-        touches = s.touches(second, third, memory, known, pressed)
+        touches = s.touches(second, third, memory, known, pressed, turns[1])
+        turn = turns[1]
+    if touches.far.size:
+        frames = s.detector.frame[np.unique(np.divmod(touches.far, s.detector.frame.size))]
+        most = float(np.linalg.norm(turn[frames[frames >= 0]], axis=1).max())
+        return h / math.ceil(most / HALF_TURN)
     if not touches.fraction.size:
         return h
     k, c = int(touches.fraction.argmin()), touches.contacts
@@ -225,7 +236,7 @@ def shown(
     if late.gap.size:
         late, memory = _parting(s, late, met.contacts, end, begin), memory.joined(moved.memory, late.key)
     if fast:
-        (passed, _, memory), codes = s.touches(begin, end, memory, met.contacts), s.detector.codes
+        (passed, _, memory, _), codes = s.touches(begin, end, memory, met.contacts), s.detector.codes
         passed = carry(passed, end, begin)
         late = united(take(late, ~among(codes(late), codes(passed))), passed, s.detector)
     if not late.gap.size:

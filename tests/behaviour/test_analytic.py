@@ -99,3 +99,22 @@ def test_what_touches_a_plate_and_parts_does_not_pass_through_it():
     # It is pushed flat onto the plate by its flight, which friction does not turn: it lies there at the end.
     assert trajectory.body("rod").position[-1, 0] == pytest.approx(-0.055, abs=1e-9)
     assert nd.check(trajectory)
+
+
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("turns", [0.4, 1.0, 2.0, 4.0, 16.5])
+def test_what_turns_more_than_once_a_step_hits_what_is_in_its_way(turns, free):
+    """A blade, free or driven, hits a ball when its leading face is a radius from it, however far it turns a step."""
+    scene, dt = nd.Scene(gravity=(0, 0, 0)), 1.0 / 60.0
+    spin = 2.0 * math.pi * turns / dt
+    if free:
+        scene.add_box("blade", (1.0, 0.05, 0.05), 1.0, angular_velocity=(0, 0, spin))
+    else:
+        scene.add_box("blade", (1.0, 0.05, 0.05), fixed=True)
+        scene.set_motion("blade", lambda t: ((0, 0, 0), (0, 0, spin)))
+    scene.add_sphere("ball", 0.05, 0.1, position=(0, 0.4, 0))
+    contacts = nd.simulate(scene, dt, dt=dt).contacts(1)
+    # The impact of free bodies is located; a driven one first pushes in a short move about it.
+    expected = math.acos((0.05 + 0.025) / 0.4) / spin
+    bar = 1e-8 if free else 0.1
+    assert contacts.time[contacts.impulse[:, 0] > 0.0].min() == pytest.approx(expected, rel=bar)

@@ -11,6 +11,9 @@ from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
+HALF_TURN = 3.0
+"""Turn between two poses, rad, beyond which these do not tell which way it went: hardly less than half a turn."""
+
 
 @in_place
 def turn_between(A, B, f):
@@ -35,17 +38,20 @@ def turn_between(A, B, f):
 
 
 @in_place
-def motions(frame, arm, x0, R0, x1, R1, turn, reach):
+def motions(frame, arm, x0, R0, x1, R1, foreseen, turn, reach):
     """Rotation vectors of the frames, into turn (nframes, 3), and how far any point of their geoms moves, into reach.
 
-    ``arm[g]`` bounds the distance of the points of geom g from the origin of its frame.
+    They are the shortest, but for those foreseen to be longer than `HALF_TURN`. ``arm[g]`` bounds the distance of the
+    points of geom g from the origin of its frame.
     """
     reach[:] = 0.0
     for g in range(frame.size):
         if frame[g] >= 0:
             reach[frame[g]] = max(reach[frame[g]], arm[g])
     for f in range(reach.size):
-        w = turn_between(R0, R1, f)
+        w = row(foreseen, f)
+        if dot(w, w) <= HALF_TURN * HALF_TURN:
+            w = turn_between(R0, R1, f)
         put(turn, f, w)
         d = minus(row(x1, f), row(x0, f))
         reach[f] = math.sqrt(dot(d, d)) + math.sqrt(dot(w, w)) * reach[f]
