@@ -247,7 +247,7 @@ class Islands:
         opened[label[np.concatenate(out)]] = True
         # What passes through something unseen.
         fast = d.node[:-1][a.half.reach > FAST * s.smallest] if a.half.fast else d.node[:0]
-        if not opened[label[fast[fast >= 0]]].all():
+        if (fast < 0).any() or not opened[label[fast]].all():
             poses = [Poses(*p[:2]) for p in (begin.placement, a.half.middle.placement, a.moved.placement)]
             known = followed(s, begin.contacts, found)
             closed, pressed = take(begin.contacts, begin.contacts.gap <= s.closed), take(c, a.normal > 0.0)

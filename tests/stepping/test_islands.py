@@ -188,6 +188,24 @@ def test_a_plate_that_shakes_couples_nothing():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("rpm", [600.0, 7200.0])
+def test_what_a_fast_blade_hits_flies_as_it_does_alone(rpm):
+    """The blade is of no island: what it passes through in a step is hit beside anything else, too."""
+    flown = []
+    for others in range(3):
+        scene = nd.Scene(gravity=(0, 0, 0))
+        scene.add_box("blade", (1.0, 0.05, 0.05), fixed=True)
+        scene.set_motion("blade", lambda t: ((0, 0, 0), (0, 0, rpm * 2 * np.pi / 60)))
+        scene.add_sphere("ball", 0.05, 0.1, position=(0, 0.4, 0))
+        for k in range(others):
+            scene.add_sphere(f"other {k}", 0.05, 0.1, position=(5, 5, k))
+        flown.append(nd.simulate(scene, 2 / 60, dt=1 / 60).body("ball").linear_velocity)
+    # Of the tip 31 m/s or more.
+    assert np.abs(flown[0][-1]).max() > 30.0
+    np.testing.assert_array_equal(flown[1], flown[0])
+    np.testing.assert_array_equal(flown[2], flown[0])
+
+
 def test_a_belt_carries_what_is_on_it_wherever_it_stands_among_the_bodies():
     """Boxes that come before it and are of other islands: of the ball's own island it is another shape."""
 
