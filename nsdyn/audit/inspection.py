@@ -180,7 +180,7 @@ def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
     for a in scene.articulations.values():
         bodies = {int(f.parentJoint): f.name for f in reversed(list(a.model.frames)) if f.type == pin.FrameType.BODY}
         for joint, inertia in enumerate(a.model.inertias):
-            if joint > 0 or inertia.mass > 0.0:
+            if inertia.mass > 0.0 or (joint and joint in bodies):
                 name_ = f"{a.name}/{bodies.get(joint, a.model.names[joint])}" if joint else a.name
                 masses.append(Mass(name_, float(inertia.mass), _moments(inertia.inertia), joint == 0))
         joints += _joints(a)

@@ -73,7 +73,6 @@ def _part(a: Articulation, joints: range) -> Part:
             if v.start <= g.coordinate2 < v.stop
         ),
         actuators=(),
-        coordinates={},
         fixed=(),
         excluded=frozenset(),
     )

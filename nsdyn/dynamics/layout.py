@@ -99,7 +99,7 @@ class Layout:
                 motions = {a.model.idx_vs[j] - part.v.start: m for j, m in driven.items() if j in part.joints}
                 trees.append(Tree(part.articulation, self.gravity, joints, motions))
             scalar = np.concatenate([t.scalar for t in trees[planted:]])
-            axes = Axes.of(name, a.model, scalar, a.coordinates)
+            axes = Axes.of(name, a.model, scalar)
             self._forests[name] = planted, Actuators(axes, a.effort, [part.v for part in forest], a.actuators)
         return trees
 

@@ -120,9 +120,6 @@ class Articulation:
     gears : tuple of Gear
     actuators : tuple of Actuator
         Those of an MJCF file, which `nsdyn.Actuation` controls.
-    coordinates : mapping of str to int
-        Where the file tells them, the places in v of its hinges and slides by name: of several joints of one body
-        Pinocchio makes one.
     fixed : tuple of Body
         What the file holds besides its trees: the shapes of its world, which are bodies of the scene.
     visuals : tuple of Visual
@@ -155,7 +152,6 @@ class Articulation:
     loops: tuple[Loop, ...] = ()
     gears: tuple[Gear, ...] = ()
     actuators: tuple[Actuator, ...] = ()
-    coordinates: Mapping[str, int] = field(default_factory=dict)
     fixed: tuple[Body, ...] = ()
     visuals: tuple[Visual, ...] = ()
     excluded: frozenset[tuple[int, int]] = frozenset()
@@ -195,8 +191,6 @@ class Description:
     loops : tuple of Loop
     gears : tuple of Gear
     actuators : tuple of Actuator
-    coordinates : mapping of str to int
-        As of `Articulation`.
     excluded : frozenset of frozenset of str
         Pairs of bodies that are never tested for contact.
     filtered : frozenset of frozenset of str
@@ -226,7 +220,6 @@ class Description:
     loops: tuple[Loop, ...] = ()
     gears: tuple[Gear, ...] = ()
     actuators: tuple[Actuator, ...] = ()
-    coordinates: Mapping[str, int] = field(default_factory=dict)
     excluded: frozenset[frozenset[str]] = frozenset()
     filtered: frozenset[frozenset[str]] = frozenset()
     world_touches: bool = False

@@ -94,7 +94,6 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
         **in_joints,
         gears=description.gears,
         actuators=description.actuators,
-        coordinates=description.coordinates,
         missing=description.missing,
         rest=rest0,
         effort=_effort(model),

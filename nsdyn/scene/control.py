@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,12 +34,11 @@ class Axes(NamedTuple):
     scalar: Bools
 
     @classmethod
-    def of(cls, owner: str, model: Any, scalar: Bools, coordinates: Mapping[str, int] = MappingProxyType({})) -> Axes:
-        """Of an articulation with a pinocchio.Model, and places in v of joints that are parts of those of the model."""
+    def of(cls, owner: str, model: Any, scalar: Bools) -> Axes:
+        """Of an articulation with a pinocchio.Model."""
         places = zip(model.names, model.idx_vs, model.nvs, strict=True)
         rows = [(f"{name}:{k}" if n > 1 else name, start + k) for name, start, n in places for k in range(n)]
-        told = {place: name for name, place in coordinates.items()}
-        return cls(owner, tuple(told.get(place, name) for name, place in rows if scalar[place]), scalar)
+        return cls(owner, tuple(name for name, place in rows if scalar[place]), scalar)
 
     def spread(self, given: Any, rest: float | Array, what: str) -> Array:
         """Values for all coordinates, shape (nv,).

@@ -72,8 +72,13 @@ def joined(links: Sequence[Link], joined: set[frozenset[int]]) -> frozenset[tupl
 def neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[frozenset[int]]:
     """Pairs of joints whose links are joined by a joint or a loop; a free base is not joined to the world."""
     out = {frozenset((c.joint1, c.joint2)) for c in loops}
+    # Between several joints of one body there is nothing.
+    carry = {f.parentJoint for f in model.frames if f.type == pin.FrameType.BODY}
+    carry |= {joint for joint, body in enumerate(model.inertias) if body.mass > 0.0}
     for joint in range(1, model.njoints):
         parent = int(model.parents[joint])
+        while parent and parent not in carry:
+            parent = int(model.parents[parent])
         if model.joints[joint].shortname() != FREE and not (world_touches and parent == 0):
             out.add(frozenset((joint, parent)))
     return out

@@ -203,7 +203,7 @@ def test_two_of_one_name_are_refused(leg):
 
 
 def test_control_takes_the_names_of_the_file(leg):
-    """Also of the joints of one body, of which Pinocchio makes one."""
+    """Also of the joints of one body."""
     scene = leg("")
     with pytest.raises(
         ValueError, match=r"name in joint forces of controller of 'leg' must be one of hip, roll, knee, toe"

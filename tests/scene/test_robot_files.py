@@ -249,7 +249,7 @@ def test_mjcf(mjcf):
     np.testing.assert_array_equal(a.stiffness, [0] * 7 + [5] + [0] * 4 + [2] + [0] * 7)
     np.testing.assert_allclose(a.rest, [0] * 7 + [0.1] + [0] * 4 + [np.pi / 2] + [0] * 7, rtol=1e-15)
     names = [(link.name, link.joint) for link in a.links]
-    assert names == [("t", 1), ("ga", 2), ("gb", 3), ("gc", 4), ("d_0", 5), ("g2", 6), ("ge", 7)]
+    assert names == [("t", 1), ("ga", 2), ("gb", 3), ("gc", 4), ("d_0", 6), ("g2", 7), ("ge", 8)]
     assert [(body.name, body.shape.kind) for body in a.fixed] == [("m/floor", shapes.HALFSPACE)]
     assert a.missing == ("joint 'jc': range of a ball joint",)
     (linked,) = a.gears  # of "joint2": the angle of ja is the length of jb
@@ -261,6 +261,41 @@ def test_mjcf(mjcf):
         "keyframe 'home'",
     )
     assert a.report == (*a.missing, *a.dropped, *a.unused)
+
+
+SEVERAL = """<mujoco><compiler angle="radian"/><worldbody><body name="b" pos="0 0 1" euler="0.2 0 0.3">
+<joint name="x" type="slide" axis="1 0 0" pos=".1 0 0"/><joint axis="0 1 1" pos="0 .2 0"/>
+<joint name="y" type="slide" axis="0 1 0" range="-1 2" armature=".1"/><geom name="g" size=".1"/>
+<body name="c" pos=".1 .2 .15"><joint name="u" type="slide"/><joint name="w" type="ball"/><geom name="h" size=".1"/>
+</body></body></worldbody></mujoco>"""
+
+
+def test_several_joints_of_one_mjcf_body_are_joints_by_their_names(tmp_path):
+    """They move as the one that Pinocchio makes of them, can be driven, geared and asked for, and join both bodies."""
+    path = tmp_path / "m.xml"
+    path.write_text(SEVERAL)
+    scene = nd.Scene()
+    scene.add_mjcf("m", path)
+    a = scene.articulations["m"]
+    assert list(a.model.names)[1:] == ["x", "joint1", "y", "u", "w"]
+    assert [(link.name, link.joint) for link in a.links] == [("g", 3), ("h", 5)]
+    assert a.excluded == {(0, 1)}  # they overlap
+    np.testing.assert_array_equal(a.model.upperPositionLimit[:4], (np.inf, np.inf, 2, np.inf))
+    theirs = pin.buildModelFromMJCF(str(path))
+    theirs.armature = a.model.armature
+    rng, own, other = np.random.default_rng(0), a.model.createData(), theirs.createData()
+    q, v = pin.integrate(a.model, a.q, rng.normal(size=7)), rng.normal(size=7)
+    np.testing.assert_allclose(  # of 1 kg and 1 m
+        pin.rnea(a.model, own, q, v, v), pin.rnea(theirs, other, q, v, v), rtol=0.0, atol=1e-12
+    )
+    np.testing.assert_allclose(own.oMi[5].homogeneous, other.oMi[2].homogeneous, rtol=0.0, atol=1e-14)
+    scene.set_motion("m/y", velocity=0.5)
+    scene.add_gear("m", "x", "u", 2.0)
+    run = nd.simulate(scene, 0.1, dt=1e-2)
+    assert run.joint("m/y").position[-1] == pytest.approx(0.05, abs=1e-14)
+    # What closes gears leaves of lengths of 0.1 m.
+    np.testing.assert_allclose(run.joint("m/u").position, 2.0 * run.joint("m/x").position, rtol=0.0, atol=1e-12)
+    assert nd.check(run).passed, nd.check(run)
 
 
 def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
@@ -304,7 +339,7 @@ def test_mjcf_loops(mjcf):
     pin.framesForwardKinematics(a.model, data, a.q)
     assert [(c.name, c.joint1, c.joint2, c.kind) for c in a.loops] == [
         ("loop", 3, 4, "point"),
-        ("weld1", 2, 5, "frame"),
+        ("weld1", 2, 6, "frame"),
     ]
     point, weld = a.loops
     body = data.oMf[a.model.getFrameId("b", pin.FrameType.BODY)]

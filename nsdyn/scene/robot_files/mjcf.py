@@ -26,7 +26,7 @@ from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, of_o
 from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
 from nsdyn.scene.robot_files.mjcf_geoms import Geoms, mesh_name
-from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, place_joints, set_joints, start_of
+from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, place_joints, set_joints, single, start_of
 from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
@@ -69,7 +69,6 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in joints_of(root)))
         model, geometry = _build(root, path)
         check_size(name, model)
-        place_joints(model)
         stiffness, rest = set_joints(root, model, report)
         q, controls = start_of(root, model, keyframe, len(driven), report)
         loops = tuple(loops_of(root, model, q, report.missing))
@@ -99,7 +98,6 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         loops=loops,
         gears=gears,
         actuators=actuators,
-        coordinates={joint: v for joint, (_, v) in places.items()},
         excluded=excluded,
         filtered=filtered,
         world_touches=True,
@@ -287,7 +285,9 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
         ElementTree.ElementTree(bare).write(file)
         with noise.caught():
             model = pin.buildModelFromMJCF(str(file))
-            return model, pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+            geometry = pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+    place_joints(model)
+    return single(root, model, geometry), geometry
 
 
 def _copy_meshes(root: Element, home: Path, scratch: Path) -> None:

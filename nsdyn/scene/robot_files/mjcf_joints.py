@@ -1,7 +1,7 @@
 """Joints of MJCF files: their places, limits, springs and friction, and where a keyframe puts them.
 
 Pinocchio takes the range of a slide for degrees, shifts that of a joint with `ref`, and knows no springs: the values of
-the joints are read here.
+the joints are read here. Of several joints of one body it makes one, whose parts have no names.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from nsdyn.scene.robot_files.xml import Report, is_range, numbers
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["SIZES", "joints_of", "place_joints", "set_joints", "start_of"]
+__all__ = ["SIZES", "joints_of", "place_joints", "set_joints", "single", "start_of"]
 
 SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
 """(nq, nv) of every type of joint."""
@@ -50,6 +50,39 @@ def place_joints(model: Any) -> None:
             moved = first.createData()
             first.calc(moved, np.array(model.referenceConfigurations["qpos0"]))
             model.jointPlacements[joint] *= moved.M.inverse()
+
+
+def single(root: Element, model: Any, geometry: Any) -> Any:
+    """Pinocchio's model with every joint of the file as one of its own; the shapes of `geometry` go with the last.
+
+    Links between the joints of one body have no mass and no body.
+    """
+    names = [element.get("name") or f"joint{k}" for k, (element, *_) in enumerate(joints_of(root))]
+    if len(names) == model.njoints - 1:
+        return model
+    out, last = pin.Model(), [0]
+    out.name, out.inertias[0] = model.name, model.inertias[0].copy()
+    for k in range(1, model.njoints):
+        joint, place, parent = model.joints[k].extract(), model.jointPlacements[k], last[model.parents[k]]
+        parts = [(joint, pin.SE3.Identity(), model.names[k])]
+        if joint.shortname() == COMPOSITE:
+            own = names[out.njoints - 1 :]
+            parts = list(zip(joint.joints, joint.jointPlacements, own, strict=False))
+        for part, at, name in parts:
+            parent = out.addJoint(parent, part, place * at, name)
+            place = pin.SE3.Identity()
+        out.inertias[parent] = model.inertias[k].copy()
+        last.append(parent)
+    for frame in list(model.frames)[1:]:
+        on = last[frame.parentJoint]
+        name = out.names[on] if frame.type == pin.FrameType.JOINT else frame.name
+        out.addFrame(pin.Frame(name, on, frame.parentFrame, frame.placement, frame.type), False)
+    for joint in sorted({*range(1, out.njoints)} - {*last}):  # after all others, of which the shapes know the numbers
+        out.addJointFrame(joint, 0)
+    for shape in geometry.geometryObjects:
+        shape.parentJoint = last[shape.parentJoint]
+    out.referenceConfigurations["qpos0"] = model.referenceConfigurations["qpos0"]
+    return out
 
 
 def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
