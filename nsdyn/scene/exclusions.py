@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nsdyn.scene.articulations import Link, Loop
 
 
-__all__ = ["FREE", "among_links", "disabled_pairs", "filtered", "joined", "neighbours", "overlapping"]
+__all__ = ["FREE", "among_links", "carriers", "disabled_pairs", "filtered", "joined", "neighbours", "overlapping"]
 
 FREE = "JointModelFreeFlyer"
 
@@ -69,12 +69,16 @@ def joined(links: Sequence[Link], joined: set[frozenset[int]]) -> frozenset[tupl
     )
 
 
+def carriers(model: Any) -> set[int]:
+    """Joints that carry a body: one by name, or any mass; between several joints of one body there is none."""
+    named = {int(f.parentJoint) for f in model.frames if f.type == pin.FrameType.BODY}
+    return named | {joint for joint, body in enumerate(model.inertias) if body.mass > 0.0}
+
+
 def neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[frozenset[int]]:
     """Pairs of joints whose links are joined by a joint or a loop; a free base is not joined to the world."""
     out = {frozenset((c.joint1, c.joint2)) for c in loops}
-    # Between several joints of one body there is nothing.
-    carry = {f.parentJoint for f in model.frames if f.type == pin.FrameType.BODY}
-    carry |= {joint for joint, body in enumerate(model.inertias) if body.mass > 0.0}
+    carry = carriers(model)
     for joint in range(1, model.njoints):
         parent = int(model.parents[joint])
         while parent and parent not in carry:

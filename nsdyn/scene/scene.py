@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from nsdyn.scene import assembly, checks, description, robot_files, shapes
 from nsdyn.scene.articulations import Articulation, ArticulationOptions, Description
 from nsdyn.scene.bodies import Body, BodyOptions, Geom, make_body
+from nsdyn.scene.exclusions import carriers
 from nsdyn.scene.materials import COMBINATION_RULES, Material
 from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.scene.shapes import Shape
@@ -472,11 +473,11 @@ class Scene:
         return [b for b in self.bodies.values() if b.name in self.motions and self.motions[b.name].kind == "body"]
 
     def link_frames(self) -> list[tuple[str, int]]:
-        """(articulation name, joint) of every moving frame that carries shapes, visual ones too, in frame order."""
+        """(articulation name, joint) of every moving frame that carries a body or shapes, in frame order."""
         frames = []
         for a in self.articulations.values():
-            carriers = {link.joint for link in a.links} | {visual.joint for visual in a.visuals}
-            frames += [(a.name, joint) for joint in sorted(carriers - {0})]
+            carrying = carriers(a.model) | {link.joint for link in a.links} | {visual.joint for visual in a.visuals}
+            frames += [(a.name, joint) for joint in sorted(carrying - {0})]
         return frames
 
     def geoms(self) -> list[Geom]:

@@ -405,6 +405,29 @@ def test_links_go_by_their_names_in_a_recording(hand):
         trajectory.body("r/fot")
 
 
+def test_links_without_shapes_are_in_a_recording(tmp_path):
+    """As those that have some: where they are, how they move, and pushed by what the scene says."""
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        '<robot name="r"><link name="base"><collision><geometry><sphere radius="1"/></geometry></collision></link>'
+        f'<link name="arm">{INERTIAL}</link><link name="tip"/><joint name="j" type="continuous"><axis xyz="0 1 0"/>'
+        '<parent link="base"/><child link="arm"/></joint><joint name="f" type="fixed"><parent link="arm"/>'
+        '<child link="tip"/><origin xyz="2 0 0"/></joint></robot>'
+    )
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_urdf("r", path, q=(np.cos(0.5), np.sin(0.5)), v=(3.0,))
+    run, speed = nd.simulate(scene, 0.01, dt=1e-2), 6.0 * np.array((-np.sin(0.5), 0, -np.cos(0.5)))
+    # Sines of an angle, by a quaternion and by a matrix.
+    np.testing.assert_allclose(
+        run.body("r/tip").position[0], (2 * np.cos(0.5), 0, -2 * np.sin(0.5)), rtol=0, atol=1e-14
+    )
+    np.testing.assert_allclose(run.body("r/tip").linear_velocity[0], speed, rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(run.body("r/arm").position, np.zeros((2, 3)))
+    step = nd.Stepper(scene, dt=1e-2).step()
+    np.testing.assert_array_equal(step.velocity("r/arm")[1], run.body("r/arm").angular_velocity[1])
+    assert nd.check(run).passed
+
+
 def test_pairs_of_links_beat_pairs_of_robots(hand):
     hand.set_pair("r/foot", "plate", mu=0.9)
     hand.set_pair("r", "plate", mu=0.1, restitution=0.0)
