@@ -156,9 +156,9 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     if not first[1](tol["pairs"]).passed:  # what follows is about shapes that touch
         return Audit((first[1](tol["pairs"]),), str(trajectory.meta["scene_name"]))
     found = retraced(poses) if trajectory.scene["articulations"] else None
-    links = None if found is None or isinstance(found, str) else found.met
+    links, parted = (None, None) if found is None or isinstance(found, str) else (found.met, found.met_parted)
     flight = None if left_out(trajectory) else Flight.of(poses, links)
-    findings = [described(poses, found), first, *plain(poses), *overlaps(poses), *contacts(poses, flight)]
+    findings = [described(poses, found), first, *plain(poses), *overlaps(poses), *contacts(poses, flight, parted)]
     findings += [*told(poses, flight), *momenta(poses, flight), *energies(poses)]
     findings += [*joints(poses, found), *works(poses, found, flight), *unseen(poses)]
     return Audit(tuple(finding(tol[name]) for name, finding in findings), str(trajectory.meta["scene_name"]))

@@ -14,7 +14,7 @@ from nsdyn.dynamics.ledger import PHYSICS
 from nsdyn.recording.courses import close
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Kick, Trees, Way, trees
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement
 
 __all__ = ["Retraced", "retraced"]
@@ -38,14 +38,17 @@ class Retraced:
         of the mass matrix; by what each is measured.
     works : dict of str to ndarray
         By columns of the ledger.
-    doubt : ndarray
-        Of works, J.
+    doubt, parted : ndarray
+        Of works, J: of each and of their sum, and of how this is parted where limits and contacts strike in turn in no
+        time, as often as is not recorded.
     energy : ndarray, shape (n,)
         Change of energy by projections, J.
     met : (Side, Side)
         Links that contacts push, the first and the second bodies of these; NaN of others.
     met_doubt : ndarray, shape (contacts,)
         What is in doubt of the works of contacts, J.
+    met_parted : ndarray of bool, shape (contacts,)
+        Those that strike in turn with limits, in no time or in a move.
     met_twice : ndarray, shape (contacts,)
         Most that impulses of rebounds may have done within moves, whose others are booked as numerics, J; 0 of others.
     ways : list of list of Way
@@ -58,9 +61,11 @@ class Retraced:
     lift: tuple[Array, Array]
     works: dict[str, Array]
     doubt: Array
+    parted: Array
     energy: Array
     met: tuple[Side, Side]
     met_doubt: Array
+    met_parted: Bools
     met_twice: Array
     ways: list[list[Way]]
 
@@ -80,9 +85,11 @@ def retraced(poses: Poses) -> Retraced | str:
         lift,
         works,
         np.zeros((n, count)),
+        np.zeros((n, count)),
         np.zeros(n),
         (Side.nowhere(rows), Side.nowhere(rows)),
         np.zeros(rows),
+        np.zeros(rows, np.bool_),
         np.zeros(rows),
         [[] for _ in range(count)],
     )
@@ -160,9 +167,11 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
         change = np.abs(kick.after - kick.before)
         # What rebounds in a piece, or several times in one instant, works in parts that are not recorded; where only
         # limits strike in no time these make up one work.
-        mixed = kick.h > 0.0 or kick.given[2].any() or kick.touches
-        if mixed and (m.restitution > 0.0 or _rebounds(out.trees, kick)):
-            doubt += 0.5 * float((np.abs(kick.given[1]) + np.abs(kick.given[2])) @ change)
+        on_joints = np.abs(kick.given[1]) + np.abs(kick.given[2])
+        if kick.h == 0.0 and _parted(out.trees, m, kick):
+            out.parted[k, i] += 2.0 * float(on_joints @ _fastest(m, kick, np.eye(m.nv)))
+        elif (kick.h > 0.0 or kick.given[2].any()) and (m.restitution > 0.0 or _rebounds(out.trees, kick)):
+            doubt += 0.5 * float(on_joints @ change)
         acted = np.abs(kick.given[:4]).sum(axis=0) + 2.0 * np.abs(kick.stiff[0]) + np.abs(kick.reaction)
         doubt += float(acted @ doubted)  # dampers are in doubt as velocities are, and so is what they work along
         late = late + last.doubted[1]
@@ -180,6 +189,19 @@ def _rebounds(found: Trees, kick: Kick) -> bool:
     return any(restitution[row] > 0.0 for row, _, _ in kick.touches)
 
 
+def _parted(found: Trees, m: Mechanism, kick: Kick) -> bool:
+    """Whether limits and contacts strike in turn, of which some rebound."""
+    return bool(kick.touches and kick.given[1:3].any()) and (m.restitution > 0.0 or _rebounds(found, kick))
+
+
+def _fastest(m: Mechanism, kick: Kick, rows: Array) -> Array:
+    """Largest speeds that rows (k, nv) may have between impacts: those of all the kinetic energy before or after."""
+    M = m.mass(kick.q)
+    most = max(float(v @ M @ v) for v in (kick.before, kick.after))
+    out: Array = np.sqrt(most * (rows.T * np.linalg.solve(M, rows.T)).sum(axis=0))
+    return out
+
+
 def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[Array, Array]) -> None:
     """Where links are that contacts push, and how their points move, of which velocities (nv,) are in doubt.
 
@@ -192,7 +214,7 @@ def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[
     m.place(begin[0])
     first = {joint: m.pose(joint) for _, _, joint in kick.touches}
     m.place(kick.q)
-    poses = {joint: m.pose(joint) for joint in first}
+    poses, parted = {joint: m.pose(joint) for joint in first}, _parted(out.trees, m, kick)
     for row, side, joint in kick.touches:
         pose, met = poses[joint], out.met[side]
         met.x[row], met.quaternion[row] = pose.translation, Rotation.from_matrix(pose.rotation).as_quat()
@@ -201,7 +223,12 @@ def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[
             met.v[k + 1, row], met.spin[k, row] = m.carried(joint, point[row], v)
         push = m.push(joint, point[row], out.trees.impulses[row])
         out.met_doubt[row] += float(np.abs(push) @ doubted)
-        if kick.h and restitution[row] > 0.0:
+        if parted:
+            rows = np.array([m.push(joint, point[row], axis) for axis in np.eye(3)])
+            speed, rubs = float(np.linalg.norm(_fastest(m, kick, rows))), 1.0 + c["contacts/mu"][row]
+            out.met_parted[row] = True
+            out.met_doubt[row] += 2.0 * rubs * speed * float(np.linalg.norm(out.trees.impulses[row]))
+        if kick.h and (restitution[row] > 0.0 or parted):
             out.met_twice[row] += max(abs(float(push @ v)) for v in (kick.before, kick.after))
     m.place(begin[0])
     for row, side, joint in kick.touches:

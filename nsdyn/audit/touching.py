@@ -19,7 +19,7 @@ from nsdyn.audit.true_shapes import Solid
 from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = [
     "along",
@@ -151,8 +151,11 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
     return tuple(np.concatenate([empty, *items]) for items in (first, second, state))  # type: ignore[return-value]
 
 
-def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
-    """Where impulses act, in which cones they are, and what friction does; None where not all steps are recorded."""
+def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Iterator[Found]:
+    """Where impulses act, in which cones they are, and what friction does; None where not all steps are recorded.
+
+    `parted` contacts, None for none known, strike in turn with limits.
+    """
     t = poses.trajectory
     where = "distance", "normal", "points"
     missing = [*where, "cone", "friction", "slip", "materials", "axes"] if not t.has_contacts else where
@@ -175,6 +178,8 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     most = mu * np.maximum(r[:, 0], 0.0)
     # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
     several = _rebounding(poses, c, step)
+    if parted is not None:
+        several |= np.isin(poses.instant, poses.instant[parted])
     fremond = by_fremond(poses)
     on_cone = _slips(c, flight) & ~several & ~bouncing(c, step) & ~fremond
     outside = np.maximum(-r[:, 0], np.where(on_cone, np.abs(drag - most), drag - most))

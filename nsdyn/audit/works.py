@@ -113,6 +113,9 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     several = np.isin(of := poses.instant, of[strikes]) | by_fremond(poses)
     frames = poses.frame[poses.pair]
     own = (frames >= 0) & (frames < poses.free)
+    parted = np.zeros(r[:, 0].size, np.bool_) if found is None else found.met_parted
+    # In turn with limits, too: of links alone it is known how much.
+    several |= np.isin(of, of[parted & own.any(axis=0)])
     given = bool(t.meta.get("external_force", True)) & own.any(axis=0)
     hidden = np.isnan(u).any(axis=1) | (given & (GIVEN not in t.columns))
     blind = np.isin(of, of[hidden | given | (frames >= poses.free).any(axis=0)])
@@ -138,16 +141,25 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     t, e, c = poses.trajectory, poses.trajectory.energy, poses.trajectory.columns
     nothing, scale = np.zeros(t.steps), at_play(poses)
     of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
-    doubt = nothing if found is None else found.doubt.sum(axis=1)
+    doubt, parted = (nothing, nothing) if found is None else (x.sum(axis=1) for x in (found.doubt, found.parted))
     step = poses.step
     stays, left = _stays(poses, flight), dict[str, Array]()
     sticks = stays & ~_slid(poses, step)
     twice = _twice(poses, flight) + (0.0 if found is None else found.met_twice)
+    rest, slack = nothing, nothing
+    turns = np.zeros(step.size, np.bool_) if found is None else found.met_parted & flight.instant
+    turns = np.isin(poses.instant, poses.instant[turns])
+    # What strikes in turn does in all what the velocities before and after tell.
+    told = np.where(turns, (c["contacts/impulse"] * flight.met.mean).sum(axis=1), 0.0)
     for name, lasts in (("normal", stays), ("friction", sticks)):
         work = c[f"contacts/work_{name}"]
-        off = np.abs(getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~lasts], work[~lasts], t.steps))
+        off = getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~lasts], work[~lasts], t.steps)
         # Of no contacts NumPy counts whole numbers.
-        left[name] = off - np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
+        most = np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
+        left[name] = np.abs(off) - most - parted
+        rest, slack, told = rest + off, slack + most, told - np.where(turns & ~lasts, work, 0.0)
+    # Where surfaces move it is not known.
+    left["impacts"] = np.nan_to_num(np.abs(rest - np.bincount(step, told, t.steps)) - slack, nan=0.0)
     left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
     if not (poses.free and t.meta.get("external_force", True)):
         left["external"] = np.abs(e.external - of_trees.get("external", nothing))
@@ -182,7 +194,7 @@ def _twice(poses: Poses, flight: Flight) -> Array:
 def _stays(poses: Poses, flight: Flight) -> Bools:
     """Contacts of shapes that touch where their step begins, or met before: what they do may be booked as numerics.
 
-    With theta = 1 a move acts when the impacts before it do.
+    In moves: impacts in no time are booked as they are. With theta = 1 a move acts when the impacts before it do.
     """
     c: Any = poses.trajectory.columns
     (i, j), step, moves = poses.pair, poses.step, ~flight.instant
@@ -195,7 +207,7 @@ def _stays(poses: Poses, flight: Flight) -> Bools:
     pair = i * len(poses.names) + j
     code = step * len(poses.names) ** 2 + pair
     last = np.isin(code - len(poses.names) ** 2, code[c["contacts/status"] > 0])
-    return np.asarray(out | last)
+    return np.asarray((out | last) & moves)
 
 
 def _slid(poses: Poses, step: Index) -> Bools:

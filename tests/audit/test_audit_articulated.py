@@ -5,6 +5,7 @@ import json
 import shutil
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import falsified
@@ -335,6 +336,52 @@ def test_what_touches_at_the_start_stays(audits):
     """Its first work is the scheme's, as all that follows."""
     audit = nd.check(audits.named("woodpecker", 0.01, 1e-3))
     assert audit.passed, audit
+
+
+def test_limits_and_contacts_that_rebound_in_turn():
+    """Their works are what changes the kinetic energy in all: parts are bounded, the sum is known to round-off."""
+    model = pin.Model()
+    base = model.addJoint(0, pin.JointModelFreeFlyer(), at((0, 0, 0)), "base")
+    model.appendBodyToJoint(base, pin.Inertia(3.0, np.zeros(3), np.diag([0.05, 0.06, 0.08])), at((0, 0, 0)))
+    leg = model.addJoint(base, pin.JointModelRY(), at((0.2, 0.12, -0.03)), "leg")
+    model.appendBodyToJoint(leg, pin.Inertia(0.3, np.array([0, 0, -0.1]), np.diag([2e-3, 2e-3, 2e-4])), at((0, 0, 0)))
+    for joint in (base, leg):
+        model.addJointFrame(joint)
+    for bound, sign in ((model.lowerPositionLimit, -1.0), (model.upperPositionLimit, 1.0)):
+        bound[-1] = sign
+    scene = nd.Scene()
+    scene.add_halfspace("ground", material=nd.Material(mu=0.0))
+    scene.add_model(
+        "r",
+        model,
+        q=[0, 0, 0.5, -0.1, 0.18, 0, (1 - 0.1**2 - 0.18**2) ** 0.5, 0.74],
+        collisions={
+            "base": [shapes.box((0.4, 0.2, 0.1))],
+            "leg": [(shapes.capsule(0.02, 0.2), at((0, 0, -0.1)))],
+        },
+        restitution=0.5,
+        material=nd.Material(mu=0.0, restitution=0.4),
+        self_collisions=False,
+    )
+    run = nd.simulate(scene, 0.28, 4e-3)
+    assert nd.check(run).passed, nd.check(run)
+    c, m, kicks = run.columns, trees(run).mechanisms[0], trees(run).way(0, 63).kicks
+    (kick,) = [kick for kick in kicks if kick.h == 0.0 and kick.touches and kick.given[1].any()]
+    ((row, *_),) = kick.touches
+    impulse, speed = kick.pushed + kick.given[1], 0.5 * (kick.before + kick.after)
+    before, after = (0.5 * v @ m.mass(kick.q) @ v for v in (kick.before, kick.after))
+    assert after - before == pytest.approx(impulse @ speed, abs=1e-13)  # J, of 11 J
+    assert kick.pushed @ speed > 0.05 and c["contacts/work_normal"][row] < -0.03  # it has struck more than once
+    for names, add, where in (
+        (["energy/normal", "energy/integration"], 1e-6, "works"),  # with 2e-9 J that the step's move leaves open
+        (["contacts/work_normal"], 10.0, "contact_works"),  # no speed there gives as much
+    ):
+        off = dict(c)
+        for name, sign in zip(names, (1.0, -1.0), strict=False):
+            off[name] = c[name].copy()
+            off[name][63 if name.startswith("energy") else row] += sign * add
+        audit = nd.check(replace(run, columns=off))
+        assert not audit[where].passed and audit["balance"].passed
 
 
 @pytest.mark.slow
