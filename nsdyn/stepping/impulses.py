@@ -61,6 +61,9 @@ class Impulses(NamedTuple):
     lift : ndarray, shape (free, 6), or None
         Displacements of the free bodies by the projection at the end of the move: of the centre of mass, m, and
         rotation vector, rad, world axes; None where there are none.
+    lasting : (ndarray, ndarray of bool, ndarray of bool), or None
+        Normal works of the move [J], and of which contacts, the first of these, it and that of friction where they
+        stick are booked as numerics; None of impacts in no time.
     """
 
     contacts: ContactSet
@@ -82,15 +85,16 @@ class Impulses(NamedTuple):
     moves: Bools | None = None
     wrench: Array | None = None
     lift: Array | None = None
+    lasting: tuple[Array, Bools, Bools] | None = None
 
     @staticmethod
     def joined(done: list[Impulses]) -> Impulses:
         """The contacts of all that acted in a step, one after the other, and sums of what it did to coordinates."""
         columns = list(zip(*done, strict=True))
         frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns[1:8])
-        of_contacts = joined(columns[0]), frame, u, r, status, couple, normal, friction
+        out = done[-1]._replace(contacts=joined(columns[0]), frame=frame, u=u, r=r, status=status, couple=couple)
         joints, links = (np.sum(parts, axis=0) for parts in columns[8:10])
-        return Impulses(*of_contacts, joints, links, sum(columns[10]), *done[-1][11:])
+        return out._replace(normal=normal, friction=friction, joints=joints, links=links, created=sum(columns[10]))
 
 
 def account(
@@ -110,7 +114,7 @@ def account(
     """
     d, c, nc, nr = s.dynamics, met.contacts, met.frame.shape[0], met.mu.size
     actuation = beyond = normal_work = friction_work = rest = created = 0.0
-    struck = NOTHING if impact is None else impact.r[0::3]
+    struck, last = NOTHING if impact is None else impact.r[0::3], None
     if h > 0.0:
         out = status, normal, friction, u_end, world = (
             np.empty(nc, np.int8),
@@ -127,6 +131,7 @@ def account(
             (mass, d.gravity), (h, s.theta), velocities, rows, solved[1].r, lasting, s.solver.tol, out
         )
         total = solved[1].r
+        last = normal, met.stays if impact is None else met.stays | (struck > 0.0), met.sticks
     else:
         status, normal, friction, world = np.empty(nc, np.int8), np.zeros(nr), np.zeros(nr), np.zeros((nc, 3))
         total, u_end = np.zeros(3 * nr), met.local[1]
@@ -149,5 +154,5 @@ def account(
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
     of_contacts, when = (c, met.frame, u, impulse, status, turned, normal, friction), ((1.0 - s.theta) * h, h)
-    impulses = Impulses(*of_contacts, on_joints, links, created, *when, solved, (works,))
+    impulses = Impulses(*of_contacts, on_joints, links, created, *when, solved, (works,), lasting=last)
     return impulses, Warm(c.key, s.detector.codes(c), world, status, slots)

@@ -18,8 +18,8 @@ from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["JAM", "Paradoxes"]
 
-JAM = 3
-"""State of a contact that jams, beside 0 open, 1 stick, 2 slip."""
+STICK, JAM = 1, 3
+"""States of a contact that sticks or jams, beside 0 open, 2 slip."""
 
 FEW = 8
 """Most contacts of a problem in which another velocity is looked for, so that a step costs hardly more."""
@@ -65,8 +65,18 @@ class Paradoxes:
                 states = np.where(jam, JAM, acted.status).astype(np.int8)
                 normal, friction = acted.normal + moved, acted.friction - moved
                 done[k] = acted._replace(status=states, normal=normal, friction=friction)
+                # What lasts is booked as numerics, but a jam is an impact.
+                rest = rest_normal = 0.0
+                if acted.lasting is not None:
+                    pressed, stays, sticks = acted.lasting
+                    rest_normal = math.fsum(pressed[:nc][jam & stays[:nc]])
+                    rest = math.fsum(moved[sticks[:nc] & (acted.status == STICK)])
                 total = math.fsum(moved)
-                works = works._replace(normal=works.normal + total, friction=works.friction - total)
+                works = works._replace(
+                    normal=works.normal + total + rest_normal,
+                    friction=works.friction - (total - rest),
+                    integration=works.integration - rest - rest_normal,
+                )
             if status is None and self._several(problem, solution):
                 status = Status.SEVERAL
         return done, works, status

@@ -224,6 +224,20 @@ def test_a_jam_is_an_impact(dt):
     assert stepper.step().solution.status is nd.Status.CONVERGED  # what jammed sticks
 
 
+def test_a_jam_of_what_rested_is_an_impact():
+    """A cube of 1 kg on a floor that jolts: what jams has rested, whose works are numerics, but not that of a jam."""
+    scene, material = nd.Scene(), nd.Material(mu=3.0)
+    scene.add_box("floor", (3, 3, 0.2), fixed=True, position=(0, 0, -0.1), material=material)
+    scene.add_box("box", (0.1, 0.1, 0.1), 1.0, position=(0, 0, 0.05), material=material)
+    scene.set_motion("floor", velocity=lambda t: (1.0 * (t > 0.0101), 0, 0))
+    run = nd.simulate(scene, 0.012, dt=2e-3)
+    assert run.solver.status_names == ["CONVERGED"] * 5 + ["JAM"]
+    work = run.columns["contacts/work_normal"][run.columns["contacts/offset"][5] :].sum()
+    assert run.energy.normal[5] == pytest.approx(work, abs=1e-15) and work < -1e-4  # J, of 0.3 J
+    assert run.energy.friction[5] == 0.0 and abs(run.energy.integration[5]) <= 1e-15
+    assert nd.check(run).passed
+
+
 def test_a_jam_is_recorded_and_audited(tmp_path):
     scene = nd.scenes.load("rod")(angle=math.degrees(math.atan(2.0)), mu=2.0)
     trajectory = nd.simulate(scene, 5e-3, dt=1e-3, record=tmp_path / "a.h5")
