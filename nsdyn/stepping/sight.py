@@ -13,7 +13,6 @@ import math
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn._kernels.collision.advancement import HALF_TURN
 from nsdyn._kernels.stepping import sight as _sight
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry, joined, take
@@ -45,6 +44,10 @@ NO_CODES = np.empty(0, np.int64)
 PAST = 0.05
 """Fraction of the smaller inscribed radius by which bodies get into each other where a fast move is cut short, which is
 where they would by more than twice that: a shorter move touches at another time."""
+
+
+TURN = 1.0
+"""Turn in half a move, rad, to which what turns by more than half a turn is cut: it is followed at a constant rate."""
 
 
 def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: Index) -> ContactSet:
@@ -181,7 +184,7 @@ def touched(
 ) -> float:
     """Time just after a pair that is open touches unseen on its way in a move of h s, s; h if none does.
 
-    Or one in which all that may touch turns by no more than half a turn in either half, for which more is unseen.
+    Or one in which all that may touch turns by no more than `TURN` in either half, of what turns by half a turn.
     Not much after it, so that what is hit is seen from the side where it is: the frames move with `speed` (frames,).
     The places are those where the move begins, where its impulses act and where it ends, the contacts those where it
     begins, those that press and those where it ends. What touches where it begins, and what presses, which the second
@@ -199,7 +202,7 @@ def touched(
     if touches.far.size:
         frames = s.detector.frame[np.unique(np.divmod(touches.far, s.detector.frame.size))]
         most = float(np.linalg.norm(turn[frames[frames >= 0]], axis=1).max())
-        return h / math.ceil(most / HALF_TURN)
+        return h / math.ceil(most / TURN)
     if not touches.fraction.size:
         return h
     k, c = int(touches.fraction.argmin()), touches.contacts

@@ -247,6 +247,26 @@ def advance(fields, arm, motion, geoms, shown, room):
 
 
 @in_place
+def swept(frame, arm, g, ends, bounds, axis):
+    """Bounds along an axis of where a geom may be on its way between `ends` of the frames, however it turns, m."""
+    (x0, x1), (lower, upper), f = ends, bounds, frame[g]
+    if f < 0:
+        return lower[g, axis], upper[g, axis]
+    return min(x0[f, axis], x1[f, axis]) - arm[g], max(x0[f, axis], x1[f, axis]) + arm[g]
+
+
+@in_place
+def flies_past(frame, arm, i, j, ends, bounds):
+    """Whether two geoms are apart along an axis of the world all the way, however they turn."""
+    for axis in range(3):
+        low, high = swept(frame, arm, i, ends, bounds, axis)
+        least, most = swept(frame, arm, j, ends, bounds, axis)
+        if high < least or most < low:
+            return True
+    return False
+
+
+@in_place
 def stays_apart(geometry, arm, i, j, motion, codes, points):
     """Whether two geoms cannot touch on their way, by their separation along the normal of a contact of theirs.
 
@@ -268,9 +288,9 @@ def may_touch(fields, arm, least, pairs, motion, placed, memory, out):
     """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
 
     Left out are pairs of the sorted codes `known`, those whose relative motion is no longer than the smaller of their
-    `least`, and what `stays_apart` by its `memory`. `fields` are those of `Geometry`, `pairs` (first, second, known),
-    `motion` (x0, x1, turn) as in `motions`, `placed` (R, t, lower, upper), poses and bounds of the geoms at the
-    beginning.
+    `least`, what `flies_past`, and what `stays_apart` by its `memory`. `fields` are those of `Geometry`, `pairs`
+    (first, second, known), `motion` (x0, x1, turn) as in `motions`, `placed` (R, t, lower, upper), poses and bounds of
+    the geoms at the beginning.
     """
     (first, second, known), (x0, x1, turn), (R, t, lower, upper) = pairs, motion, placed
     geometry, (names, points), count = Placed(*fields, R, t), memory, 0
@@ -283,6 +303,8 @@ def may_touch(fields, arm, least, pairs, motion, placed, memory, out):
             continue
         way = relative_motion(geometry.frame[i], geometry.frame[j], arm[i], arm[j], x0, x1, turn)
         if way > min(least[i], least[j]) and way > at_least_apart(geometry, i, j, lower, upper):
+            if flies_past(geometry.frame, arm, i, j, (x0, x1), (lower, upper)):
+                continue
             if not stays_apart(geometry, arm, i, j, motion, codes, points):
                 out[count] = p
                 count += 1
