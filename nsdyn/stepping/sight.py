@@ -45,7 +45,6 @@ PAST = 0.05
 """Fraction of the smaller inscribed radius by which bodies get into each other where a fast move is cut short, which is
 where they would by more than twice that: a shorter move touches at another time."""
 
-
 TURN = 1.0
 """Turn in half a move, rad, to which what turns by more than half a turn is cut: it is followed at a constant rate."""
 
