@@ -139,7 +139,7 @@ class Detector(Candidates):
         """
         turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
         foreseen = np.zeros_like(begin.x) if foreseen is None else foreseen
-        advancement.motions(self.frame, self._arm, *begin, *end, foreseen, turn, reach)
+        advancement.motions(self.frame, self._arm, tuple(begin), tuple(end), foreseen, turn, reach)
         self._renew(begin.x, begin.R, reach)
         motion, placed = (begin.x, end.x, turn), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least

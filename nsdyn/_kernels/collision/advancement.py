@@ -38,12 +38,13 @@ def turn_between(A, B, f):
 
 
 @in_place
-def motions(frame, arm, x0, R0, x1, R1, foreseen, turn, reach):
+def motions(frame, arm, begin, end, foreseen, turn, reach):
     """Rotation vectors of the frames, into turn (nframes, 3), and how far any point of their geoms moves, into reach.
 
-    They are the shortest, but for those foreseen to be longer than `HALF_TURN`. ``arm[g]`` bounds the distance of the
-    points of geom g from the origin of its frame.
+    They are the shortest from poses (x, R) of the frames to others, but for those foreseen to be longer than
+    `HALF_TURN`. ``arm[g]`` bounds the distance of the points of geom g from the origin of its frame.
     """
+    (x0, R0), (x1, R1) = begin, end
     reach[:] = 0.0
     for g in range(frame.size):
         if frame[g] >= 0:
