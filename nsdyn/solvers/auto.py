@@ -38,7 +38,8 @@ class Tuning:
     """What sweeps with momentum take in a round."""
 
     patience: int = 128
-    """Sweeps without gain that end those of a round after the first."""
+    """Sweeps without gain that end those of a round after the first, where it begins with a measure of `polish`: from
+    farther off they may gain late, and nothing else reaches a loose tolerance as soon."""
 
     newton: int = 4
     """What Newton takes from a warm start, as long as it gains."""
@@ -202,7 +203,8 @@ class Search:
         for k in range(TUNING.rounds):
             last, length = TUNING.length**k, TUNING.length ** (k + 1)
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
-                self.sweep(TUNING.sweeps, TUNING.patience if k > 0 else TUNING.cost * TUNING.sweeps)
+                near = k > 0 and self.best <= TUNING.polish
+                self.sweep(TUNING.sweeps, TUNING.patience if near else TUNING.cost * TUNING.sweeps)
             if not self.over and k > 1:  # what a few steps more solve needs no path
                 self.newton(last, self.tol)
             if not self.over and k > 1:
