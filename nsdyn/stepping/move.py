@@ -95,12 +95,15 @@ def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial
 
 def _whole(s: System, begin: Instant, m: Trial, barred: Index, label: Index | None = None) -> Trial:
     """The move with the contacts that its motion shows to be `missed`; they stay as long as nothing moves."""
+    there: Instant | None = None
     for _ in range(LOOKS):
         late = missed(s, m.met, m.normal, m.moved, begin.placement, m.half.middle.placement)
         if late is None:
             break
-        there, (_, joints) = _reachable(s, begin, m.half, barred)
-        contacts, memory = united(there.contacts, late, s.detector), m.memory.joined(m.moved.memory, late.key)
+        if there is None:
+            there, (_, joints) = _reachable(s, begin, m.half, barred)
+        apart = take(there.contacts, ~among(there.contacts.key, late.key))  # of which it may have been left alone
+        contacts, memory = united(apart, late, s.detector), m.memory.joined(m.moved.memory, late.key)
         there, met = there._replace(contacts=contacts, memory=memory), united(m.met.contacts, late, s.detector)
         m = _respond(s, begin, m.half, there, (met, joints), barred, m, False, label)
     return m
