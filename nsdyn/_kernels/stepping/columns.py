@@ -6,6 +6,7 @@ size of a scene is (frames, coordinates, free bodies), the frames of which are t
 """
 
 from nsdyn._kernels.compiled import kernel
+from nsdyn._kernels.packing import indices, matrices, numbers, triples
 
 # The packed arrays of the system: floats, then integers.
 (
@@ -133,6 +134,45 @@ HEAD = CLOCK + 2
 
 # Flags of the contacts.
 SLIDES, STAYS, STICKS, OTHER, OFF, FLAGS = range(6)
+
+
+@kernel(inline="always")
+def opened(system):
+    """Views of the packed arrays of a system.
+
+    (numbers, size); (arm, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹, radii) of bodies; (gravity, no
+    load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as of `links.rows`) where
+    the impulses act, and where the move begins.
+    """
+    sf, si = system
+    num, mass, J = numbers(sf, si, NUMBERS), numbers(sf, si, MASS), matrices(sf, si, INERTIA)
+    near = numbers(sf, si, ARM), numbers(sf, si, NOWHERE), numbers(sf, si, INSCRIBED)
+    offset = indices(si, OFFSET, SYSTEM)
+    trees = indices(si, TREES, SYSTEM), indices(si, SUPPORT, SYSTEM)
+    bodies = (
+        triples(sf, si, MOMENTS),
+        matrices(sf, si, AXES),
+        numbers(sf, si, INVERSE_MASS),
+        matrices(sf, si, INVERSE_J),
+        numbers(sf, si, RADIUS),
+    )
+    masses = (
+        indices(si, BLOCK_OF_FRAME, SYSTEM),
+        offset,
+        indices(si, M_START, SYSTEM),
+        numbers(sf, si, M),
+        numbers(sf, si, MINV),
+    )
+    return (
+        (num, (near[0].size, offset[offset.size - 1], mass.size)),
+        near,
+        (mass, J),
+        bodies,
+        (numbers(sf, si, GRAVITY), triples(sf, si, NO_LOAD)),
+        masses,
+        (mass.size, (*trees, numbers(sf, si, JACOBIAN))),
+        (mass.size, (*trees, numbers(sf, si, BEGUN))),
+    )
 
 
 @kernel(inline="always")

@@ -9,7 +9,6 @@ from nsdyn._kernels.clock import seconds
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.dynamics import links, motion
 from nsdyn._kernels.dynamics.rotation import flow
-from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.paradox import suspect
 from nsdyn._kernels.reductions import copy, most
@@ -44,49 +43,11 @@ from nsdyn._kernels.stepping.solving import PASSES
 
 
 @kernel(inline="always")
-def opened(system):
-    """Views of the packed arrays of a system.
-
-    (numbers, size); (arm, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹, radii) of bodies; (gravity, no
-    load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as of `links.rows`) where
-    the impulses act, and where the move begins.
-    """
-    sf, si = system
-    num, mass, J = numbers(sf, si, col.NUMBERS), numbers(sf, si, col.MASS), matrices(sf, si, col.INERTIA)
-    near = numbers(sf, si, col.ARM), numbers(sf, si, col.NOWHERE), numbers(sf, si, col.INSCRIBED)
-    offset = indices(si, col.OFFSET, col.SYSTEM)
-    trees = indices(si, col.TREES, col.SYSTEM), indices(si, col.SUPPORT, col.SYSTEM)
-    bodies = (
-        triples(sf, si, col.MOMENTS),
-        matrices(sf, si, col.AXES),
-        numbers(sf, si, col.INVERSE_MASS),
-        matrices(sf, si, col.INVERSE_J),
-        numbers(sf, si, col.RADIUS),
-    )
-    masses = (
-        indices(si, col.BLOCK_OF_FRAME, col.SYSTEM),
-        offset,
-        indices(si, col.M_START, col.SYSTEM),
-        numbers(sf, si, col.M),
-        numbers(sf, si, col.MINV),
-    )
-    return (
-        (num, (near[0].size, offset[offset.size - 1], mass.size)),
-        near,
-        (mass, J),
-        bodies,
-        (numbers(sf, si, col.GRAVITY), triples(sf, si, col.NO_LOAD)),
-        masses,
-        (mass.size, (*trees, numbers(sf, si, col.JACOBIAN))),
-        (mass.size, (*trees, numbers(sf, si, col.BEGUN))),
-    )
-
-
-@kernel(inline="always")
 def depart(s, old, f, w):
     """The first half of a move: how far it reaches, and whether contacts are those where it begins.
 
-    It may be given: Python makes its motion where there are trees, and under the forces of the user. s as of `opened`.
+    It may be given: Python makes its motion where there are trees, and under the forces of the user. s as of
+    `columns.opened`, as in all that follows.
     """
     (num, size), (arm, _, _), _, bodies, (gravity, load), _, (free, trees), _ = s
     n, h, theta, (moments, axes, inverse_mass, inverse_J, radius) = size[0], num[col.STEP], num[col.THETA], bodies
@@ -350,7 +311,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     int
         `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD`, `MORE`, `MOVE` or `EVENT`.
     """
-    s, (out, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = opened(system), new, old, work
+    s, (out, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = col.opened(system), new, old, work
     stage, ready, asks, step = call
     (num, size), masses = s[0], s[5]
     n, room, was, head, wide = size[0], states.size, status_old.size, whole[: col.HEAD], col.ROWS + int(num[col.WIDE])
