@@ -44,9 +44,9 @@ class Timed:
         """Solve it to the loose tolerance."""
         return self._counted(self._timed(self.solver.loosely, problem, r0))
 
-    def roughly(self, problem: nd.FC3D, r0: Array) -> nd.Solution | None:
+    def roughly(self, problem: nd.FC3D, r0: Array, effort: float) -> nd.Solution | None:
         """Solve it to what is posed anew, which is none of the solves that end in some way."""
-        solution: nd.Solution | None = self._timed(self.solver.roughly, problem, r0)
+        solution: nd.Solution | None = self._timed(self.solver.roughly, problem, r0, effort)
         return solution
 
     def _timed(self, solve: Callable[..., Any], *given: Any) -> Any:

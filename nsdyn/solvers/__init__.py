@@ -100,8 +100,8 @@ class Graded(Solver, Protocol):
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
         """Solve the problem, what is dear to the loose tolerance only."""
 
-    def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
-        """Few sweeps from r0, None where r0 is near enough to solve the problem from."""
+    def roughly(self, problem: FC3D, r0: Array, effort: float) -> Solution | None:
+        """Few sweeps from r0, and so many times as many towards more; None where r0 is near enough to solve it from."""
 
 
 QUICK = 0.1

@@ -108,7 +108,6 @@ class Search:
         self._sweeps: Sweeps | None = None
         self._newton: Multipliers | None = None
         self._path: Following | None = None
-        self._kept = np.inf, self.r
         _, error, residual, _ = problem.solved(r, tol)
         self._note(max(error, residual), 0, 0)
 
@@ -185,13 +184,6 @@ class Search:
             before = self.best
             self.newton(TUNING.newton, self.sharp)
 
-    def begin_anew(self) -> None:
-        """Begin from nothing, since a start that is far from any solution leads to none more often than that."""
-        self._kept = self.best, self.r.copy()
-        self.r[:], self.best, self._sweeps, self._newton = 0.0, np.inf, None, None
-        _, error, residual, _ = self.problem.solved(self.r, self.tol)
-        self._note(max(error, residual), 0, 0)
-
     def run(self, warm: bool) -> None:
         """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits.
 
@@ -213,10 +205,6 @@ class Search:
                 self.newton(length, self.tol)
             if self.over:
                 break
-            if k == 0 and warm and self.best > self.loose:
-                self.begin_anew()
-        if self._kept[0] < self.best:
-            self.best, self.r[:] = self._kept
         if self.best <= self.tol:
             self.converge(self.sharp)
         if self.best > min(self.tol, TUNING.polish):
@@ -237,12 +225,11 @@ class Auto(Options):
 
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
-    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. A warm start from which
-    the first misses the loose tolerance is left, and all begins from nothing. From the third on Newton first gets as
-    long as in the last, and then the path of smoothed laws is followed, for as long as Newton gets after it. All go on
-    where they were; sweeps and Newton begin anew where another has found better. A problem given by W alone, which need
-    not be symmetric, has the sweeps of the first round in one kernel call, with Newton in turn where that costs no
-    more, and the same means after.
+    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. From the third on Newton
+    first gets as long as in the last, and then the path of smoothed laws is followed, for as long as Newton gets after
+    it. All go on where they were; sweeps and Newton begin anew where another has found better. A problem given by W
+    alone, which need not be symmetric, has the sweeps of the first round in one kernel call, with Newton in turn where
+    that costs no more, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
@@ -280,7 +267,7 @@ class Auto(Options):
         As little as the tolerance allows, in every step, adds up; from `before` (3 nc,), the relative velocities before
         the impulses, m/s.
         """
-        return self._explained(problem, self._solved(problem, r0, self.tol, before))
+        return self._explained(problem, self._solved(problem, r0, self.tol, before=before))
 
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
         """Solve the problem from r0 (3 nc,), N·s, large islands to the loose tolerance only, as those of a collision.
@@ -289,18 +276,30 @@ class Auto(Options):
         """
         return self._explained(problem, self._solved(problem, r0, max(self.tol, self.loose)))
 
-    def roughly(self, problem: FC3D, r0: Array) -> Solution | None:
+    def roughly(self, problem: FC3D, r0: Array, effort: float) -> Solution | None:
         """Large islands to `Tuning.hopeless` loose tolerances from r0 where that misses these, None where it does not.
 
-        For a problem that is posed anew with what its motion shows: a miss of more than that is of a collision.
+        For a problem that is posed anew with what its motion shows: a miss of more than that is of a collision. Towards
+        the loose tolerance goes so much `effort`, as a multiple of that so far.
         """
-        enough = TUNING.hopeless * max(self.tol, self.loose)
+        loose = max(self.tol, self.loose)
+        enough = TUNING.hopeless * loose
         if not r0.any() or problem.solved(r0, self.tol)[2] <= enough:
             return None
-        return self._solved(problem, r0, enough)
+        return self._solved(problem, r0, loose if effort else enough, (enough, effort))
 
-    def _solved(self, problem: FC3D, r0: Array | None, large: float, before: Array = UNKNOWN) -> Solution:
-        """Solve the problem from r0, islands that take more than a kernel call to the tolerance `large`."""
+    def _solved(
+        self,
+        problem: FC3D,
+        r0: Array | None,
+        large: float,
+        bound: tuple[float, float] | None = None,
+        before: Array = UNKNOWN,
+    ) -> Solution:
+        """Solve the problem from r0, islands that take more than a kernel call to the tolerance `large`.
+
+        And with such a bound on effort, (loose, effort) as of `Auto`; with that of `Auto` itself if none is given.
+        """
         start, nc, blocks = clock(), problem.mu.size, problem.blocks
         r, u = np.zeros(3 * nc) if r0 is None else problem.impulse(r0).copy(), np.empty(3 * nc)
         if not nc:
@@ -328,7 +327,8 @@ class Auto(Options):
                     i, own = part(problem, label, k)
                     x = r[i]
                     small = own.blocks is not None and own.blocks.n <= DENSE
-                    search = Search(own, x, self.tol if small else large, self.loose, self.effort)
+                    aims = (self.tol, None) if small else (large, bound)
+                    search = Search(own, x, aims[0], *(aims[1] or (self.loose, self.effort)))
                     search.run(r0 is not None and bool(x.any()))
                     r[i], count = x, count + search.count
             _, error, residual, u = problem.solved(r, self.tol)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,10 @@ Needs = tuple[ContactSet, JointRows | None]
 
 LOOKS = 4
 """Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
+
+EFFORT = 8.0
+"""What the first look at a collision may cost beyond a rough solution, as a multiple: mostly its motion shows no
+other contacts, and that is all. Without those that it shows else the problem may be far harder."""
 
 
 def trial(
@@ -75,21 +80,17 @@ def trial(
 
 
 def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial:
-    """The move from its first half, stage by stage."""
+    """The move from its first half, stage by stage; one that is `caught` with what its motion shows instead."""
     there, needs = _reachable(s, begin, half, barred)
-    # What the motion shows is mostly more: until it shows no other contacts, collisions are solved roughly.
-    rough = barred is None
-    m = _respond(s, begin, half, there, needs, barred, None, rough)
+    m = _respond(s, begin, half, there, needs, barred, None)
     kept = NO_SLOTS
-    for left in reversed(range(LOOKS - 1 if barred is None else 0)):
+    for look in range(1, LOOKS if barred is None else 0):
         half, r = m.half, m.solution.r
         real, memory, kept = shown(s, m.met, r, m.moved, there.memory, half.middle.placement, half.fast, kept)
-        same = real is m.met.contacts
-        if same and not rough:
+        if real is m.met.contacts and (m.solution.accepted or look > 1):
             break
-        rough = not same and left > 0
         there, needs = there._replace(memory=memory), (real, needs[1])
-        m = _respond(s, begin, half, there, needs, barred, m, rough)
+        m = _respond(s, begin, half, there, needs, barred, m)
     return m
 
 
@@ -105,7 +106,7 @@ def _whole(s: System, begin: Instant, m: Trial, barred: Index, label: Index | No
         apart = take(there.contacts, ~among(there.contacts.key, late.key))  # of which it may have been left alone
         contacts, memory = united(apart, late, s.detector), m.memory.joined(m.moved.memory, late.key)
         there, met = there._replace(contacts=contacts, memory=memory), united(m.met.contacts, late, s.detector)
-        m = _respond(s, begin, m.half, there, (met, joints), barred, m, False, label)
+        m = _respond(s, begin, m.half, there, (met, joints), barred, m, label=label)
     return m
 
 
@@ -192,7 +193,7 @@ def _respond(
     needs: Needs,
     barred: Index | None,
     last: Trial | None,
-    rough: bool,
+    rough: bool = False,
     label: Index | None = None,
 ) -> Trial:
     """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
@@ -217,7 +218,7 @@ def _respond(
     last : Trial, optional
         What was found before.
     rough : bool
-        Whether a rough solution is enough.
+        Whether a rough solution is enough where it is of a collision.
     label : ndarray of int, shape (nodes,), optional
     """
     d, forces = s.dynamics, half.forces
@@ -229,11 +230,12 @@ def _respond(
     closing = s.closing(half.h, barred is None)
     known = None if last is None else last.solution
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
-    alone, couple, passes, back = met, NO_COUPLE, 0 if rough else PASSES, rough or last is not None
+    effort = 0.0 if rough else EFFORT if barred is None else math.inf
+    alone, couple, passes, back = met, NO_COUPLE, 0 if rough else PASSES, barred is None or last is not None
     lasts = bool(met.stays.any())
     off: Bools | None = None
     while True:
-        met, problem, solution = solve(met, s.solver, known, slides, closing, rough, label is None, off)
+        met, problem, solution = solve(met, s.solver, known, slides, closing, effort, label is None, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         v = v if kick is None else v + kick
         impulse, v = met.rows.response(solution.r, v)
@@ -241,9 +243,10 @@ def _respond(
             return _respond(s, begin, replace(half, forces=limited), there, needs, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
-        passes = passes if solution.accepted else 0
+        if not solution.converged:
+            passes = min(passes, 1) if solution.accepted else 0
         slips = np.zeros(slides.size, np.bool_)
-        if passes or rough:
+        if passes:
             slips = slips_otherwise(met, problem, solution, slides, back, off)
         turn = turned(s, met, half, solution, v, slides, couple) if passes and lasts else None
         off = np.zeros(alone.end_gap.size, np.bool_)

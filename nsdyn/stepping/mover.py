@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -289,7 +290,7 @@ class Mover:
         own, a = made.work[self._own :], floats[self._acted :]
         problem, _ = solved(floats, a, met, met.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)
         last, start = self._solution if made.head[_col.SOLVED] else None, own[12 * nc : 15 * nc]
-        solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], False)
+        solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], math.inf)
         if not solution.accepted:
             return False
         made.head[_col.SOLVED] = 1

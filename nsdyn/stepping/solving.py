@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import cast
 
@@ -26,22 +27,22 @@ def solve(
     last: Solution | None,
     slides: Bools,
     closing: Closing,
-    rough: bool,
+    effort: float,
     shares: bool,
     off: Bools | None,
 ) -> tuple[Encounter, FC3D, Solution]:
     """What is met, its problem, and the impulses, where the contacts `slides` (nc,) slide through.
 
     The `last` solution is of the same move with other contacts, or rough; where it has not converged no more is asked
-    for than `Graded.loosely` gives, and where this is to be rough, than `Graded.roughly` does. The solution differs
-    from it in the islands alone of which rows are `off` (rows,). With `shares` those of the friction of ball joints are
-    sought, by more solves.
+    for than `Graded.loosely` gives, and where there is none, and effort is bounded, than `Graded.roughly` does. The
+    solution differs from it in the islands alone of which rows are `off` (rows,). With `shares` those of the friction
+    of ball joints are sought, by more solves.
     """
 
     def once(met: Encounter, last: Solution | None, off: Bools | None) -> tuple[FC3D, Solution]:
         """The same with the shares that there are."""
         problem = FC3D.from_blocks(met.rows.blocks, met.offsets(slides, closing), met.mu)
-        solution = again(solver, last, problem, met.local[4], met.local[0], rough)
+        solution = again(solver, last, problem, met.local[4], met.local[0], effort)
         if last is not None and off is not None:
             r, u = solution.r.copy(), solution.u.copy()
             _solving.thaw(met.rows.full.arrays, off, (last.r, last.u), (r, u))
@@ -91,13 +92,13 @@ def is_graded(kind: type) -> bool:
     return all(hasattr(kind, name) for name in ("balanced", "loosely", "roughly"))
 
 
-def again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, before: Array, rough: bool) -> Solution:
-    """Solve a problem roughly where that is enough, and one that follows on a loose or rough solution as loosely."""
+def again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, before: Array, effort: float) -> Solution:
+    """Solve a problem that follows on a loose or rough solution as loosely, one of a collision with bounded effort."""
     if not is_graded(type(solver)):
         return solver(problem, r)
     graded = cast(Graded, solver)
-    if rough and (found := graded.roughly(problem, r)) is not None:
-        return found
     if last is not None and not last.converged:
         return graded.loosely(problem, r)
+    if last is None and effort < math.inf and (found := graded.roughly(problem, r, effort)) is not None:
+        return found
     return graded.balanced(problem, r, before)

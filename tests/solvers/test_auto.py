@@ -174,9 +174,12 @@ def test_what_is_posed_anew_is_asked_for_less(height, rough, loose):
     """In a collision large islands come to a hundred loose tolerances or to one; small ones are solved."""
     problem, auto = kicked_stack(height=height), nd.solvers.Auto()
     near = nd.solve(problem).r
-    assert auto.roughly(problem, near) is None and auto.roughly(problem, np.zeros_like(near)) is None
-    first, second = auto.roughly(problem, 3.0 * near), auto.loosely(problem, 3.0 * near)
+    assert all(auto.roughly(problem, r, 0.0) is None for r in (near, np.zeros_like(near)))
+    first, second = auto.roughly(problem, 3.0 * near, 0.0), auto.loosely(problem, 3.0 * near)
     assert first.iterations <= second.iterations
+    assert first.iterations <= auto.roughly(problem, 3.0 * near, 1.0).iterations <= 2 * first.iterations
+    full = auto.roughly(problem, 3.0 * near, 100.0)
+    assert max(full.error, full.residual) <= loose
     for solution, reached in ((first, rough), (second, loose)):
         assert max(solution.error, solution.residual) <= reached
         assert solution.converged is (height == 3)
@@ -305,13 +308,13 @@ def test_small_islands_of_redundant_contacts_need_nothing_else(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("scale", [1e6, 1e9])
-def test_a_warm_start_that_leads_nowhere_is_left(scale):
-    """Then the answer is that from nothing, to the last bit."""
-    problem, solver = kicked_stack(30), nd.solvers.Auto(tol=1e-4, loose=1e-4)
+@pytest.mark.parametrize("tol", [1e-4, 1e-8])
+def test_a_start_that_is_far_from_any_solution_costs_no_answer(scale, tol):
+    problem, solver = kicked_stack(30), nd.solvers.Auto(tol=tol, loose=tol)
     start = scale * np.abs(np.random.default_rng(1).standard_normal(3 * problem.nc))
-    solution = solver(problem, start)
+    solution, cold = solver(problem, start), solver(problem)
     assert solution.converged
-    assert np.array_equal(solution.r, solver(problem).r)
+    assert solution.iterations <= 6 * cold.iterations
 
 
 @pytest.mark.parametrize("seed", [2, 18, 28, 49])

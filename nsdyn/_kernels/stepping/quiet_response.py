@@ -145,6 +145,8 @@ def changes(scene, bodies, rows, met, now, flags, head, room):
     local, slides = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
     off, other, slips = flags[col.OFF, :nc], flags[col.OTHER, :nc], np.empty(nc, np.bool_)
     again, solved, some = head[col.AGAIN] > 0, flags[col.OFF, : nc if head[col.AGAIN] > 0 else 0], False
+    if max(out[col.ERROR], out[col.RESIDUAL]) > num[col.TOL]:
+        head[col.PASSES_LEFT] = min(head[col.PASSES_LEFT], 1)
     if head[col.PASSES_LEFT] > 0:
         some = slips_otherwise(blocks, (r, u, b, met[2][1]), local, slides, again, solved, slips)
     if not (head[col.TURNED] or some or flags[col.STAYS, :nc].any()):
