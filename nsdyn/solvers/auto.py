@@ -34,8 +34,9 @@ class Tuning:
     rounds: int = 4
     """So many at most."""
 
-    sweeps: int = 20
-    """What sweeps with momentum take in a round."""
+    sweeps: tuple[int, int] = (20, 80)
+    """What sweeps with momentum take in a round, and what on their way to tolerances of `polish` and looser: these they
+    mostly reach by themselves, and Newton hardly sooner."""
 
     patience: int = 128
     """Sweeps without gain that end those of a round after the first, where it begins with a measure of `polish`: from
@@ -73,7 +74,7 @@ UNKNOWN = np.empty(0)
 LIMITS = (DENSE, *TUNING.small)
 """What `_start.by_factors` takes."""
 
-IN_TURN = TUNING.cost * TUNING.sweeps, TUNING.length, TUNING.small[0]
+IN_TURN = TUNING.cost * TUNING.sweeps[0], TUNING.length, TUNING.small[0]
 """What `_start.by_matrix` takes."""
 
 CONVERGED = Status.CONVERGED  # to look it up takes 70 ns
@@ -135,15 +136,15 @@ class Search:
         """Whether the tolerance is met, or what rounding allows, or the effort spent."""
         return self.spent >= self.limit or self.best <= self.tol or self.best <= self.problem.round_off(self.r)
 
-    def sweep(self, most: float, patience: int) -> None:
+    def sweep(self, patience: int) -> None:
         """Sweeps with momentum from the best or on from the last, first to the loose tolerance: it bounds the rest."""
         if self._sweeps is None or self.best < self._sweeps.best:
             self._x = self.r.copy()
             self._sweeps = Sweeps(self.problem, self._x)
-        end = self.spent + most
-        for tol in (max(self.loose, self.tol), self.tol):
+        for tol in sorted({max(self.loose, self.tol), self.tol}, reverse=True):
             if self.best > tol:
-                before, most = self._sweeps.count, int(TUNING.cost * self._most(end - self.spent))
+                most = TUNING.sweeps[tol >= MARGIN * TUNING.polish]
+                before, most = self._sweeps.count, int(TUNING.cost * self._most(most))
                 self._sweeps.run(tol, before + most, patience)
                 used = self._sweeps.count - before
                 self._note(self._sweeps.best, used, used / TUNING.cost, self._x)
@@ -196,7 +197,7 @@ class Search:
             last, length = TUNING.length**k, TUNING.length ** (k + 1)
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
                 near = k > 0 and self.best <= TUNING.polish
-                self.sweep(TUNING.sweeps, TUNING.patience if near else TUNING.cost * TUNING.sweeps)
+                self.sweep(TUNING.patience if near else TUNING.cost * sum(TUNING.sweeps))
             if not self.over and k > 1:  # what a few steps more solve needs no path
                 self.newton(last, self.tol)
             if not self.over and k > 1:

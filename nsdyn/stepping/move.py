@@ -14,6 +14,7 @@ from nsdyn.collision.contacts import ContactSet, Looked, Poses, take
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Placement
+from nsdyn.problem.solution import Solution
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee
 from nsdyn.stepping.half import Callbacks, Half, Loads, corrected, first_half
@@ -243,8 +244,7 @@ def _respond(
             return _respond(s, begin, replace(half, forces=limited), there, needs, barred, last, rough)
         if impact is not None:
             impulse = met.rows.full.momentum(solution.r + impact.r)
-        if not solution.converged:
-            passes = min(passes, 1) if solution.accepted else 0
+        passes = passes if solution.accepted else 0
         slips = np.zeros(slides.size, np.bool_)
         if passes:
             slips = slips_otherwise(met, problem, solution, slides, back, off)
@@ -253,7 +253,7 @@ def _respond(
         if barred is not None or not passes or (turn is None and not slips.any()):
             trees, moved = _arrive(s, half, there, v, impulse, near)
             if passes and lasts and barred is not None:
-                alone, off = _ending(s, half, alone, solution.r, moved)
+                alone, off = _ending(s, half, alone, solution, moved)
         if turn is not None:
             couple, other = turn
             slips |= other
@@ -300,17 +300,18 @@ def _encounter(
     return met.lasting(pair, begin, limits, s.closed, half.h, impact is not None), impact
 
 
-def _ending(s: System, half: Half, met: Encounter, r: Array, moved: Instant) -> tuple[Encounter, Bools]:
-    """What is met with the gaps that rows end with, and which rows end otherwise than they should."""
+def _ending(s: System, half: Half, met: Encounter, solution: Solution, moved: Instant) -> tuple[Encounter, Bools]:
+    """What is met with the gaps that rows end with, and which rows end otherwise than the solution tells."""
     d, there, joints = s.dynamics, moved.placement, met.joints
     gap = s.detector.gaps(met.contacts, moved.contacts, Poses(there.x, there.R))
     if joints is not None:
         gap = np.concatenate((gap, _limits(s, joints, there)))
-    if not (off := met.off(gap, r, s.closed)).any():
+    closed = max(s.closed, solution.residual * half.h)
+    if not (off := met.off(gap, solution.r, closed)).any():
         return met, off
     parts = parting(d, moved.contacts, there, moved.v, moved.position.driven_x, half.surfaces[2])
     rates = NOTHING if joints is None else d.joints.rates(joints.slot, moved.v)
-    return met.corrected(gap, off, s.closed, half.ahead, (moved.contacts.key, parts, rates)), off
+    return met.corrected(gap, off, closed, half.ahead, (moved.contacts.key, parts, rates)), off
 
 
 def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:

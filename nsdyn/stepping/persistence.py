@@ -70,8 +70,7 @@ def turned(
     if not dv.size:
         impulse, dv, left = np.zeros((c.gap.size, 3)), np.zeros(d.n), np.full(c.gap.size, np.inf)
     other = np.empty(c.gap.size, np.bool_)
-    exact = s.solver.aims[0] if isinstance(s.solver, Auto) else s.solver.tol
-    exact = exact if solution.converged else solution.residual
+    exact = max(s.solver.aims[0] if isinstance(s.solver, Auto) else s.solver.tol, solution.residual)
     turns = _persistence.turn(
         rows.arrays,
         (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),

@@ -122,11 +122,12 @@ def corrects(num, n, met, now, flags, room):
         flags[col.OFF, :nc],
         own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc)),
     )
-    if not law.off(gap, r, stays, num[col.CLOSED], off):
+    closed = max(num[col.CLOSED], out[col.RESIDUAL] * num[col.STEP])
+    if not law.off(gap, r, stays, closed, off):
         return False
     parts, twists = np.empty(names.shape[1]), (col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
     touching.approach((names[2], names[3], points[0], points[1], col.vectors(f, col.X, n)), twists, parts)
-    ended, sizes = (names[4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], num[col.CLOSED])
+    ended, sizes = (names[4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], closed)
     end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
     return law.end_otherwise(off, gap, met[0][4], ended, alone, sizes, end_gap, late)
 
@@ -145,8 +146,6 @@ def changes(scene, bodies, rows, met, now, flags, head, room):
     local, slides = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
     off, other, slips = flags[col.OFF, :nc], flags[col.OTHER, :nc], np.empty(nc, np.bool_)
     again, solved, some = head[col.AGAIN] > 0, flags[col.OFF, : nc if head[col.AGAIN] > 0 else 0], False
-    if max(out[col.ERROR], out[col.RESIDUAL]) > num[col.TOL]:
-        head[col.PASSES_LEFT] = min(head[col.PASSES_LEFT], 1)
     if head[col.PASSES_LEFT] > 0:
         some = slips_otherwise(blocks, (r, u, b, met[2][1]), local, slides, again, solved, slips)
     if not (head[col.TURNED] or some or flags[col.STAYS, :nc].any()):
@@ -164,7 +163,7 @@ def changes(scene, bodies, rows, met, now, flags, head, room):
         col.column(own, col.LEFT_OVER, nc),
     )
     if head[col.PASSES_LEFT] > 0:
-        exact = num[col.ENOUGH] if max(out[col.ERROR], out[col.RESIDUAL]) <= num[col.TOL] else out[col.RESIDUAL]
+        exact = max(num[col.ENOUGH], out[col.RESIDUAL])
         if persistence.turn(
             blocks,
             (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
