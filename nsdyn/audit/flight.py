@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsdyn.audit.meetings import Meetings, Side
-from nsdyn.audit.poses import Poses, turned
+from nsdyn.audit.poses import Poses, matrix, turned
 from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -126,15 +126,13 @@ class Flight:
         sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
         own = _sides(poses, pushes, (before, forced, begun / h), (at, arm, then, turning))
         _put(poses, sides, geoms, pushes, own)
-        astray = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - path, axis=2)
+        ways = np.diff(poses.x[:, :free], axis=0) - path, np.where(cut[:, :, None], (theta - 0.5) * h * forced, 0.0)
+        astray, unknown = np.linalg.norm(ways, axis=3)
         turn = angles(ends, poses.quaternion[1:, :free])
-        unknown = np.where(cut, (theta - 0.5) * h * np.linalg.norm(forced, axis=2), 0.0)
-        off = (unknown + astray)[step, body] + 2.0 * np.linalg.norm(arm, axis=1) * turn[step, body]
+        doubt = np.where(cut[step, body], _doubted(poses, pushes, ways, turn, (arm, then, turning)), 0.0)
         turns = np.where(met, size * np.linalg.norm(arm, axis=1), np.linalg.norm(couple, axis=1))
         levers = pushes.summed(shape, turns)
-        fastest = _fastest(poses, levers)
-        doubt = np.where(cut[step, body], fastest[step, body] * off, 0.0)
-        far, lever = h * fastest / COARSE[0], unknown + KEPT * poses.smallest
+        far, lever = h * _fastest(poses, levers) / COARSE[0], unknown + KEPT * poses.smallest
         return cls(
             impulse,
             pushes.summed(shape, moment),
@@ -209,6 +207,25 @@ def _wander(poses: Poses) -> Array:
         for near in (most[1:], most[:-1]):
             np.maximum(near, speed, out=near)
         out[order] = most[group]
+    return out
+
+
+def _doubted(
+    poses: Poses, pushes: Pushes, ways: tuple[Array, Array], turn: Array, met: tuple[Array, Array, Array]
+) -> Array:
+    """How far velocities of points that are pushed may be off, (m,), m/s, for bodies that are elsewhere by some ways.
+
+    And by how they are turned. Points are then carried with other arms, and impulses so far turn bodies otherwise.
+    """
+    at, (arm, then, turning) = (pushes.step, pushes.body), met
+    axes, length = matrix(then), np.linalg.norm(arm, axis=1)
+    inertia, swept = axes @ _inertias(poses)[pushes.body] @ np.swapaxes(axes, 1, 2), 2.0 * length * turn[at]
+    levers = np.linalg.solve(inertia, np.cross(np.eye(3), pushes.push[:, None]).swapaxes(1, 2))
+    off, spun = swept, np.linalg.norm(levers, axis=(1, 2)) * swept
+    for way in ways:
+        off = off + np.linalg.norm(way[at], axis=1)
+        spun = spun + np.linalg.norm((levers @ way[at][:, :, None])[..., 0], axis=1)
+    out: Array = np.linalg.norm(turning, axis=2).max(axis=0) * off + length * pushes.around(spun)[1]
     return out
 
 

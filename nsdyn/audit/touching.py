@@ -198,7 +198,7 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
     power = np.where(fremond | (c["restitution"] > 0.0), np.fmin(power, against), power)
     yield worst_of("friction", power / at_play(poses), power, step, names)
     # One that slides through is rubbed against its mean slip.
-    most = np.fmin(_rubbed(r, mu, u), _rubbed(r, mu, mean))
+    most = np.fmin(_rubbed(r, mu, u), _rubbed(r, mu, mean) - (most + drag) * unsure)
     yield worst_of("slip", most / at_play(poses), most, step, names)
 
 

@@ -412,6 +412,19 @@ def test_friction_of_fremonds_law_is_not_audited_where_the_mean_slip_is_not_know
     assert audit.passed, audit
 
 
+@pytest.mark.parametrize("height", [0.1, 0.12])
+def test_friction_of_fremonds_law_is_audited_as_well_as_the_mean_slip_is_known(height):
+    """With theta = 1 in a step that is cut: a capsule that sticks where it strikes, so that its slip turns round."""
+    scene, rough = nd.Scene(), nd.Material(mu=0.7)
+    scene.add_halfspace("ground", material=rough)
+    how = {"quaternion": (0.64, 0.48, 0.36, 0.48), "angular_velocity": (0, 8, 4), "material": rough}
+    scene.add_capsule("capsule", 0.02, 0.06, 1.0, position=(0, 0, height), **how)
+    run = nd.simulate(scene, 0.3, 1e-2, theta=1.0, impact="fremond")
+    assert nd.check(run).passed, nd.check(run)
+    run.columns["contacts/impulse"][:, 1:] *= -1.0
+    assert not nd.check(run)["friction"].passed
+
+
 def bounces():
     """A ball with spin that bounces on a rough plane, between the ends of steps."""
     scene, material = nd.Scene(), nd.Material(mu=0.2, restitution=0.5)
