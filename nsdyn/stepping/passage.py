@@ -245,7 +245,13 @@ def _until_event(
         return _until_event(s, loads, begin, t, turned, soon, effort, cut=True)
     if not met:
         return h, m
-    return _located(s, loads, begin, t, {h: m}, np.unique(m.hits), m.limit, effort) or capture(begun)
+    barred = np.unique(m.hits)
+    if (located := _located(s, loads, begin, t, {h: m}, barred, m.limit, effort)) is not None:
+        return located
+    # What this move caught on its way may have driven it into what it hit.
+    effort.spend(begin)
+    m = trial(s, loads, begin, t, h, barred, begun)
+    return capture(begun) if m.hits.size or begun.fast else (h, m)
 
 
 def _located(
