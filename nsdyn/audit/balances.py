@@ -53,7 +53,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
         return
     spin = spins(poses)
     rest = np.diff(spin, axis=0) - flight.torque
-    left = np.linalg.norm(rest, axis=2) - flight.size * (flight.astray + flight.unknown + flight.round_off)
+    left = np.linalg.norm(rest, axis=2) - flight.size * (flight.astray + flight.unknown + flight.round_off + flight.kept)
     left = np.maximum(left, 0.0)
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:])

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
+from nsdyn.audit.findings import TOLERANCES
 from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import Poses, matrix, turned
 from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["CONJUGATE", "Flight", "angles", "least", "spins", "tumbled"]
+__all__ = ["CONJUGATE", "Flight", "angles", "least", "spins", "sunk", "tumbled"]
 
 LEAP = 0.005, 0.05
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 3e-11 or 3e-7 rad. The
@@ -25,8 +27,11 @@ NAMED = 0.1
 """Of the radius of the smaller body, how far contacts go on it in half a step under the same name: 0.05, and as much
 again for what it moves."""
 
-KEPT = 1e-9
-"""Of the smallest extent of a body, how far it may have moved since its contacts were looked for where it rests."""
+CLOSED = 1e-9
+"""Of the radius of the smallest moving shape, the gap that counts as closed."""
+
+SLOW = 0.01
+"""m/s: a contact may sink for as long as this takes to go the size of its bodies, but for no longer than a step."""
 
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 """Makes a quaternion xyzw that of the turn back."""
@@ -63,6 +68,8 @@ class Flight:
         lifts, rad.
     round_off : ndarray, shape (n, free)
         How far bodies may end elsewhere by rounding, m.
+    kept : ndarray, shape (n, free)
+        How far they may be from where their contacts were found, m.
     flow : ndarray, shape (n, free)
         How far they may be turned otherwise by a flow of sixth order, and by levers that are unknown, rad.
     lifted : ndarray, shape (n,)
@@ -88,6 +95,7 @@ class Flight:
     unknown: Array
     turn: Array
     round_off: Array
+    kept: Array
     flow: Array
     lifted: Array
     met: Meetings
@@ -132,7 +140,9 @@ class Flight:
         doubt = np.where(cut[step, body], _doubted(poses, pushes, ways, turn, (arm, then, turning)), 0.0)
         turns = np.where(met, size * np.linalg.norm(arm, axis=1), np.linalg.norm(couple, axis=1))
         levers = pushes.summed(shape, turns)
-        far, lever = h * _fastest(poses, levers) / COARSE[0], unknown + KEPT * poses.smallest
+        rests = cut | ((1.0 - theta) * h * np.linalg.norm(before, axis=2) <= (closed := _closed(poses)))
+        kept = np.where(rests, closed, 0.0)
+        far, lever = h * _fastest(poses, levers) / COARSE[0], unknown + kept
         return cls(
             impulse,
             pushes.summed(shape, moment),
@@ -143,6 +153,7 @@ class Flight:
             unknown,
             turn,
             8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2),
+            kept,
             COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / least(poses),
             _lifted(poses, pushes, then, turning),
             Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),
@@ -208,6 +219,22 @@ def _wander(poses: Poses) -> Array:
             np.maximum(near, speed, out=near)
         out[order] = most[group]
     return out
+
+
+def sunk(poses: Poses, size: Array) -> Array:
+    """What the solver's tolerance lets contacts of bodies of such a size sink in a step, m."""
+    t = poses.trajectory
+    told = re.search(r"\btol=(\d+(?:\.\d*)?(?:e[+-]?\d+)?)", str(t.meta.get("solver", "")))
+    tol = min(float(told[1]), TOLERANCES["velocities"]) if told else 0.0
+    out: Array = tol * np.minimum(t.dt, size / SLOW)
+    return out
+
+
+def _closed(poses: Poses) -> float:
+    """Gap that counts as closed, m. Bodies that move by no more may keep the contacts that they have."""
+    radii = 0.5 * poses.extent[poses.frame >= 0]
+    least = radii.min(initial=radii.max(initial=0.0))
+    return float(max(CLOSED * least, sunk(poses, least)))
 
 
 def _doubted(

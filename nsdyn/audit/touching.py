@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -11,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
-from nsdyn.audit.flight import Flight
+from nsdyn.audit.findings import Found, at_play, not_audited, worst_of
+from nsdyn.audit.flight import Flight, sunk
 from nsdyn.audit.overlap import separation
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.true_shapes import Solid
@@ -42,9 +41,6 @@ POINT = Solid.described({"shape": "sphere", "size": (0.0, 0.0, 0.0)})
 
 Moment = tuple[tuple[Array, Array], tuple[Array, Array]]
 """World poses (R, x) of the first and the second shapes of contacts."""
-
-SLOW = 0.01
-"""m/s: a contact may sink for as long as this takes to go the size of its bodies, but for no longer than a step."""
 
 PARTING = 1e-4
 """m/s, above which what has restitution rebounds: the residual that a solve may have that is accepted."""
@@ -82,17 +78,8 @@ def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
     depth, first, second, state = separations(poses)
     depth = depth - _squeezed(poses, depth, first * len(poses.names) + second, state)
     size = poses.size(first, second)
-    figure = (depth - _sunk(poses, size)) / size if by_size else depth
+    figure = (depth - sunk(poses, size)) / size if by_size else depth
     yield worst_of("overlap", figure, depth, state, poses.named(first, second))
-
-
-def _sunk(poses: Poses, size: Array) -> Array:
-    """What the solver's tolerance lets contacts of bodies of such a size sink in a step, m."""
-    t = poses.trajectory
-    told = re.search(r"\btol=(\d+(?:\.\d*)?(?:e[+-]?\d+)?)", str(t.meta.get("solver", "")))
-    tol = min(float(told[1]), TOLERANCES["velocities"]) if told else 0.0
-    out: Array = tol * np.minimum(t.dt, size / SLOW)
-    return out
 
 
 def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:

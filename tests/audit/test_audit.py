@@ -425,6 +425,18 @@ def test_friction_of_fremonds_law_is_audited_as_well_as_the_mean_slip_is_known(h
     assert not nd.check(run)["friction"].passed
 
 
+def test_what_rests_near_its_limit_is_pushed_where_its_contacts_were_found():
+    """A cylinder of 1 mm that creeps by 2e-12 m keeps them while it moves by less than what counts as closed, 5e-11 m."""
+    scene, rough, turn = nd.Scene(), nd.Material(mu=2.0), Rotation.from_euler("zx", [0.3, np.arctan(0.5 * 0.99)])
+    up = turn.apply((0, 0, 1))
+    scene.add_halfspace("slope", normal=up, material=rough)
+    scene.add_cylinder("cylinder", 5e-4, 2e-3, 1.0, position=1e-3 * up, quaternion=turn.as_quat(), material=rough)
+    run = nd.simulate(scene, 0.3, 5e-3)
+    assert nd.check(run).passed, nd.check(run)
+    run.columns["contacts/point"] += 1e-10 * up[[1, 2, 0]]
+    assert not nd.check(run)["spin"].passed
+
+
 def bounces():
     """A ball with spin that bounces on a rough plane, between the ends of steps."""
     scene, material = nd.Scene(), nd.Material(mu=0.2, restitution=0.5)
