@@ -53,8 +53,8 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
         return
     spin = spins(poses)
     rest = np.diff(spin, axis=0) - flight.torque
-    left = np.linalg.norm(rest, axis=2) - flight.size * (flight.astray + flight.unknown + flight.round_off + flight.kept)
-    left = np.maximum(left, 0.0)
+    elsewhere = flight.astray + flight.unknown + flight.round_off + flight.kept
+    left = np.maximum(np.linalg.norm(rest, axis=2) - flight.size * elsewhere, 0.0)
     turning = np.linalg.norm(spin, axis=2)
     yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:])
 

@@ -103,7 +103,7 @@ class Meetings(NamedTuple):
         turned = [np.einsum("cij,cj->ci", axes, rotate(s.back * (-1.0, -1.0, -1.0, 1.0), apart[0])) for s in sides]
         speed = np.linalg.norm(apart, axis=2).max(axis=0)
         # What slides around what is round turns the normal; corners and faces turn it with their bodies.
-        bent = np.where(rounding > 0.0, speed * speed / np.maximum(rounding, 1e-300), 0.0)
+        bent = speed * speed / np.where(rounding > 0.0, rounding, np.inf)
         for side in sides:
             # What turns changes its axes by as much, and its own ω no faster than that.
             turning = np.linalg.norm(side.spin, axis=2).max(axis=0)

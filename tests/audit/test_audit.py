@@ -426,7 +426,7 @@ def test_friction_of_fremonds_law_is_audited_as_well_as_the_mean_slip_is_known(h
 
 
 def test_what_rests_near_its_limit_is_pushed_where_its_contacts_were_found():
-    """A cylinder of 1 mm that creeps by 2e-12 m keeps them while it moves by less than what counts as closed, 5e-11 m."""
+    """A cylinder of 1 mm creeps by 2e-12 m and keeps them: what counts as closed is 5e-11 m."""
     scene, rough, turn = nd.Scene(), nd.Material(mu=2.0), Rotation.from_euler("zx", [0.3, np.arctan(0.5 * 0.99)])
     up = turn.apply((0, 0, 1))
     scene.add_halfspace("slope", normal=up, material=rough)
@@ -435,6 +435,16 @@ def test_what_rests_near_its_limit_is_pushed_where_its_contacts_were_found():
     assert nd.check(run).passed, nd.check(run)
     run.columns["contacts/point"] += 1e-10 * up[[1, 2, 0]]
     assert not nd.check(run)["spin"].passed
+
+
+@pytest.mark.filterwarnings("error")
+def test_corners_at_any_speed():
+    """A box at 20 km/s beside another: its corners have no radius by which the square of that could be divided."""
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_box("wall", (1, 1, 1), fixed=True)
+    scene.add_box("box", (0.1, 0.1, 0.1), 1.0, position=(0.55, 0, 0), linear_velocity=(-1, 2e4, 0))
+    audit = nd.check(nd.simulate(scene, 1e-5, 1e-6))
+    assert audit.passed, audit
 
 
 def bounces():
