@@ -34,7 +34,7 @@ TOLERANCES = {
     "states": 0.0,
     "motion": 0.1,
     "sideways": 1e-6,
-    "lifts": 1e-11,  # of which turns are found, by a method of fourth order in steps of 0.005 rad
+    "lifts": 1e-11,  # of which turns are found, by a method of eighth order in steps of 0.15 rad
     "momentum": 1e-9,
     "spin": 1e-9,
     "energy": 1e-9,
