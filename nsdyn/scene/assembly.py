@@ -120,6 +120,7 @@ def _in_joints(
     out = {what: of_joints(given[what], what, default, 6) for what, default in own.items()}
     _check_magnitudes(name, out)
     _check_friction(name, model, out["friction"])
+    _check_armature(name, model, out["armature"])
     return out
 
 
@@ -179,6 +180,22 @@ def _check_friction(name: str, model: Any, friction: Array) -> None:
             raise ValueError(
                 f"friction of {name!r} must be 0 in {label}, a {kind}, whose dry friction is not modelled, "
                 f"got {own.tolist()}"
+            )
+
+
+def _check_armature(name: str, model: Any, armature: Array) -> None:
+    """ValueError for armature along axes that turn with a body, but for what is the same about all of a ball joint."""
+    for joint in range(1, model.njoints):
+        own, kind = armature[model.idx_vs[joint] :][: model.nvs[joint]], model.joints[joint].shortname()
+        must, wrong = "0 in", model.nqs[joint] != model.nvs[joint] > 1 and own.any()
+        if kind == BALL:
+            must, wrong = "the same about all axes of", np.ptp(own) > 0.0
+        if kind == PLANAR:
+            must, wrong = "0 along both axes of", own[:2].any()
+        if wrong:
+            raise ValueError(
+                f"armature of {name!r} must be {must} joint {model.names[joint]!r}, a {kind}: it is inertia of rotors, "
+                f"and along axes that turn with a body it would bend the body's way; got {own.tolist()}"
             )
 
 

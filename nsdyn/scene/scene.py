@@ -259,8 +259,9 @@ class Scene:
         friction, damping, armature : sequences, shape (nv,)
             Dry friction, viscous damping and inertia of the joints, in place of those in the model. Against sliding of
             a planar joint friction is a disk, ‖τ‖ ≤ τ_c, against turning of a ball joint a ball, for which all its axes
-            have the same τ_c; of free joints it must be 0. Efforts in the file are the default limit of `nsdyn.PD`
-            control.
+            have the same τ_c; of free joints it must be 0. So must armature, and along the axes of a planar joint: what
+            is along axes that turn with a body would bend its way; about those of a ball joint it must be the same.
+            Efforts in the file are the default limit of `nsdyn.PD` control.
         stiffness, rest : sequences, shape (nv,)
             Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
         inertias : {"check", "trust"}

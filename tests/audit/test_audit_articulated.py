@@ -194,7 +194,9 @@ def test_a_recording_holds_its_articulations(tmp_path):
         model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Random())
         model.addJointFrame(parent)
     scene = nd.Scene()
-    armature = rng.uniform(size=model.nv)
+    armature, of = rng.uniform(size=model.nv), model.idx_vs
+    # That of axes that turn with a body is none, but for one about all axes.
+    armature[of[1] : of[1] + 6], armature[of[9] : of[9] + 2], armature[of[11] : of[11] + 3] = 0.0, 0.0, 0.5
     scene.add_model("a", model, collisions={"j12": [shapes.sphere(0.1)]}, armature=armature)
     nd.simulate(scene, 1e-3, 1e-3).save(tmp_path / "run.h5")
     t = nd.Trajectory.load(tmp_path / "run.h5")

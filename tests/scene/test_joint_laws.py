@@ -236,3 +236,35 @@ def test_what_files_say_of_joints_without_an_angle_fails_the_check(tmp_path, cap
         scene.add_sdf("s", path)
     assert scene.articulations["s"].missing == ("joint 'j': <axis> of a ball joint",)
     assert scene.articulations["s"].dropped == ("world: <gravity>", "world 'w': <linear_velocity> of <wind>")
+
+
+@pytest.mark.parametrize(
+    ("joint", "armature", "must"),
+    [
+        (pin.JointModelFreeFlyer(), (0, 0, 0.1, 0, 0, 0), "0 in"),
+        (pin.JointModelFreeFlyer(), (0, 0, 0, 0.1, 0.1, 0.1), "0 in"),
+        (pin.JointModelPlanar(), (0.1, 0.1, 0), "0 along both axes of"),
+        (pin.JointModelSpherical(), (0.1, 0.1, 0.2), "the same about all axes of"),
+    ],
+)
+def test_armature_along_axes_that_turn_with_a_body_is_refused(joint, armature, must):
+    """Given, or in the model: what is thrown with spin went round in circles."""
+    told = f"armature of 'a' must be {must} joint 'j', a JointModel.*: it is inertia of rotors, .*; got"
+    for model, given in ((model_of(joint), armature), (model_of(joint, armature=armature), None)):
+        with pytest.raises(ValueError, match=told):
+            nd.Scene().add_model("a", model, armature=given)
+
+
+@pytest.mark.parametrize(
+    ("joint", "armature", "v"),
+    [
+        (pin.JointModelFreeFlyer(), (), (1, 0, 0, 0, 0, 3)),
+        (pin.JointModelPlanar(), (0, 0, 0.1), (1, 0, 3)),
+    ],
+)
+def test_what_spins_goes_straight_on(joint, armature, v):
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_model("a", model_of(joint), v=v, armature=armature)
+    run = nd.simulate(scene, 1.0, 1e-3)
+    # Steps of fourth order leave 1e-12.
+    np.testing.assert_allclose(run.q[-1, :2], (1, 0), rtol=0.0, atol=1e-11)
