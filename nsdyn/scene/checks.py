@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from nsdyn.tools.arrays import Array, numbers
 from nsdyn.tools.files import as_path
+from nsdyn.tools.naming import counted
 
 __all__ = [
     "folders",
@@ -73,9 +74,12 @@ def folders(value: Any, what: str) -> list[Path]:
 
 def vector(value: ArrayLike, size: int, what: str) -> Array:
     """`size` finite numbers."""
-    out = numbers(value, f"{size} numbers", what).copy()
+    words = counted(size, "number")
+    out = numbers(value, words, what).copy()
+    if not out.ndim:
+        raise ValueError(f"{what} must be a sequence of {words}, got {value!r}")
     if out.shape != (size,):
-        raise ValueError(f"{what} must be {size} numbers, got shape {out.shape}")
+        raise ValueError(f"{what} must be {words}, got shape {out.shape}")
     if not (np.abs(out) <= LARGEST).all():
         raise ValueError(f"{what} must be finite{_below(out)}, got {out.tolist()}")
     return out

@@ -34,14 +34,19 @@ class Functions:
     def __init__(self, controller: Callback | None, external_force: Callback | None, dynamics: Dynamics) -> None:
         self._dynamics, self.push = dynamics, external_force is not None
         self._given = {"controller": controller, "external_force": external_force}
+        self._seeing = {what for what, given in self._given.items() if given and callbacks.takes(given, "last")}
         for what, given in self._given.items():
-            if given is not None and not callable(given):
+            if given is None:
+                continue
+            last = {"last": None} if what in self._seeing else {}
+            own = callbacks.misfit(given, *"tqv", **last) if callable(given) else ""
+            if own or not callable(given):
+                where, came = (f"{callbacks.source_line(given)}: ", f"one of {own}") if own else ("", repr(given))
                 returned = {"controller": '{"arm": nd.PD(...)}', "external_force": '{"box": (1, 0, 0)}'}[what]
                 raise ValueError(
-                    f"{what} must be a function of (t, q, v), or of (t, q, v, last), or None, "
-                    f"as `lambda t, q, v: {returned}`; got {given!r}"
+                    f"{where}{what} must be a function of (t, q, v), or of (t, q, v, last), or None, "
+                    f"as `lambda t, q, v: {returned}`; got {came}"
                 )
-        self._seeing = {what for what, given in self._given.items() if given and callbacks.takes(given, "last")}
         self.take_last, self._some = bool(self._seeing), any(self._given.values())
 
     def __getitem__(self, what: str) -> Callback | None:

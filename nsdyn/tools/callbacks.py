@@ -9,7 +9,9 @@ from pathlib import Path
 from types import CodeType, TracebackType
 from typing import Any, TypeVar
 
-__all__ = ["below", "called", "line", "takes", "text"]
+from nsdyn.tools.naming import counted
+
+__all__ = ["below", "called", "line", "misfit", "source_line", "takes", "text"]
 
 T = TypeVar("T")
 
@@ -30,20 +32,35 @@ def called(function: Callable[..., Any], what: str, fit: Callable[[Any], T], *gi
     except Exception as error:
         where = line(error)
         if not where and isinstance(error, TypeError):  # it takes other arguments
-            raise ValueError(f"{_source_line(function)}: {error}") from None
-        error.add_note(f"{where or _source_line(function)}: in {what}")
+            own, count = misfit(function, *given, **keywords), counted(len(given) + len(keywords), "argument")
+            told = f"{what} must be a function of {count}, got one of {own}" if own else error
+            raise ValueError(f"{source_line(function)}: {told}") from None
+        error.add_note(f"{where or source_line(function)}: in {what}")
         raise
     try:
         return fit(returned)
     except ValueError as error:
-        raise ValueError(f"{_source_line(function)}: {error}") from None
+        raise ValueError(f"{source_line(function)}: {error}") from None
+
+
+def misfit(function: Callable[..., Any], *given: Any, **keywords: Any) -> str:
+    """The arguments of a function of the user that does not take what is given; else empty, as where none are known."""
+    try:
+        own = inspect.signature(function)
+    except (TypeError, ValueError):  # of what is written in C nothing may be known
+        return ""
+    try:
+        own.bind(*given, **keywords)
+    except TypeError:
+        return str(own)
+    return ""
 
 
 def takes(function: Callable[..., Any], argument: str) -> bool:
     """Whether a function of the user has an argument of that name."""
     try:
         return argument in inspect.signature(function).parameters
-    except (TypeError, ValueError):  # of what is written in C nothing may be known
+    except (TypeError, ValueError):
         return False
 
 
@@ -74,7 +91,7 @@ def text(error: BaseException) -> str:
     return ": ".join(filter(None, (line(error), f"{kind}{error}")))
 
 
-def _source_line(function: Callable[..., Any]) -> str:
+def source_line(function: Callable[..., Any]) -> str:
     """File and line where a function begins, what it is if it has none."""
     while isinstance(function, partial):
         function = function.func

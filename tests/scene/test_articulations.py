@@ -176,6 +176,7 @@ def test_loop():
         ({"q": (0.1, 1, 0.5, 0)}, "q of 'r' must have unit quaternions"),
         ({"q": (2.5, 1, 0, 0)}, "q of 'r' must respect the limits: joint 'ja' is at 2.5, its limits are -1 and 2"),
         ({"v": (0.1,)}, "v of 'r' must be 3 numbers"),
+        ({"friction": -1}, "friction of 'r' must be a sequence of 3 numbers, got -1$"),
         ({"v": (0, 0, np.nan)}, "v of 'r' must be finite"),
         ({"base": "loose"}, "base of 'r' must be 'fixed' or 'free'"),
         ({"position": (0, 0)}, "position of 'r'"),

@@ -362,8 +362,8 @@ def test_what_is_no_plain_function_has_a_place_too():
     """That of its class, of the function in a partial; a built-in one is named."""
     line = Push.__call__.__code__.co_firstlineno
     for push, place in ((Push(), line), (partial(Push(), q=3), line), (abs, None)):
-        with pytest.raises(ValueError, match="argument") as failure:
-            nd.Stepper(nd.scenes.load("slide")(), external_force=push).step()
+        with pytest.raises(ValueError, match="external_force must be a function of") as failure:
+            nd.Stepper(nd.scenes.load("slide")(), external_force=push)
         where = f"test_stepper.py, line {place}" if place else "<built-in function abs>"
         assert str(failure.value).startswith(f"{where}: ")
 
@@ -399,6 +399,35 @@ def test_callbacks_must_be_functions():
     for what in ("controller", "external_force"):
         with pytest.raises(ValueError, match=f"{what} must be a function of"):
             nd.Stepper(nd.scenes.load("slide")(), **{what: 3})
+
+
+@pytest.mark.parametrize("what", ["controller", "external_force"])
+@pytest.mark.parametrize(
+    ("function", "own"),
+    [
+        (lambda a, b, c, d, e: {}, "(a, b, c, d, e)"),
+        (lambda a, b, last, d, e: {}, "(a, b, last, d, e)"),
+        (lambda t, q: {}, "(t, q)"),
+        (lambda t, q, v, step: {}, "(t, q, v, step)"),
+    ],
+)
+def test_callbacks_take_what_they_are_given(what, function, own):
+    """Told before the first step: where, what they should take and what they do."""
+    with pytest.raises(ValueError) as refused:
+        nd.Stepper(nd.scenes.load("slide")(), **{what: function})
+    here, wanted = (
+        f"test_stepper.py, line {function.__code__.co_firstlineno}",
+        "(t, q, v), or of (t, q, v, last), or None",
+    )
+    assert str(refused.value).startswith(f"{here}: {what} must be a function of {wanted}, as `lambda t, q, v: ")
+    assert str(refused.value).endswith(f"; got one of {own}")
+
+
+def test_velocities_take_the_time():
+    scene = nd.Scene()
+    scene.add_box("plate", (1, 1, 1), fixed=True)
+    with pytest.raises(ValueError, match=r"velocity of 'plate' must be a function of 1 argument, got one of \(t, q\)$"):
+        scene.set_motion("plate", velocity=lambda t, q: (0, 0, 0))
 
 
 def test_gauss_least_constraint_literally(rng):
