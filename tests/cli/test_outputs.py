@@ -169,7 +169,7 @@ def scene(mass=1.0):
         ),
         (
             "def external_force(scene):\n    return lambda t: {}",
-            "line 8: external_force.<locals>.<lambda>() takes",
+            "line 8: external_force must be a function of (t, q, v), or of (t, q, v, last), or None, as",
         ),
         (
             "def external_force(scene):\n    return lambda t, q, v: {'bal': (0, 0, 1)}",
