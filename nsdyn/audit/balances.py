@@ -109,21 +109,37 @@ def _outside(poses: Poses) -> Array:
 
 
 def _motion(poses: Poses, flight: Flight | None) -> Found:
-    """How free bodies move with their velocities, beyond what projections lift them: of points of them, m."""
+    """How free bodies move with their velocities, beyond what projections lift them: of points of them, m.
+
+    One lift, and all of a step where bodies move no farther, are measured by their size, more by what they move.
+    """
     t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
     q, radius = poses.quaternion[:, :free], _radius(poses)
+    size = np.broadcast_to(poses.smallest, (t.steps, free))
     if flight is not None and flight.timed:
-        far = np.linalg.norm(flight.pushes.shift.reshape(-1, 2, 3), axis=2)
-        shift, turn = np.moveaxis(flight.pushes.summed((t.steps, free), far), 2, 0)
-        amount = np.maximum(flight.astray + shift - flight.unknown, (flight.turn - flight.flow + turn) * radius)
-    else:
-        before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
-        moved = rotate(q[:-1], before[..., :3]) + rotate(q[1:], after[..., :3])
-        left = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - moved, axis=2) - poses.uncertain[0][:, :free]
-        # Half a turn with either angular velocity, each in the axes of its own end.
-        turn = angles(turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:]))
-        amount = np.maximum(left, (turn - poses.uncertain[1][:, :free]) * radius)
-    return of_bodies(poses, "motion", amount, np.broadcast_to(poses.smallest, amount.shape))
+        far, at = (
+            np.linalg.norm(flight.pushes.shift.reshape(-1, 2, 3), axis=2),
+            (flight.pushes.step, flight.pushes.body),
+        )
+        all_lifts, largest = flight.pushes.summed((t.steps, free), far), np.zeros((t.steps, free, 2))
+        np.maximum.at(largest, at, far)
+        one, amount = (
+            np.maximum(
+                flight.astray + lift[..., 0] - flight.unknown, (flight.turn - flight.flow + lift[..., 1]) * radius
+            )
+            for lift in (largest, all_lifts)
+        )
+        speed = np.linalg.norm(poses.v[..., :3], axis=2) + radius * np.linalg.norm(poses.v[..., 3:], axis=2)
+        scale = np.maximum(size, t.dt * np.maximum(speed[:-1], speed[1:]))
+        alone = one * scale > amount * size
+        return of_bodies(poses, "motion", np.where(alone, one, amount), np.where(alone, size, scale))
+    before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
+    moved = rotate(q[:-1], before[..., :3]) + rotate(q[1:], after[..., :3])
+    left = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - moved, axis=2) - poses.uncertain[0][:, :free]
+    # Half a turn with either angular velocity, each in the axes of its own end.
+    turn = angles(turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:]))
+    amount = np.maximum(left, (turn - poses.uncertain[1][:, :free]) * radius)
+    return of_bodies(poses, "motion", amount, size)
 
 
 def _radius(poses: Poses) -> Array:

@@ -87,7 +87,7 @@ MEANING = {
     "velocities": "velocity of a contact that pushes - that after its impulse, beyond what turning changes / speed",
     "partings": "how fast what does not rebound parts where it has pushed, beyond what turning does / speed before",
     "states": "1 for a contact whose state is not that of its impulse, or whose key another has",
-    "motion": "displacement of a free body - what its velocities and impulses make, lifts apart / smallest extent",
+    "motion": "displacement of a free body - what its velocities make, lifts apart / smallest extent, or what it moves",
     "sideways": "lifts of a free body across the normals of its contacts, beyond as much as along / what it moves",
     "lifts": "where a free body is - where flight and lifts bring it, beyond a flow of sixth order / smallest extent",
     "momentum": "m Δv - Σ r - h m g of a free body / momenta and impulses of which this is the sum",

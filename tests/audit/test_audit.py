@@ -520,14 +520,47 @@ def test_a_hull_of_rounded_corners_passes():
     assert found.passed, found
 
 
-def test_a_thin_coin_that_wobbles_passes():
-    """Its contact goes around the rim so far in a step that it has another key."""
+def thin_coin(turning):
+    """A coin of 30 cm, 0.15 mm thick, that stands on its rim and turns about a diameter."""
     scene, material, tilt, r, h = nd.Scene(), nd.Material(mu=1.0), np.radians(20.0), 0.15, 1.5e-4
     scene.add_halfspace("ground", material=material)
     how = {"quaternion": Rotation.from_euler("x", tilt).as_quat(), "material": material}
-    how |= {"position": (0, 0, r * np.sin(tilt) + 0.5 * h * np.cos(tilt)), "angular_velocity": (0, 9.46, 0)}
+    how |= {"position": (0, 0, r * np.sin(tilt) + 0.5 * h * np.cos(tilt)), "angular_velocity": (0, turning, 0)}
     scene.add_cylinder("coin", r, h, 1.0, **how)
-    run = nd.simulate(scene, 0.06, 4e-3)
+    return scene
+
+
+@pytest.mark.parametrize("turning", [9.46, pytest.param(30.0, marks=pytest.mark.slow)])
+def test_lifts_of_many_moves_of_a_thin_coin_are_measured_by_what_it_moves(turning):
+    """Each of them by its thickness: 64 of a step, in which its rim moves by 1 cm and more, are a sixth of that."""
+    run = nd.simulate(thin_coin(turning), 0.04, 1e-2)
+    assert nd.check(run).passed, nd.check(run)
+    run.columns["lifts/shift"] *= 100.0
+    assert not nd.check(run)["motion"].passed
+
+
+def test_many_small_lifts_are_no_motion():
+    """A box at rest, said to be lifted by a fifth of itself in a step, in a hundred moves."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    scene.add_box("box", (1, 1, 1), 1.0, position=(0, 0, 0.5))
+    run, n = nd.simulate(scene, 0.05, 1e-2), 100
+    run.q[3:, 2] += 0.2
+    run.columns.update(
+        {
+            "lifts/offset": np.array([0, 0, 0, n, n, n]),
+            "lifts/body": np.zeros(n, int),
+            "lifts/time": np.linspace(0.0, 1e-2, n, endpoint=False) + 5e-5,
+            "lifts/duration": np.full(n, 1e-4),
+            "lifts/shift": np.tile((0, 0, 0.2 / n, 0, 0, 0), (n, 1)),
+        }
+    )
+    assert nd.check(run)["motion"].worst == pytest.approx(0.2, rel=1e-6)
+
+
+def test_a_thin_coin_that_wobbles_passes():
+    """Its contact goes around the rim so far in a step that it has another key."""
+    run = nd.simulate(thin_coin(9.46), 0.06, 4e-3)
     assert np.unique(run.columns["contacts/key"]).size > 1
     assert nd.check(run)["velocities"].passed
 
