@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from nsdyn.audit import joint_rows
-from nsdyn.audit.findings import Found, not_audited, worst_of
+from nsdyn.audit.findings import Found, named, not_audited, worst_among, worst_of
 from nsdyn.audit.poses import Poses, matrix
 from nsdyn.audit.retraced import Retraced
 from nsdyn.recording.columns import ON_JOINTS
 from nsdyn.recording.retrace import Trees, trees
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array
 
 __all__ = ["joints"]
 
@@ -42,13 +42,7 @@ def joints(poses: Poses, found: Retraced | str | None) -> Iterator[Found]:
         ("joint_momentum", found.momentum),
         ("joint_motion", found.motion),
     ):
-        steps, which = np.indices(amount.shape)
-        figure = (amount / np.maximum(scale, 1e-300)).ravel()
-        yield worst_of(name, figure, amount.ravel(), steps.ravel() + 1, _who(names, which.ravel()))
-
-
-def _who(names: list[str], which: Index) -> Callable[[int], list[str]]:
-    return lambda k: [names[which[k]]]
+        yield worst_among(name, amount, scale, names)
 
 
 def _places(poses: Poses, found: Trees) -> Iterator[Found]:
@@ -80,18 +74,16 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
             scales.append(length)
             ranges.append(width)
             labels.append((k, i))
-    steps, which = np.indices(off.shape)
-    figure = (off / (radius + far + 1e-300)).ravel()
-    yield worst_of("links", figure, off.ravel(), steps.ravel(), _who(frames, which.ravel()))
+    yield worst_among("links", off, radius + far, frames, 0)
     k, i = np.array(labels).T
     trees_ = [m.name for m in found.mechanisms]
     looped = np.array([found.mechanisms[tree].loops > 0 for tree in i])
     gap = np.array(gaps)[looped]
-    yield worst_of("loops", gap / np.array(scales)[looped], gap, k[looped], _who(trees_, i[looped]))
+    yield worst_of("loops", gap / np.array(scales)[looped], gap, k[looped], named(trees_, i[looped]))
     most = np.array([b.max(initial=-np.inf) for b in beyond])
     limited = most > -np.inf
     wide = np.array([r[b.argmax()] if b.size else 1.0 for r, b in zip(ranges, beyond, strict=True)])
-    yield worst_of("limits", most[limited], (most * wide)[limited], k[limited], _who(trees_, i[limited]))
+    yield worst_of("limits", most[limited], (most * wide)[limited], k[limited], named(trees_, i[limited]))
 
 
 def _pieces(found: Trees) -> Found:
@@ -127,4 +119,4 @@ def _pieces(found: Trees) -> Found:
     acts[:, own] = times if times.shape[1] == np.count_nonzero(own) else np.inf
     for name, told in zip(("time", "duration"), acts, strict=True):
         np.maximum.at(worst, step, np.nan_to_num(np.abs(c[f"contacts/{name}"] - told)) / t.dt)
-    return worst_of("pieces", worst, worst, np.arange(t.steps) + 1, lambda _: ())
+    return worst_of("pieces", worst, worst, np.arange(t.steps) + 1)

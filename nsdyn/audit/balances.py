@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from nsdyn.audit.findings import Found, at_play, not_audited, of_bodies, worst_of
+from nsdyn.audit.findings import Found, at_play, named, not_audited, worst_among, worst_of
 from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
 from nsdyn.audit.pushes import GIVEN, LIFT, UNTIMED, Pushes, Times, velocities
@@ -39,12 +39,12 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
         yield not_audited("momentum", reason)
         yield not_audited("spin", reason)
         return
-    mass, weight = np.array(poses.scene["masses"]), t.dt * np.array(poses.scene["gravity"])
+    mass, weight = poses.mass, t.dt * np.array(poses.scene["gravity"])
     velocity = velocities(poses)
     left = mass[:, None] * (np.diff(velocity, axis=0) - weight) - flight.impulse
     speed = np.linalg.norm(velocity, axis=2)
     scale = flight.size + mass * (speed[:-1] + speed[1:] + np.linalg.norm(weight))
-    yield of_bodies(poses, "momentum", np.linalg.norm(left, axis=2), scale)
+    yield worst_among("momentum", np.linalg.norm(left, axis=2), scale, poses.scene["frames"])
     if not flight.timed:
         yield not_audited("spin", UNTIMED)
         return
@@ -56,7 +56,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     elsewhere = flight.astray + flight.unknown + flight.round_off + flight.kept
     left = np.maximum(np.linalg.norm(rest, axis=2) - flight.size * elsewhere, 0.0)
     turning = np.linalg.norm(spin, axis=2)
-    yield of_bodies(poses, "spin", left, flight.levers + turning[:-1] + turning[1:])
+    yield worst_among("spin", left, flight.levers + turning[:-1] + turning[1:], poses.scene["frames"])
 
 
 def plain(poses: Poses) -> Iterator[Found]:
@@ -67,19 +67,18 @@ def plain(poses: Poses) -> Iterator[Found]:
     t, frames = poses.trajectory, poses.scene["frames"]
     odd = {name: float(_ends(x)) for name, x in t.columns.items() if x.dtype.kind == "f"}
     figure = np.array(list(odd.values()))
-    yield worst_of("numbers", figure, figure, np.zeros(len(odd), np.int64), lambda k: [list(odd)[k]])
+    yield worst_of("numbers", figure, figure, np.zeros(len(odd), np.int64), named(list(odd), np.arange(len(odd))))
     h = t.dt * t.every
     # Times are rounded where they are large.
     late = np.maximum(np.abs(np.diff(t.t) - h) - 4.0 * np.finfo(float).eps * np.abs(t.t[1:]), 0.0)
     late = np.maximum(late, _outside(poses))
-    yield worst_of("times", late / h, late, np.arange(1, t.steps + 1), lambda _: ())
+    yield worst_of("times", late / h, late, np.arange(1, t.steps + 1))
     off = np.abs(np.linalg.norm(poses.quaternion, axis=2) - 1.0)
-    state, which = np.indices(off.shape)
-    yield worst_of("turns", off.ravel(), off.ravel(), state.ravel(), lambda k: [frames[which.ravel()[k]]])
+    yield worst_among("turns", off, 1.0, frames, 0)
     if "frames/x" in t.columns:
         apart = np.linalg.norm(t.columns["frames/x"] - poses.x, axis=2)
         apart += np.linalg.norm(t.columns["frames/quat"] - poses.quaternion, axis=2)
-        yield worst_of("frames", apart.ravel(), apart.ravel(), state.ravel(), lambda k: [frames[which.ravel()[k]]])
+        yield worst_among("frames", apart, 1.0, frames, 0)
 
 
 def _ends(column: Array) -> bool:
@@ -113,7 +112,7 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
 
     One lift, and all of a step where bodies move no farther, are measured by their size, more by what they move.
     """
-    t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
+    t, free, theta = poses.trajectory, poses.free, poses.theta
     q, radius = poses.quaternion[:, :free], _radius(poses)
     size = np.broadcast_to(poses.smallest, (t.steps, free))
     if flight is not None and flight.timed:
@@ -132,19 +131,19 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
         speed = np.linalg.norm(poses.v[..., :3], axis=2) + radius * np.linalg.norm(poses.v[..., 3:], axis=2)
         scale = np.maximum(size, t.dt * np.maximum(speed[:-1], speed[1:]))
         alone = one * scale > amount * size
-        return of_bodies(poses, "motion", np.where(alone, one, amount), np.where(alone, size, scale))
+        return worst_among("motion", np.where(alone, one, amount), np.where(alone, size, scale), poses.scene["frames"])
     before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
     moved = rotate(q[:-1], before[..., :3]) + rotate(q[1:], after[..., :3])
     left = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - moved, axis=2) - poses.uncertain[0][:, :free]
     # Half a turn with either angular velocity, each in the axes of its own end.
     turn = angles(turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:]))
     amount = np.maximum(left, (turn - poses.uncertain[1][:, :free]) * radius)
-    return of_bodies(poses, "motion", amount, size)
+    return worst_among("motion", amount, size, poses.scene["frames"])
 
 
 def _radius(poses: Poses) -> Array:
     """How far points of free bodies are from their centres of mass at most, (free,), m."""
-    out, own = np.zeros(poses.free), np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free))
+    out, own = np.zeros(poses.free), np.flatnonzero(poses.is_free(poses.frame))
     np.maximum.at(out, poses.frame[own], poses.bounding_radius[own])
     return out
 
@@ -174,37 +173,31 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
     across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - free_to, 0.0)), axis=1)
     off = np.zeros(moved.shape)
     np.maximum.at(off, (step, body), across - along - flight.round_off[step, body])
-    yield of_bodies(poses, "sideways", off, moved)
+    yield worst_among("sideways", off, moved, poses.scene["frames"])
     off = np.maximum(flight.astray - flight.unknown - flight.round_off, (flight.turn - flight.flow) * _radius(poses))
-    yield of_bodies(poses, "lifts", off, np.broadcast_to(poses.smallest, off.shape))
+    yield worst_among("lifts", off, np.broadcast_to(poses.smallest, off.shape), poses.scene["frames"])
 
 
 def energies(poses: Poses) -> Iterator[Found]:
     """Energies anew, and the balance of every step."""
     t = poses.trajectory
-    e, free = t.energy, poses.free
+    e = t.energy
     scale = at_play(poses)
     steps = np.arange(t.steps + 1)
-
-    def nobody(_: int) -> tuple[str, ...]:
-        return ()
 
     total, built = e.total, articulations(t)
     if isinstance(built, str):
         yield not_audited("energy", built)
     else:
-        pose = t.q[:, : 7 * free].reshape(t.steps + 1, free, 7)
-        twist = t.v[:, : 6 * free].reshape(t.steps + 1, free, 6)
-        mass, inertia = np.array(t.scene["masses"]), np.array(t.scene["inertias"]).reshape(-1, 3, 3)
-        turning = np.einsum("nbi,bij,nbj->n", twist[..., 3:], inertia, twist[..., 3:])
-        kinetic = 0.5 * ((twist[..., :3] ** 2).sum(axis=2) @ mass + turning)
-        potential = -(pose[..., :3] @ np.array(t.scene["gravity"])) @ mass
+        turning = np.einsum("nbi,bij,nbj->n", poses.v[..., 3:], poses.inertia, poses.v[..., 3:])
+        kinetic = 0.5 * ((poses.v[..., :3] ** 2).sum(axis=2) @ poses.mass + turning)
+        potential = -(poses.x[:, : poses.free] @ np.array(t.scene["gravity"])) @ poses.mass
         for i, m in enumerate(built.mechanisms):
             each = np.array([m.energies(*built.state(i, k)) for k in range(t.steps + 1)])
             kinetic, potential = kinetic + each[:, 0], potential + each[:, 1]
         off = np.maximum(np.abs(kinetic - e.kinetic), np.abs(potential - e.potential))
-        yield worst_of("energy", off / (scale + np.abs(potential)), off, steps, nobody)
+        yield worst_of("energy", off / (scale + np.abs(potential)), off, steps)
         total = kinetic + potential
     works: Mapping[str, Array] = {name: getattr(e, name) for name in e.names[2:] if name != "defect"}
     off = np.maximum(np.abs(np.diff(total) - sum(works.values())), np.abs(e.defect))
-    yield worst_of("balance", off / (scale + np.abs(e.potential[1:])), off, steps[1:], nobody)
+    yield worst_of("balance", off / (scale + np.abs(e.potential[1:])), off, steps[1:])

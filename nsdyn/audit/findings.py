@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from nsdyn.audit.poses import Poses
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["MEANING", "TOLERANCES", "UNITS", "Finding", "Found", "at_play", "not_audited", "of_bodies", "worst_of"]
+__all__ = [
+    "CREEP",
+    "MEANING",
+    "TOLERANCES",
+    "UNITS",
+    "Finding",
+    "Found",
+    "at_play",
+    "named",
+    "not_audited",
+    "worst_among",
+    "worst_of",
+]
 
 TOLERANCES = {
     "scene": 1e-12,  # some hundred roundings
@@ -143,6 +154,9 @@ UNITS = {
 """Of the amount of each; of coordinates that are lengths, m and N·s."""
 
 
+CREEP = 1e-2
+"""m/s or rad/s: what moves is measured by its speed and this, beside which what solvers leave is nothing."""
+
 SMALL = 1e-6
 """What an articulation without weight is measured by where nothing moves: the energy of so much of its size a step."""
 
@@ -188,7 +202,11 @@ class Finding:
 Found = tuple[str, Callable[[float], Finding]]
 
 
-def worst_of(name: str, figure: Array, amount: Array, step: Index, bodies: Callable[[int], Any]) -> Found:
+Who = Callable[[int], Sequence[str]]
+"""The bodies of a figure, by its number."""
+
+
+def worst_of(name: str, figure: Array, amount: Array, step: Index, bodies: Who = lambda _: ()) -> Found:
     """The largest of some figures; NaN is the largest."""
     if not figure.size:
         return name, lambda tol: Finding(name, MEANING[name], 0.0, tol, 0.0, UNITS[name], -1, (), 0)
@@ -203,21 +221,24 @@ def not_audited(name: str, reason: str) -> Found:
     return name, lambda tol: Finding(name, MEANING[name], np.nan, tol, np.nan, UNITS[name], -1, (), 0, reason)
 
 
-def of_bodies(poses: Poses, name: str, amount: Array, scale: Array) -> Found:
-    """The worst of free bodies and steps, from arrays (n, bodies)."""
-    steps, bodies = np.indices(amount.shape)
+def worst_among(name: str, amount: Array, scale: Array | float, names: Sequence[str], begin: int = 1) -> Found:
+    """The worst of all steps, from `begin` on, and of some bodies by their names, from arrays (n, bodies)."""
+    steps, which = np.indices(amount.shape)
     figure = (amount / np.maximum(scale, 1e-300)).ravel()
-    return worst_of(
-        name, figure, amount.ravel(), steps.ravel() + 1, lambda k: [poses.scene["frames"][bodies.ravel()[k]]]
-    )
+    return worst_of(name, figure, amount.ravel(), steps.ravel() + begin, named(names, which.ravel()))
+
+
+def named(names: Sequence[str], which: Index) -> Who:
+    """The name of each figure, of which it is `which`."""
+    return lambda k: [names[which[k]]]
 
 
 def at_play(poses: Poses) -> float:
     """Energy at play, J; where next to nothing moves, what lifts bodies and trees by their size."""
     t, scene = poses.trajectory, poses.scene
     lift = 0.0
-    for k in np.flatnonzero((poses.frame >= 0) & (poses.frame < poses.free)):
-        lift += scene["masses"][poses.frame[k]] * float(np.linalg.norm(scene["gravity"])) * float(poses.extent[k])
+    for k in np.flatnonzero(poses.is_free(poses.frame)):
+        lift += float(poses.mass[poses.frame[k]]) * float(np.linalg.norm(scene["gravity"])) * float(poses.extent[k])
     for tree in scene["articulations"]:
         told = tree.get("model", {"joints": ()})["joints"]
         size = sum(float(np.linalg.norm(np.array(j["placement"])[:3, 3]) + np.linalg.norm(j["com"])) for j in told)

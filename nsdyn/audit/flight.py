@@ -12,6 +12,7 @@ from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import Poses, matrix, turned
 from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
+from nsdyn.recording.tables import contact_frames, impulses_world
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["CONJUGATE", "Flight", "angles", "least", "spins", "sunk", "tumbled"]
@@ -134,14 +135,13 @@ class Flight:
     @classmethod
     def of(cls, poses: Poses, links: tuple[Side, Side] | None = None) -> Flight:
         """Follow the free bodies of a recording of all steps and contacts; of links that these meet it is given."""
-        t, free, theta = poses.trajectory, poses.free, float(poses.trajectory.meta["theta"])
-        c, h, shape = t.columns, t.dt, (t.steps, free)
-        axes = np.stack([n := c["contacts/normal"], t1 := c["contacts/tangent"], np.cross(n, t1)], axis=1)
+        t, free, theta = poses.trajectory, poses.free, poses.theta
+        h, shape, point = t.dt, (t.steps, free), poses.contacts["point"]
         geoms, times = poses.pair.T, Times.of(poses)
-        pushes = Pushes.of(poses, times, np.einsum("ci,cij->cj", c["contacts/impulse"], axes))
+        pushes = Pushes.of(poses, times, impulses_world(t.columns))
         row, _, step, body, time, length, push, couple, shift = pushes
         cut, met = pushes.cut(poses), row >= 0
-        mass, impulse = np.array(poses.scene["masses"]), pushes.summed(shape, push)
+        mass, impulse = poses.mass, pushes.summed(shape, push)
         moments, before = pushes.summed(shape, time[:, None] * push), velocities(poses)[:-1]
         forced = np.diff(velocities(poses), axis=0) - impulse / mass[:, None]
         share = np.where(cut, 0.5, theta)[:, :, None]
@@ -154,11 +154,11 @@ class Flight:
         at = poses.x[step, body] + time[:, None] * before[step, body] + way / mass[body, None] + fall
         at += pushes.earlier(shift[:, :3])
         arm, size = np.zeros(at.shape), np.linalg.norm(push, axis=1)
-        arm[met] = c["contacts/point"][row[met]] - at[met]
+        arm[met] = point[row[met]] - at[met]
         # Of older recordings, which have no couples, the angular momentum is not audited.
         moment = np.cross(arm, push) + couple
         ends, then, turning = _turned(poses, pushes, moment)
-        sides = links or (Side.nowhere(len(n)), Side.nowhere(len(n)))
+        sides = links or (Side.nowhere(len(point)), Side.nowhere(len(point)))
         own = _sides(poses, pushes, (before, forced, begun / h), (at, arm, then, turning))
         _put(poses, sides, geoms, pushes, own)
         ways = np.diff(poses.x[:, :free], axis=0) - path, np.where(cut[:, :, None], (theta - 0.5) * h * forced, 0.0)
@@ -183,8 +183,8 @@ class Flight:
             kept,
             COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / least(poses),
             _lifted(poses, pushes, then, turning),
-            Meetings.of(sides, axes, c["contacts/point"], poses.rounding[geoms].sum(axis=1), _wander(poses)),
-            np.bincount(row[met], doubt[met], len(n)).astype(float),
+            Meetings.of(sides, contact_frames(t.columns), point, poses.rounding[geoms].sum(axis=1), _wander(poses)),
+            np.bincount(row[met], doubt[met], len(point)).astype(float),
             cut,
             times.length == 0.0,
             times.known,
@@ -202,7 +202,7 @@ def _sides(
     step, body = pushes.step, pushes.body
     # Forces act together with the impulses of a move.
     gone = [part[:, None] for part in (share, share + pushes.length / poses.trajectory.dt)]
-    mass = np.array(poses.scene["masses"])[body, None]
+    mass = poses.mass[body, None]
     linear = before[step, body] + np.stack(gone) * forced[step, body] + pushes.around(pushes.push) / mass
     back = product(poses.quaternion[step, body], then * CONJUGATE)
     spin = rotate(poses.quaternion[step, body], poses.v[step, body, 3:])
@@ -227,9 +227,9 @@ def _wander(poses: Poses) -> Array:
     By its key, and by its pair if of that it pushes alone: what goes far, as around the rim of a coin, has other keys.
     Of several, round ones that are new come from no farther than they would have their names: rims are shared out anew.
     """
-    c, (i, j) = poses.contacts, poses.pair
+    c = poses.contacts
     when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
-    pair, pushes = i * len(poses.names) + j, c["impulse"][:, 0] > 0.0
+    pair, pushes = poses.code, c["impulse"][:, 0] > 0.0
     # With θ = 1 what strikes and what then pushes are of one time.
     group = np.unique(np.stack([pair, when, c["duration"] == 0.0]), axis=1, return_inverse=True)[1].ravel()
     alone = pushes & (np.bincount(group, pushes)[group] == 1.0)
@@ -273,7 +273,7 @@ def _doubted(
     """
     at, (arm, then, turning) = (pushes.step, pushes.body), met
     axes, length = matrix(then), np.linalg.norm(arm, axis=1)
-    inertia, swept = axes @ _inertias(poses)[pushes.body] @ np.swapaxes(axes, 1, 2), 2.0 * length * turn[at]
+    inertia, swept = axes @ poses.inertia[pushes.body] @ np.swapaxes(axes, 1, 2), 2.0 * length * turn[at]
     levers = np.linalg.solve(inertia, np.cross(np.eye(3), pushes.push[:, None]).swapaxes(1, 2))
     off, spun = swept, np.linalg.norm(levers, axis=(1, 2)) * swept
     for way in ways:
@@ -291,7 +291,7 @@ def _fastest(poses: Poses, levers: Array) -> Array:
 
 def least(poses: Poses) -> Array:
     """Least moments of inertia of free bodies, (free,), kg m²."""
-    return np.array(np.linalg.eigvalsh(_inertias(poses))[:, 0])
+    return np.array(np.linalg.eigvalsh(poses.inertia)[:, 0])
 
 
 def product(one: Array, other: Array) -> Array:
@@ -311,12 +311,12 @@ def _lifted(poses: Poses, pushes: Pushes, then: Array, turning: Array) -> Array:
     """What lifts do to the energy in each step, (n,), J: to the potential one, and to ½ L·J⁻¹ L with L in space."""
     lifts = pushes.row == LIFT
     step, body = pushes.step[lifts], pushes.body[lifts]
-    weight = np.array(poses.scene["masses"])[:, None] * np.array(poses.scene["gravity"])
+    weight = poses.mass[:, None] * np.array(poses.scene["gravity"])
     work = -np.einsum("li,li->l", pushes.shift[lifts, :3], weight[body])
     after = turned(then[lifts], rotate(then[lifts] * CONJUGATE, pushes.shift[lifts, 3:]))
     for sign, attitude, spin in zip((-0.5, 0.5), (then[lifts], after), turning[:, lifts], strict=True):
         own = rotate(attitude * CONJUGATE, spin)
-        work = work + sign * np.einsum("li,lij,lj->l", own, _inertias(poses)[body], own)
+        work = work + sign * np.einsum("li,lij,lj->l", own, poses.inertia[body], own)
     return np.bincount(step, work, poses.trajectory.steps).astype(float)
 
 
@@ -328,13 +328,13 @@ def _turned(poses: Poses, pushes: Pushes, moment: Array) -> tuple[Array, Array, 
     t, free, time, length = poses.trajectory, poses.free, pushes.time, pushes.length
     row, lifts, shift = pushes.step * free + pushes.body, pushes.row == LIFT, pushes.shift
     q, w = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), poses.v[:-1, :, 3:].reshape(-1, 3).copy()
-    inertia, now = np.tile(_inertias(poses), (t.steps, 1, 1)), np.zeros(t.steps * free)
+    inertia, now = np.tile(poses.inertia, (t.steps, 1, 1)), np.zeros(t.steps * free)
     # Moments on one body that act together, which with θ = 1 a move does not with the impacts before it at its time,
     # nor with the lift at its end; then of each body the first, the second, ...
     begin, group = together(row, time, length, lifts)
     if begin.size:
         row, moment, shift = row[begin], np.add.reduceat(moment, begin), shift[begin]
-        time = time[begin] + float(t.meta["theta"]) * np.where(lifts[begin], length[begin], 0.0)
+        time = time[begin] + poses.theta * np.where(lifts[begin], length[begin], 0.0)
     rank, met = np.arange(row.size) - np.searchsorted(row, row), np.empty((row.size, 10))
     for k in range(int(rank.max(initial=-1)) + 1):
         some = rank == k
@@ -353,14 +353,9 @@ def _turned(poses: Poses, pushes: Pushes, moment: Array) -> tuple[Array, Array, 
 
 def spins(poses: Poses) -> Array:
     """Angular momenta of free bodies about their centres of mass in world axes, (n + 1, free, 3), N·m·s."""
-    own = np.einsum("bij,nbj->nbi", _inertias(poses), poses.v[..., 3:])
+    own = np.einsum("bij,nbj->nbi", poses.inertia, poses.v[..., 3:])
     out: Array = rotate(poses.quaternion[:, : poses.free], own)
     return out
-
-
-def _inertias(poses: Poses) -> Array:
-    """Inertias J of free bodies in their axes, (free, 3, 3), kg m²."""
-    return np.array(poses.scene["inertias"]).reshape(-1, 3, 3)
 
 
 def tumbled(quaternion: Array, turning: Array, inertia: Array, time: Array) -> tuple[Array, Array]:

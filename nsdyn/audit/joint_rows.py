@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn.audit.findings import Found, not_audited, worst_of
+from nsdyn.audit.findings import CREEP, Found, named, not_audited, worst_of
 from nsdyn.audit.retraced import Retraced
 from nsdyn.recording.columns import ON_LINKS
 from nsdyn.recording.mechanism import Mechanism
@@ -21,10 +20,6 @@ FINDINGS = "stops rebounds shared_rebounds joint_cone joint_slip loads wrenches 
 
 NOTHING = 1e-9
 """Fraction of the largest impulse or momentum of a step below which an impulse is nothing."""
-
-CREEP = 1e-2
-"""rad/s or m/s: slip is measured by the speed of the joint and this, beside which that of one that sticks, which is
-round-off and what solvers leave, is nothing."""
 
 STICKS = 1e-5
 """rad/s or m/s: what solvers, and a motion that is found anew, leave of the slip of a joint that sticks, many times."""
@@ -189,10 +184,6 @@ def _labels(m: Mechanism) -> list[str]:
     ]
 
 
-def _named(labels: list[str], which: Index, row: int) -> list[str]:
-    return [labels[which[row]]]
-
-
 def _acted(found: Retraced, name: str) -> tuple[Array, Index]:
     """What is recorded of all steps and of all pieces, (rows, nv), and the steps that the rows are of."""
     t, c = found.trees.trajectory, found.trees.trajectory.columns
@@ -228,7 +219,7 @@ def _strength(found: Retraced) -> Found:
     k, j = np.nonzero(~np.isinf(most))
     over = np.abs(given[k, j]) - most[k, j]
     figure = over / np.maximum(most[k, j], 1e-300)
-    return worst_of("strength", figure, over, step[k], partial(_named, labels, j))
+    return worst_of("strength", figure, over, step[k], named(labels, j))
 
 
 def _loads(found: Retraced) -> Iterator[Found]:
@@ -245,4 +236,4 @@ def _loads(found: Retraced) -> Iterator[Found]:
         largest = np.abs(amount).max(axis=1, initial=0.0)
         figure = largest / max(float(largest.max(initial=0.0)), 1e-300)
         who = np.abs(amount).argmax(axis=1) if amount.size else step
-        yield worst_of(name, figure, largest, step, partial(_named, labels, who))
+        yield worst_of(name, figure, largest, step, named(labels, who))

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.recording.series import rotate
 from nsdyn.recording.trajectory import Trajectory
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Poses", "matrix", "turned"]
 
@@ -65,6 +65,26 @@ class Poses:
         self.bounding_radius = np.array([self.solids[kind].bounding_radius for kind in self.kind]) + arms
 
     @cached_property
+    def theta(self) -> float:
+        """Of the scheme."""
+        return float(self.trajectory.meta["theta"])
+
+    @cached_property
+    def mass(self) -> Array:
+        """Masses of free bodies, (free,), kg."""
+        return np.array(self.scene["masses"], dtype=float)
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Inertias of free bodies in their axes, (free, 3, 3), kg m²."""
+        return np.array(self.scene["inertias"], dtype=float).reshape(-1, 3, 3)
+
+    def is_free(self, frame: Index) -> Bools:
+        """Which frames are those of free bodies."""
+        out: Bools = (frame >= 0) & (frame < self.free)
+        return out
+
+    @cached_property
     def contacts(self) -> dict[str, Any]:
         """Columns of contacts, without the name of their group."""
         columns = self.trajectory.columns.items()
@@ -79,6 +99,12 @@ class Poses:
     def pair(self) -> Index:
         """Shapes of every contact, (2, contacts)."""
         return np.stack([self.contacts[f"geom{k}"] for k in "12"]).astype(np.int64)
+
+    @cached_property
+    def code(self) -> Index:
+        """Number of the pair of shapes of every contact."""
+        out: Index = self.pair[0] * len(self.names) + self.pair[1]
+        return out
 
     @cached_property
     def instant(self) -> Index:
@@ -99,7 +125,7 @@ class Poses:
     @cached_property
     def smallest(self) -> Array:
         """Smallest extents of free bodies, (free,), m."""
-        own, out = np.flatnonzero((self.frame >= 0) & (self.frame < self.free)), np.full(self.free, np.inf)
+        own, out = np.flatnonzero(self.is_free(self.frame)), np.full(self.free, np.inf)
         np.minimum.at(out, self.frame[own], self.extent[own])
         return out
 
@@ -113,7 +139,7 @@ class Poses:
         before = self.quaternion[:-1]
         q = before + np.where((before * q).sum(-1, keepdims=True) < 0.0, -q, q)
         q /= np.linalg.norm(q, axis=-1, keepdims=True)
-        half = (1.0 - float(self.trajectory.meta["theta"])) * self.trajectory.dt
+        half = (1.0 - self.theta) * self.trajectory.dt
         twist = self.v[:-1]
         x[:, : self.free] = self.x[:-1, : self.free] + half * rotate(before[:, : self.free], twist[..., :3])
         q[:, : self.free] = turned(before[:, : self.free], half * twist[..., 3:])
@@ -125,7 +151,7 @@ class Poses:
 
         Impacts change the velocities at any time within the step. Nothing is known of links.
         """
-        t, theta = self.trajectory, float(self.trajectory.meta["theta"])
+        t, theta = self.trajectory, self.theta
         out = np.zeros((2, t.steps, self.x.shape[1]))
         for k, part in enumerate((self.v[..., :3], self.v[..., 3:])):
             change = np.diff(rotate(self.quaternion[:, : self.free], part), axis=0)

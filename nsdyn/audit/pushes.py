@@ -57,7 +57,7 @@ class Pushes(NamedTuple):
     def of(cls, poses: Poses, times: Times, impulse: Array) -> Pushes:
         """Of a recording; from the impulses (contacts, 3) on the second bodies of its contacts."""
         frames = poses.frame[poses.pair].T
-        row, side = np.nonzero((frames >= 0) & (frames < poses.free))
+        row, side = np.nonzero(poses.is_free(frames))
         sign, couple = np.where(side, 1.0, -1.0)[:, None], np.nan_to_num(poses.contacts["couple"])
         columns: list[Any] = [row, side, poses.step[row], frames[row, side], times.time[row], times.length[row]]
         columns += [sign * impulse[row], sign * couple[row], np.zeros((row.size, 6))]
@@ -126,7 +126,7 @@ class Times(NamedTuple):
     @classmethod
     def of(cls, poses: Poses) -> Times:
         """Of all contacts of a recording."""
-        c, h, late = poses.contacts, poses.trajectory.dt, 1.0 - float(poses.trajectory.meta["theta"])
+        c, h, late = poses.contacts, poses.trajectory.dt, 1.0 - poses.theta
         known = LIFTED in poses.trajectory.columns and not (np.isnan(c["time"]) | np.isnan(c["duration"])).any()
         if known:
             return cls(c["time"], c["duration"], True)
@@ -138,7 +138,7 @@ def _fell_in_pieces(poses: Poses) -> Bools:
 
     Only with theta above ½ does it matter, and that some seemed to touch on their way and did not is all that cuts.
     """
-    t, theta, v = poses.trajectory, float(poses.trajectory.meta["theta"]), velocities(poses)
+    t, theta, v = poses.trajectory, poses.theta, velocities(poses)
     forced = t.dt * np.diff(v, axis=0)
     left = np.diff(poses.x[:, : poses.free], axis=0) - t.dt * v[:-1] - theta * forced
     least = 8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, : poses.free], axis=2)

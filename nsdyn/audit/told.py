@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn.audit.findings import Found, not_audited, worst_of
+from nsdyn.audit.findings import CREEP, Found, not_audited, worst_of
 from nsdyn.audit.flight import Flight
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.touching import along, apart, bouncing, from_surface, pushing
@@ -16,9 +16,6 @@ from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["told"]
-
-CREEP = 1e-2
-"""m/s: velocities are measured by how fast contacts are, and this, beside which what solvers leave is nothing."""
 
 SLOW = 1e-4
 """m/s: what sticks at the edge of its cone moves no faster than an accepted solve may leave."""
@@ -41,9 +38,7 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     yield _velocities(poses, flight, c, step)
     yield _partings(poses, flight, c, step)
     # With θ = 1 what follows an impact acts at its time.
-    wrong = _states(poses, flight, c, step) | _keys(
-        c, (i, j, step), len(poses.names), 1 + (float(t.meta["theta"]) == 1.0)
-    )
+    wrong = _states(poses, flight, c, step) | _keys(poses, 1 + (poses.theta == 1.0))
     yield worst_of("states", wrong.astype(float), wrong.astype(float), step + 1, poses.named(i, j))
 
 
@@ -61,7 +56,7 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
         lengthwise[some] = along(a, *there, n[some])
     out: Array = np.minimum(nearest, lengthwise) - gap
     # What the same shapes meet later in a step may have the gap of where its piece ends.
-    _, pair = np.unique((step * len(poses.names) + i) * len(poses.names) + j, return_inverse=True)
+    _, pair = np.unique(step * len(poses.names) ** 2 + poses.code, return_inverse=True)
     last = np.zeros(gap.size)
     np.fmax.at(last, pair, c["time"])
     met = np.flatnonzero((out > 0.0) & (c["time"] < last[pair]))
@@ -114,8 +109,7 @@ def _velocities(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index)
     for begin in met.begin:
         left = np.linalg.norm(u - (met.after + met.before - begin), axis=1)
         off = np.where(flight.instant, off, np.minimum(off, left))
-    theta = float(t.meta["theta"])
-    bent = max(theta, 1.0 - theta) * t.dt * met.bent
+    bent = max(poses.theta, 1.0 - poses.theta) * t.dt * met.bent
     # Edges that cross turn their normal by more than they turn, as far as is seen until the impulse.
     edges = poses.rounding[poses.pair].sum(axis=0) == 0.0
     crossed = np.linalg.norm(met.before - met.begin, axis=2).max(axis=0)
@@ -131,9 +125,9 @@ def _partings(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -
     t, met, pushes = poses.trajectory, flight.met, c["impulse"][:, 0] > 0.0
     links = (poses.frame[poses.pair] >= poses.free).any(axis=0)
     some = np.flatnonzero(pushes & ~bouncing(c, step) & ~links & ~np.isnan(met.after).any(axis=1))
-    turning = max(theta := float(t.meta["theta"]), 1.0 - theta) * t.dt * met.bent + flight.unsure
+    turning = max(poses.theta, 1.0 - poses.theta) * t.dt * met.bent + flight.unsure
     # An impulse that would change no velocity by as much is nothing: what solvers leave.
-    masses = np.append(1.0 / np.array(poses.scene["masses"]), np.zeros(poses.x.shape[1] - poses.free + 1))
+    masses = np.append(1.0 / poses.mass, np.zeros(poses.x.shape[1] - poses.free + 1))
     slowed = c["impulse"][:, 0] * masses[poses.frame[poses.pair]].sum(axis=0)
     off = np.minimum(np.minimum(c["u"], met.after)[:, 0], slowed) - turning - SLOW
     figure = off / np.maximum(np.abs(met.before[:, 0]), CREEP)
@@ -156,10 +150,10 @@ def _states(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> 
     return out
 
 
-def _keys(c: Mapping[str, Any], who: tuple[Index, Index, Index], count: int, instants: int) -> Bools:
+def _keys(poses: Poses, instants: int) -> Bools:
     """Which contacts have the key of more others of their shapes than have one time: those of as many instants."""
-    (i, j, step), out = who, np.zeros(who[2].size, np.bool_)
-    order = np.lexsort((c["key"], c["time"], i * count + j, step))
-    rows = np.stack([step, i * count + j, c["time"], c["key"]])[:, order]
+    c, out = poses.contacts, np.zeros(poses.step.size, np.bool_)
+    order = np.lexsort((c["key"], c["time"], poses.code, poses.step))
+    rows = np.stack([poses.step, poses.code, c["time"], c["key"]])[:, order]
     out[order[instants:]] = (rows[:, instants:] == rows[:, :-instants]).all(axis=0)
     return out

@@ -246,7 +246,7 @@ def _rubbed(r: Array, mu: Array, u: Array) -> Array:
 
 def _round_off(poses: Poses) -> Array:
     """Impulses that are round-off of the momenta of free bodies, in the steps that end in each state, N·s."""
-    momenta = np.array(poses.scene["masses"]) * np.linalg.norm(poses.v[..., :3], axis=2)
+    momenta = poses.mass * np.linalg.norm(poses.v[..., :3], axis=2)
     most = momenta.max(axis=1, initial=0.0)
     out: Array = 4.0 * np.finfo(float).eps * np.maximum(most, np.append(0.0, most[:-1]))
     return out
@@ -321,7 +321,7 @@ def _off_surfaces(
         for row, moment in enumerate(moments):
             R, x = moment[side]
             gone[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
-        free = np.flatnonzero((frame >= 0) & (frame < poses.free))
+        free = np.flatnonzero(poses.is_free(frame))
         free = free[flight.cut[step[free], frame[free]]]
         shift, angle = (part[step[free], frame[free]] for part in astray)
         unsure[free] += shift + poses.bounding_radius[geom[free]] * angle

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
-from nsdyn.audit.findings import TOLERANCES, Found, at_play, not_audited, worst_of
+from nsdyn.audit.findings import CREEP, TOLERANCES, Found, at_play, not_audited, worst_among, worst_of
 from nsdyn.audit.flight import Flight, least, spins
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.pushes import GIVEN, UNTIMED, together
 from nsdyn.audit.retraced import Retraced
-from nsdyn.audit.told import JAM
+from nsdyn.audit.told import JAM, SLIP
 from nsdyn.audit.touching import apart, bouncing, by_fremond
 from nsdyn.recording.tables import left_out
 from nsdyn.recording.trajectory import Trajectory
@@ -20,14 +19,8 @@ from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["works"]
 
-CREEP = 1e-2
-"""m/s: works are measured by how fast contacts are, and this, beside which what solvers leave is nothing."""
-
 ROUND_OFF = 1e-12
 """Of the energy at play, below which a work is nothing."""
-
-SLIP = 2
-"""Of `nsdyn.recording.columns.CONTACT_STATES`."""
 
 PARADOXICAL = "newton", "poisson"
 """Laws of impact that create energy in some impacts, which their runs tell."""
@@ -57,23 +50,19 @@ def _dissipation(poses: Poses) -> Iterator[Found]:
         yield not_audited("dissipation", reason)
     else:
         work = e.normal + e.friction - _falls(t) - np.maximum(told, 0.0)
-        yield worst_of("dissipation", work / scale, work, steps, _nobody)
+        yield worst_of("dissipation", work / scale, work, steps)
     lawful = str(t.meta.get("impact", "")).partition("(")[0].lower() in PARADOXICAL
     off = np.where(np.isnan(e.created) | (e.created >= 0.0), told * (not lawful), np.abs(told))
-    yield worst_of("created", off / scale, off, steps, _nobody)
+    yield worst_of("created", off / scale, off, steps)
 
 
 def _numerics(poses: Poses) -> Found:
     """What numerics have given or taken until each step: of a motion that is resolved, little."""
     t, e = poses.trajectory, poses.trajectory.energy
-    if float(t.meta["theta"]) > 0.5:
+    if poses.theta > 0.5:
         return not_audited("numerics", "theta of more than 1/2 damps by itself")
     so_far = np.abs(np.cumsum(e.integration + e.projection))
-    return worst_of("numerics", so_far / at_play(poses), so_far, np.arange(1, t.steps + 1), _nobody)
-
-
-def _nobody(_: int) -> tuple[str, ...]:
-    return ()
+    return worst_of("numerics", so_far / at_play(poses), so_far, np.arange(1, t.steps + 1))
 
 
 def _falls(t: Trajectory) -> Array:
@@ -112,7 +101,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     strikes = bouncing(c, step) & (r[:, 0] > 0.0) & ~(flight.met.before[:, 0] >= 0.0)
     several = np.isin(of := poses.instant, of[strikes]) | by_fremond(poses)
     frames = poses.frame[poses.pair]
-    own = (frames >= 0) & (frames < poses.free)
+    own = poses.is_free(frames)
     parted = np.zeros(r[:, 0].size, np.bool_) if found is None else found.met_parted
     # In turn with limits, too: of links alone it is known how much.
     several |= np.isin(of, of[parted & own.any(axis=0)])
@@ -138,7 +127,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
 
 def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[Found]:
     """Columns of the ledger, against what acts in contacts and trees at the velocities there."""
-    t, e, c = poses.trajectory, poses.trajectory.energy, poses.trajectory.columns
+    t, e, c = poses.trajectory, poses.trajectory.energy, poses.contacts
     nothing, scale = np.zeros(t.steps), at_play(poses)
     of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
     doubt, parted = (nothing, nothing) if found is None else (x.sum(axis=1) for x in (found.doubt, found.parted))
@@ -150,9 +139,9 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     turns = np.zeros(step.size, np.bool_) if found is None else found.met_parted & flight.instant
     turns = np.isin(poses.instant, poses.instant[turns])
     # What strikes in turn does in all what the velocities before and after tell.
-    told = np.where(turns, (c["contacts/impulse"] * flight.met.mean).sum(axis=1), 0.0)
+    told = np.where(turns, (c["impulse"] * flight.met.mean).sum(axis=1), 0.0)
     for name, lasts in (("normal", stays), ("friction", sticks)):
-        work = c[f"contacts/work_{name}"]
+        work = c[f"work_{name}"]
         off = getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~lasts], work[~lasts], t.steps)
         # Of no contacts NumPy counts whole numbers.
         most = np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
@@ -169,8 +158,7 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     left["projection"] = np.abs(e.projection - flight.lifted - (nothing if found is None else found.energy)) - unknown
     names = list(left)
     off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
-    which, steps = np.indices(off.shape)
-    yield worst_of("works", off.ravel() / scale, off.ravel(), steps.ravel() + 1, lambda k: [names[which.ravel()[k]]])
+    yield worst_among("works", off.T, scale, names)
     if any(kind != "joint" for kind in t.scene.get("motions", {}).values()):
         yield not_audited("drives", "velocities of driven bodies and of surfaces are not recorded")
         return
@@ -180,12 +168,12 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
 
 def _twice(poses: Poses, flight: Flight) -> Array:
     """Most that impulses of rebounds may have done in a move besides its impacts, which is booked as numerics, J."""
-    c, met = poses.trajectory.columns, flight.met
-    r, speed = np.abs(c["contacts/impulse"]), np.abs([met.before, met.after]).max(axis=0)
-    some = ~flight.instant & (c["contacts/restitution"] > 0.0)
+    c, met = poses.contacts, flight.met
+    r, speed = np.abs(c["impulse"]), np.abs([met.before, met.after]).max(axis=0)
+    some = ~flight.instant & (c["restitution"] > 0.0)
     # Where surfaces move nothing but the works tells how fast they met.
-    done = np.abs(c["contacts/work_normal"]) + np.abs(c["contacts/work_friction"])
-    told = (r * np.abs(c["contacts/u"])).sum(axis=1) + 2.0 * done
+    done = np.abs(c["work_normal"]) + np.abs(c["work_friction"])
+    told = (r * np.abs(c["u"])).sum(axis=1) + 2.0 * done
     most = np.where(np.isnan(speed).any(axis=1), told, (r * speed).sum(axis=1))
     out: Array = np.where(some, np.nan_to_num(most), 0.0)
     return out
@@ -196,28 +184,27 @@ def _stays(poses: Poses, flight: Flight) -> Bools:
 
     In moves: impacts in no time are booked as they are. With theta = 1 a move acts when the impacts before it do.
     """
-    c: Any = poses.trajectory.columns
+    c = poses.contacts
     (i, j), step, moves = poses.pair, poses.step, ~flight.instant
     out = apart(poses, i, j, step) <= TOLERANCES["overlap"] * poses.size(i, j)
-    when: Array = c["contacts/time"]
+    when: Array = c["time"]
     order = np.lexsort((moves, when, j, i, step))
     begin, group = together(step[order], i[order], j[order])
     for late in (when[order], moves[order]):
         out[order] |= late > late[begin][group] if begin.size else False
-    pair = i * len(poses.names) + j
-    code = step * len(poses.names) ** 2 + pair
-    last = np.isin(code - len(poses.names) ** 2, code[c["contacts/status"] > 0])
+    pairs = len(poses.names) ** 2
+    last = np.isin((step - 1) * pairs + poses.code, (step * pairs + poses.code)[c["status"] > 0])
     return np.asarray((out | last) & moves)
 
 
 def _slid(poses: Poses, step: Index) -> Bools:
     """Contacts that slipped in the last step, whose work in this is booked as friction; none of steps that are cut."""
-    c: Any = poses.trajectory.columns
-    pair, key = poses.pair[0] * len(poses.names) + poses.pair[1], c["contacts/key"]
-    order, out = np.lexsort((c["contacts/time"], step, key, pair)), np.zeros(step.size, np.bool_)
+    c = poses.contacts
+    pair, key = poses.code, c["key"]
+    order, out = np.lexsort((c["time"], step, key, pair)), np.zeros(step.size, np.bool_)
     before, now = order[:-1], order[1:]
     again = (pair[before] == pair[now]) & (key[before] == key[now]) & (step[now] - step[before] == 1)
-    late = (1.0 - float(poses.trajectory.meta["theta"])) * poses.trajectory.dt
-    whole = np.abs(c["contacts/time"] - late) <= 1e-9 * poses.trajectory.dt
-    out[now] = again & whole[before] & whole[now] & (c["contacts/status"][before] == SLIP)
+    late = (1.0 - poses.theta) * poses.trajectory.dt
+    whole = np.abs(c["time"] - late) <= 1e-9 * poses.trajectory.dt
+    out[now] = again & whole[before] & whole[now] & (c["status"][before] == SLIP)
     return out

@@ -23,7 +23,7 @@ import pinocchio as pin
 from nsdyn.recording.columns import ON_JOINTS, PIECES
 from nsdyn.recording.courses import Course, move, respond
 from nsdyn.recording.mechanism import Mechanism
-from nsdyn.recording.tables import left_out
+from nsdyn.recording.tables import impulses_world, left_out
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.displacements import displacement
 
@@ -135,10 +135,7 @@ class Trees:
     @cached_property
     def impulses(self) -> Array:
         """Of all contacts on body 2, world axes, N·s."""
-        c = self.trajectory.columns
-        n, t1 = c["contacts/normal"], c["contacts/tangent"]
-        out: Array = np.einsum("ci,cij->cj", c["contacts/impulse"], np.stack([n, t1, np.cross(n, t1)], axis=1))
-        return out
+        return impulses_world(self.trajectory.columns)
 
     @cached_property
     def touches(self) -> list[dict[int, list[tuple[int, int, int]]]]:
