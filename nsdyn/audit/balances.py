@@ -39,7 +39,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
         yield not_audited("momentum", reason)
         yield not_audited("spin", reason)
         return
-    mass, weight = poses.mass, t.dt * np.array(poses.scene["gravity"])
+    mass, weight = poses.mass, t.dt * poses.gravity
     velocity = velocities(poses)
     left = mass[:, None] * (np.diff(velocity, axis=0) - weight) - flight.impulse
     speed = np.linalg.norm(velocity, axis=2)
@@ -92,13 +92,11 @@ def _outside(poses: Poses) -> Array:
     t, out = poses.trajectory, np.zeros(poses.trajectory.steps)
     if left_out(t) or not (times := Times.of(poses)).known:
         return out
-    begin = times.time - (1.0 - float(t.meta["theta"])) * times.length
-    end = begin + times.length
-    np.maximum.at(out, poses.step, np.max([-begin, end - t.dt, begin - end], axis=0))
     pushes = Pushes.of(poses, times, np.zeros((poses.step.size, 3)))
-    begin = pushes.time - (1.0 - float(t.meta["theta"])) * pushes.length
-    end = begin + pushes.length
-    np.maximum.at(out, pushes.step, np.max([-begin, end - t.dt, begin - end], axis=0))
+    for step, time, length in ((poses.step, *times[:2]), (pushes.step, pushes.time, pushes.length)):
+        begin = time - (1.0 - poses.theta) * length
+        end = begin + length
+        np.maximum.at(out, step, np.max([-begin, end - t.dt, begin - end], axis=0))
     order = np.lexsort((begin + end, pushes.body, pushes.step))
     one, other = order[:-1], order[1:]
     next_ = (pushes.body[one] == pushes.body[other]) & (pushes.step[one] == pushes.step[other])
@@ -166,7 +164,7 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
     sizes, axes = np.linalg.eigh(np.nan_to_num(lines))  # what is no number, the axes of contacts are looked at for
     tilt = np.sqrt(np.clip(sizes / np.maximum(sizes[..., -1:], 1.0), 0.0, 1.0))[step, body]
     speed = np.linalg.norm(velocities(poses), axis=2)
-    moved = t.dt * (speed[:-1] + speed[1:] + t.dt * float(np.linalg.norm(poses.scene["gravity"])))
+    moved = t.dt * (speed[:-1] + speed[1:] + t.dt * poses.weight)
     parts, open_to = np.abs(np.einsum("lij,li->lj", axes[step, body], shift)), tilt**2 > PARALLEL
     along = np.linalg.norm(np.where(open_to, parts, 0.0), axis=1)
     free_to = tilt * moved[step, body, None]
@@ -191,7 +189,7 @@ def energies(poses: Poses) -> Iterator[Found]:
     else:
         turning = np.einsum("nbi,bij,nbj->n", poses.v[..., 3:], poses.inertia, poses.v[..., 3:])
         kinetic = 0.5 * ((poses.v[..., :3] ** 2).sum(axis=2) @ poses.mass + turning)
-        potential = -(poses.x[:, : poses.free] @ np.array(t.scene["gravity"])) @ poses.mass
+        potential = -(poses.x[:, : poses.free] @ poses.gravity) @ poses.mass
         for i, m in enumerate(built.mechanisms):
             each = np.array([m.energies(*built.state(i, k)) for k in range(t.steps + 1)])
             kinetic, potential = kinetic + each[:, 0], potential + each[:, 1]

@@ -238,10 +238,10 @@ def at_play(poses: Poses) -> float:
     t, scene = poses.trajectory, poses.scene
     lift = 0.0
     for k in np.flatnonzero(poses.is_free(poses.frame)):
-        lift += float(poses.mass[poses.frame[k]]) * float(np.linalg.norm(scene["gravity"])) * float(poses.extent[k])
+        lift += float(poses.mass[poses.frame[k]]) * poses.weight * float(poses.extent[k])
     for tree in scene["articulations"]:
         told = tree.get("model", {"joints": ()})["joints"]
         size = sum(float(np.linalg.norm(np.array(j["placement"])[:3, 3]) + np.linalg.norm(j["com"])) for j in told)
-        most = float(np.linalg.norm(scene["gravity"])) * size + (SMALL * size / t.dt) ** 2
+        most = poses.weight * size + (SMALL * size / t.dt) ** 2
         lift += sum(j["mass"] for j in told) * most
     return max(t.at_play, lift, 1e-9 * float(np.abs(t.energy.potential).max()), 1e-300)

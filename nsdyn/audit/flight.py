@@ -9,13 +9,13 @@ import numpy as np
 
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.audit.meetings import Meetings, Side
-from nsdyn.audit.poses import Poses, matrix, turned
+from nsdyn.audit.poses import CONJUGATE, Poses, matrix, turned
 from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import contact_frames, impulses_world
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["CONJUGATE", "Flight", "angles", "least", "spins", "sunk", "tumbled"]
+__all__ = ["Flight", "angles", "least", "spins", "sunk", "tumbled"]
 
 LEAP = 0.15
 """Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 3e-11 rad."""
@@ -60,9 +60,6 @@ SLOW = 0.01
 
 NEXT, LAST = [1, 2, 0], [2, 0, 1]
 """Of each axis."""
-
-CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
-"""Makes a quaternion xyzw that of the turn back."""
 
 
 @dataclass(frozen=True)
@@ -311,7 +308,7 @@ def _lifted(poses: Poses, pushes: Pushes, then: Array, turning: Array) -> Array:
     """What lifts do to the energy in each step, (n,), J: to the potential one, and to ½ L·J⁻¹ L with L in space."""
     lifts = pushes.row == LIFT
     step, body = pushes.step[lifts], pushes.body[lifts]
-    weight = poses.mass[:, None] * np.array(poses.scene["gravity"])
+    weight = poses.mass[:, None] * poses.gravity
     work = -np.einsum("li,li->l", pushes.shift[lifts, :3], weight[body])
     after = turned(then[lifts], rotate(then[lifts] * CONJUGATE, pushes.shift[lifts, 3:]))
     for sign, attitude, spin in zip((-0.5, 0.5), (then[lifts], after), turning[:, lifts], strict=True):

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn.audit.poses import CONJUGATE
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -100,7 +101,7 @@ class Meetings(NamedTuple):
         apart = other.v - one.v
         begin, before, after = (np.einsum("cij,cj->ci", axes, v) for v in apart)
         # u_i = a_i · v with the axes a turned back: of what is turned forth.
-        turned = [np.einsum("cij,cj->ci", axes, rotate(s.back * (-1.0, -1.0, -1.0, 1.0), apart[0])) for s in sides]
+        turned = [np.einsum("cij,cj->ci", axes, rotate(s.back * CONJUGATE, apart[0])) for s in sides]
         speed = np.linalg.norm(apart, axis=2).max(axis=0)
         # What slides around what is round turns the normal; corners and faces turn it with their bodies.
         bent = speed * speed / np.where(rounding > 0.0, rounding, np.inf)

@@ -15,7 +15,10 @@ from nsdyn.recording.series import rotate
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Poses", "matrix", "turned"]
+__all__ = ["CONJUGATE", "Poses", "matrix", "turned"]
+
+CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+"""Makes a quaternion xyzw that of the turn back."""
 
 
 def matrix(quaternion: Array) -> Array:
@@ -79,6 +82,16 @@ class Poses:
         """Inertias of free bodies in their axes, (free, 3, 3), kg m²."""
         return np.array(self.scene["inertias"], dtype=float).reshape(-1, 3, 3)
 
+    @cached_property
+    def gravity(self) -> Array:
+        """m/s², (3,)."""
+        return np.array(self.scene["gravity"], dtype=float)
+
+    @cached_property
+    def weight(self) -> float:
+        """Size of gravity, m/s²."""
+        return float(np.linalg.norm(self.gravity))
+
     def is_free(self, frame: Index) -> Bools:
         """Which frames are those of free bodies."""
         out: Bools = (frame >= 0) & (frame < self.free)
@@ -120,6 +133,18 @@ class Poses:
         (first, second), both = node.reshape(2, -1), moving.all(axis=0)
         graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes.size, nodes.size))
         out: Index = connected_components(graph, directed=False)[1][np.where(moving[0], first, second)]
+        return out
+
+    def beside(self, which: Bools) -> Bools:
+        """Contacts of the instants and islands of some, these too."""
+        out: Bools = np.isin(self.instant, self.instant[which])
+        return out
+
+    @cached_property
+    def normal(self) -> Array:
+        """Unit normals of contacts, (contacts, 3)."""
+        n = self.contacts["normal"]
+        out: Array = n / np.linalg.norm(n, axis=1)[:, None]
         return out
 
     @cached_property

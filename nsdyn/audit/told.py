@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
 from nsdyn.audit.findings import CREEP, Found, not_audited, worst_of
 from nsdyn.audit.flight import Flight
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.touching import along, apart, bouncing, from_surface, pushing
+from nsdyn.audit.touching import along, apart, bouncing, from_surfaces, measured, pushing
 from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -32,40 +31,37 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     if flight is None:
         yield from (not_audited(name, left_out(t)) for name in ("gaps", "velocities", "partings", "states"))
         return
-    c, step, (i, j) = poses.contacts, poses.step, poses.pair
-    off = _gaps(poses, flight, c, (i, j, step))
-    yield worst_of("gaps", off / poses.size(i, j), off, step + 1, poses.named(i, j))
-    yield _velocities(poses, flight, c, step)
-    yield _partings(poses, flight, c, step)
+    step, pair = poses.step, poses.pair
+    off = _gaps(poses, flight)
+    yield worst_of("gaps", off / poses.size(*pair), off, step + 1, poses.named(*pair))
+    yield _velocities(poses, flight)
+    yield _partings(poses, flight)
     # With θ = 1 what follows an impact acts at its time.
-    wrong = _states(poses, flight, c, step) | _keys(poses, 1 + (poses.theta == 1.0))
-    yield worst_of("states", wrong.astype(float), wrong.astype(float), step + 1, poses.named(i, j))
+    wrong = _states(poses, flight) | _keys(poses, 1 + (poses.theta == 1.0))
+    yield worst_of("states", wrong.astype(float), wrong.astype(float), step + 1, poses.named(*pair))
 
 
-def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, Index, Index]) -> Array:
+def _gaps(poses: Poses, flight: Flight) -> Array:
     """How far gaps are outside of what the shapes admit where the step ends, m.
 
     No point is nearer than the shapes are, but along another normal they may seem so; a point of a contact that is not
     the nearest is at most as far as both shapes have carried it.
     """
-    (i, j, step), gap, n = who, c["gap"], c["normal"]
-    n = n / np.linalg.norm(n, axis=1)[:, None]
-    nearest, lengthwise = apart(poses, i, j, step + 1, exact=True), np.empty(gap.size)
-    for a, b, some in poses.by_kind(i, j):
-        there = *poses.of(i[some], step[some] + 1), b, *poses.of(j[some], step[some] + 1)
-        lengthwise[some] = along(a, *there, n[some])
+    (i, j), step, c, gap = poses.pair, poses.step, poses.contacts, poses.contacts["gap"]
+    nearest = apart(poses, i, j, step + 1, exact=True)
+    lengthwise = measured(poses, along, i, j, poses.of(i, step + 1), poses.of(j, step + 1), poses.normal)
     out: Array = np.minimum(nearest, lengthwise) - gap
     # What the same shapes meet later in a step may have the gap of where its piece ends.
     _, pair = np.unique(step * len(poses.names) ** 2 + poses.code, return_inverse=True)
     last = np.zeros(gap.size)
     np.fmax.at(last, pair, c["time"])
     met = np.flatnonzero((out > 0.0) & (c["time"] < last[pair]))
-    out[met] -= _travel(poses, flight, c, who, met)
+    out[met] -= _travel(poses, flight, met)
     above = np.flatnonzero(gap > nearest)
     # Round shapes have one contact, whose gap is theirs.
     flat = np.array([len(solid.normals) + len(solid.edges) > 0 for solid in poses.solids], np.bool_)[poses.kind]
     several = flat[i[above]] | flat[j[above]]
-    far = _travel(poses, flight, c, who, above)
+    far = _travel(poses, flight, above)
     # Where edges are almost parallel their crossing slides far as they turn, but to no more than others are apart.
     widest = np.zeros(gap.size)
     np.fmax.at(widest, pair[above], far)
@@ -74,17 +70,14 @@ def _gaps(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, 
     return out
 
 
-def _travel(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index, Index, Index], rows: Index) -> Array:
+def _travel(poses: Poses, flight: Flight, rows: Index) -> Array:
     """How far apart contacts of some rows may be where the step ends, by their points and how both shapes move, m."""
-    step, point = who[2][rows], c["point"][rows]
+    step, point = poses.step[rows], poses.contacts["point"][rows]
     out, gone = np.zeros(rows.size), np.zeros((rows.size, 3))
-    for side, geom in enumerate(who[:2]):
-        geom = geom[rows]
+    for side, geom in enumerate(poses.pair[:, rows]):
         (R, x), (R1, x1) = pushing(poses, flight, geom, step, rows, side), poses.of(geom, step + 1)
         own = np.einsum("mji,mj->mi", R, point - x)
-        for kind in np.unique(poses.kind[geom]):
-            some = poses.kind[geom] == kind
-            out[some] += from_surface(poses.solids[kind], own[some])
+        out += from_surfaces(poses, geom, own)
         gone += (2 * side - 1) * (np.einsum("mij,mj->mi", R1, own) + x1)
         # Features of what turns slide on it: by no more than they may be from the point, as far as the shapes reach.
         turned = np.linalg.norm(R1 - R, axis=(1, 2))
@@ -94,13 +87,13 @@ def _travel(poses: Poses, flight: Flight, c: Mapping[str, Any], who: tuple[Index
     return out
 
 
-def _velocities(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Found:
+def _velocities(poses: Poses, flight: Flight) -> Found:
     """Velocities of what pushes are those after the impulse; in a piece that moves, as they are foreseen for its end.
 
     Foreseen is as much change once more as there was until the impulse, up to as much as what turns can make. What does
     not push may have a gap, at whose two ends bodies move otherwise than where its point is.
     """
-    t, met, u = poses.trajectory, flight.met, c["u"]
+    t, met, c, step, u = poses.trajectory, flight.met, poses.contacts, poses.step, poses.contacts["u"]
     moves = ~np.isnan(met.after).any(axis=1)
     known = np.flatnonzero(moves & (c["impulse"][:, 0] > 0.0))
     if step.size and not moves.any():
@@ -120,11 +113,12 @@ def _velocities(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index)
     return worst_of("velocities", figure[known], off[known], step[known] + 1, poses.named(*poses.pair[:, known]))
 
 
-def _partings(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Found:
+def _partings(poses: Poses, flight: Flight) -> Found:
     """What does not rebound, at an instant at which nothing does, does not part where it has pushed free bodies."""
-    t, met, pushes = poses.trajectory, flight.met, c["impulse"][:, 0] > 0.0
+    t, met, c, step = poses.trajectory, flight.met, poses.contacts, poses.step
+    pushes = c["impulse"][:, 0] > 0.0
     links = (poses.frame[poses.pair] >= poses.free).any(axis=0)
-    some = np.flatnonzero(pushes & ~bouncing(c, step) & ~links & ~np.isnan(met.after).any(axis=1))
+    some = np.flatnonzero(pushes & ~bouncing(poses) & ~links & ~np.isnan(met.after).any(axis=1))
     turning = max(poses.theta, 1.0 - poses.theta) * t.dt * met.bent + flight.unsure
     # An impulse that would change no velocity by as much is nothing: what solvers leave.
     masses = np.append(1.0 / poses.mass, np.zeros(poses.x.shape[1] - poses.free + 1))
@@ -134,8 +128,9 @@ def _partings(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -
     return worst_of("partings", figure[some], off[some], step[some] + 1, poses.named(*poses.pair[:, some]))
 
 
-def _states(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index) -> Bools:
+def _states(poses: Poses, flight: Flight) -> Bools:
     """Which contacts are not what they are said to be."""
+    c, step = poses.contacts, poses.step
     r, mu, state = c["impulse"], c["mu"], c["status"]
     pushes, drag, most = r[:, 0] > 0.0, np.linalg.norm(r[:, 1:], axis=1), mu * r[:, 0]
     carried = (poses.frame[poses.pair] >= poses.free).any(axis=0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ __all__ = [
     "by_fremond",
     "contacts",
     "from_surface",
+    "from_surfaces",
+    "measured",
     "overlaps",
     "pushing",
     "separations",
@@ -39,8 +42,11 @@ STATES = 200_000
 POINT = Solid.described({"shape": "sphere", "size": (0.0, 0.0, 0.0)})
 """A ball of no size."""
 
-Moment = tuple[tuple[Array, Array], tuple[Array, Array]]
-"""World poses (R, x) of the first and the second shapes of contacts."""
+Pose = tuple[Array, Array]
+"""World poses (R, x) of shapes."""
+
+Moment = tuple[Pose, Pose]
+"""Those of the first and the second shapes of contacts."""
 
 PARTING = 1e-4
 """m/s, above which what has restitution rebounds: the residual that a solve may have that is accepted."""
@@ -65,12 +71,20 @@ def apart(poses: Poses, first: Index, second: Index, row: Index, exact: bool = F
     count, states = len(poses.names), poses.trajectory.steps + 1
     _, one, all_ = np.unique((first * count + second) * states + row, return_index=True, return_inverse=True)
     first, second, row = first[one], second[one], row[one]
-    out = np.empty(one.size)
+    measure = partial(separation, exact=exact)
+    out: Array = measured(poses, measure, first, second, poses.of(first, row), poses.of(second, row))[all_.ravel()]
+    return out
+
+
+def measured(
+    poses: Poses, measure: Callable[..., Array], first: Index, second: Index, one: Pose, other: Pose, *more: Array
+) -> Array:
+    """What is measured of pairs of shapes in world poses (R, x), (m,), as `separation`; `more` is of each pair."""
+    out = np.empty(first.size)
     for a, b, some in poses.by_kind(first, second):
-        there = *poses.of(first[some], row[some]), b, *poses.of(second[some], row[some])
-        out[some] = separation(a, *there, exact=exact)
-    found: Array = out[all_.ravel()]
-    return found
+        there = *(part[some] for part in one), b, *(part[some] for part in other)
+        out[some] = measure(a, *there, *(part[some] for part in more))
+    return out
 
 
 def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
@@ -157,18 +171,18 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
     np.maximum.at(largest, step, np.linalg.norm(r, axis=1))
 
     if flight is not None:
-        yield from _where(poses, flight, c, step, largest)
-    yield _coefficients(poses, c, step)
+        yield from _where(poses, flight, largest)
+    yield _coefficients(poses)
     n, t1 = c["normal"], c["tangent"]
     skew = np.abs(np.stack([(n * n).sum(axis=1) - 1.0, (t1 * t1).sum(axis=1) - 1.0, (n * t1).sum(axis=1)])).max(axis=0)
     yield worst_of("axes", skew, skew, step, names)
     most = mu * np.maximum(r[:, 0], 0.0)
     # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
-    several = _rebounding(poses, c, step)
+    several = _rebounding(poses)
     if parted is not None:
-        several |= np.isin(poses.instant, poses.instant[parted])
+        several |= poses.beside(parted)
     fremond = by_fremond(poses)
-    on_cone = _slips(c, flight) & ~several & ~bouncing(c, step) & ~fremond
+    on_cone = _slips(poses, flight) & ~several & ~bouncing(poses) & ~fremond
     outside = np.maximum(-r[:, 0], np.where(on_cone, np.abs(drag - most), drag - most))
     outside -= _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
@@ -189,9 +203,9 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
     yield worst_of("slip", most / at_play(poses), most, step, names)
 
 
-def _coefficients(poses: Poses, c: Mapping[str, Any], step: Index) -> Found:
+def _coefficients(poses: Poses) -> Found:
     """Friction and restitution of contacts, which are those of their materials, or of what was set of two bodies."""
-    scene = poses.scene
+    scene, c = poses.scene, poses.contacts
     if "pairs" not in scene:
         return not_audited("materials", "what was set of pairs of bodies is not recorded")
     both, which = np.unique(poses.pair, axis=1, return_inverse=True)
@@ -207,16 +221,17 @@ def _coefficients(poses: Poses, c: Mapping[str, Any], step: Index) -> Found:
             by_rule = COMBINATION_RULES[scene[rule]](*(np.array(g[name], float) for g in geoms))
             told[row, column] = by_rule if own.get(name) is None else own[name]
     off = np.abs(np.stack([c["mu"], c["restitution"]], axis=1) - told[which.ravel()]).max(axis=1)
-    return worst_of("materials", off, off, step, poses.named(*poses.pair))
+    return worst_of("materials", off, off, poses.step + 1, poses.named(*poses.pair))
 
 
 def _called(geom: Mapping[str, Any]) -> tuple[str, str]:
     return geom["body"], geom["link"]
 
 
-def bouncing(c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
+def bouncing(poses: Poses) -> NDArray[np.bool_]:
     """Contacts at instants at which one with restitution pushes."""
-    _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
+    c = poses.contacts
+    _, instant = np.unique(np.stack([poses.step, c["time"]]), axis=1, return_inverse=True)
     bounces = (c["impulse"][:, 0] > 0.0) & (c["restitution"] > 0.0)
     out: NDArray[np.bool_] = np.bincount(instant.ravel(), bounces)[instant.ravel()] > 0.0
     return out
@@ -229,8 +244,9 @@ def by_fremond(poses: Poses) -> NDArray[np.bool_]:
     return out
 
 
-def _slips(c: Mapping[str, Any], flight: Flight | None) -> NDArray[np.bool_]:
+def _slips(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     """Contacts without restitution that slip at the end and in the mean, faster than a solve may leave."""
+    c = poses.contacts
     slip = np.linalg.norm(c["u"][:, 1:], axis=1)
     if flight is not None and flight.timed:
         slip = np.fmin(slip, np.linalg.norm(flight.met.mean[:, 1:], axis=1) - flight.unsure)
@@ -252,9 +268,9 @@ def _round_off(poses: Poses) -> Array:
     return out
 
 
-def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.bool_]:
+def _rebounding(poses: Poses) -> NDArray[np.bool_]:
     """Contacts of islands of moving bodies in which one with restitution parts after its impulse, in each step."""
-    count = poses.x.shape[1]
+    c, step, count = poses.contacts, poses.step + 1, poses.x.shape[1]
     frames = poses.frame[poses.pair]
     first, second = (step * count + frame for frame in frames)
     free1, free2 = (frame >= 0 for frame in frames)
@@ -268,23 +284,16 @@ def _rebounding(poses: Poses, c: Mapping[str, Any], step: Index) -> NDArray[np.b
     return out
 
 
-def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, largest: Array) -> Iterator[Found]:
+def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Found]:
     """Where pairs are that push each other: along the normal, from a step before to a step after, and as they push."""
-    t, r = poses.trajectory, c["impulse"]
+    t, r, step = poses.trajectory, poses.contacts["impulse"], poses.step + 1
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
-    i, j, k, n = *poses.pair[:, push], step[push], c["normal"][push]
-    n = n / np.linalg.norm(n, axis=1)[:, None]
+    i, j, k, n = *poses.pair[:, push], step[push], poses.normal[push]
     states = [(k - 2).clip(0), k - 1, k, (k + 1).clip(None, t.steps)]
     moments = [(poses.of(i, row), poses.of(j, row)) for row in states]
     moments.insert(2, (pushing(poses, flight, i, k - 1, push, 0), pushing(poses, flight, j, k - 1, push, 1)))
-    lengthwise, free = np.empty((5, push.size)), np.empty((3, push.size))
-    free[0], free[2] = apart(poses, i, j, k - 1), apart(poses, i, j, k)
-    for a, b, some in poses.by_kind(i, j):
-        for moment, ((R1, x1), (R2, x2)) in enumerate(moments):
-            where = a, R1[some], x1[some], b, R2[some], x2[some]
-            lengthwise[moment, some] = along(*where, n[some])
-            if moment == 2:
-                free[1, some] = separation(*where)
+    lengthwise = np.array([measured(poses, along, i, j, *moment, n) for moment in moments])
+    free = np.array([apart(poses, i, j, k - 1), measured(poses, separation, i, j, *moments[2]), apart(poses, i, j, k)])
     size = poses.size(i, j)
     shift, turn = poses.uncertain
     unsure = np.zeros(push.size)
@@ -297,7 +306,7 @@ def _where(poses: Poses, flight: Flight, c: Mapping[str, Any], step: Index, larg
     away, skew = lengthwise[1:4].min(axis=0), (np.minimum(free, 0.0) - lengthwise[1:4]).min(axis=0)
     for name, off in (("distance", away - travel), ("normal", skew - travel)):
         yield worst_of(name, off / size, off, k, poses.named(i, j))
-    off = _off_surfaces(poses, flight, (i, j, k), moments[1:4], c["point"][push], n) - unsure
+    off = _off_surfaces(poses, flight, (i, j, k), moments[1:4], poses.contacts["point"][push], n) - unsure
     yield worst_of("points", off / size, off, k, poses.named(i, j))
 
 
@@ -315,9 +324,7 @@ def _off_surfaces(
     for side, geom in enumerate(push[:2]):
         (R, x), frame = moments[1][side], poses.frame[geom]
         own = np.einsum("mji,mj->mi", R, point - x)
-        for kind in np.unique(poses.kind[geom]):
-            some = poses.kind[geom] == kind
-            off[some] = np.maximum(off[some], from_surface(poses.solids[kind], own[some]))
+        off = np.maximum(off, from_surfaces(poses, geom, own))
         for row, moment in enumerate(moments):
             R, x = moment[side]
             gone[row] += (2 * side - 1) * (np.einsum("mij,mj->mi", R, own) + x)
@@ -328,6 +335,15 @@ def _off_surfaces(
     went = np.diff(gone, axis=0)
     closed, slid = np.abs((went * normal).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
     out: Array = off - closed - slid - unsure
+    return out
+
+
+def from_surfaces(poses: Poses, geom: Index, x: Array) -> Array:
+    """Distance of points x (m, 3) in the frames of shapes from their surfaces, (m,), m."""
+    out = np.empty(geom.size)
+    for kind in np.unique(poses.kind[geom]):
+        some = poses.kind[geom] == kind
+        out[some] = from_surface(poses.solids[kind], x[some])
     return out
 
 

@@ -14,7 +14,6 @@ from nsdyn.audit.retraced import Retraced
 from nsdyn.audit.told import JAM, SLIP
 from nsdyn.audit.touching import apart, bouncing, by_fremond
 from nsdyn.recording.tables import left_out
-from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["works"]
@@ -49,7 +48,7 @@ def _dissipation(poses: Poses) -> Iterator[Found]:
     if any(geom.get("restitution", 0.0) for geom in t.scene["geoms"]) and (reason := left_out(t)):
         yield not_audited("dissipation", reason)
     else:
-        work = e.normal + e.friction - _falls(t) - np.maximum(told, 0.0)
+        work = e.normal + e.friction - _falls(poses) - np.maximum(told, 0.0)
         yield worst_of("dissipation", work / scale, work, steps)
     lawful = str(t.meta.get("impact", "")).partition("(")[0].lower() in PARADOXICAL
     off = np.where(np.isnan(e.created) | (e.created >= 0.0), told * (not lawful), np.abs(told))
@@ -65,16 +64,17 @@ def _numerics(poses: Poses) -> Found:
     return worst_of("numerics", so_far / at_play(poses), so_far, np.arange(1, t.steps + 1))
 
 
-def _falls(t: Trajectory) -> Array:
+def _falls(poses: Poses) -> Array:
     """The most that gravity may do in each step beyond its potential, J, (n,): h |g| Σ ‖r‖ of what rebounds.
 
     Where impacts are caught within a step velocities jump at its middle, and weights move otherwise than on the mean of
     before and after: by at most half a step of the jump, which is r over the mass of each of two bodies. The contacts
     give it back to what rebounds, which falls through all of the step.
     """
-    size = np.linalg.norm(t.columns["contacts/impulse"], axis=1) * (t.columns["contacts/restitution"] > 0.0)
-    so_far = np.concatenate([[0.0], np.cumsum(size)])[t.columns["contacts/offset"]]
-    out: Array = t.dt * float(np.linalg.norm(t.scene["gravity"])) * np.diff(so_far)
+    c = poses.contacts
+    size = np.linalg.norm(c["impulse"], axis=1) * (c["restitution"] > 0.0)
+    so_far = np.concatenate([[0.0], np.cumsum(size)])[c["offset"]]
+    out: Array = poses.trajectory.dt * poses.weight * np.diff(so_far)
     return out
 
 
@@ -98,23 +98,24 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     if found is not None:
         doubt = doubt + found.met_doubt
     # Where anything rebounds in a move, all that approaches strikes before the rest of the move pushes.
-    strikes = bouncing(c, step) & (r[:, 0] > 0.0) & ~(flight.met.before[:, 0] >= 0.0)
-    several = np.isin(of := poses.instant, of[strikes]) | by_fremond(poses)
+    strikes = bouncing(poses) & (r[:, 0] > 0.0) & ~(flight.met.before[:, 0] >= 0.0)
+    several = poses.beside(strikes) | by_fremond(poses)
     frames = poses.frame[poses.pair]
     own = poses.is_free(frames)
+    pushes = own[0] | own[1]
     parted = np.zeros(r[:, 0].size, np.bool_) if found is None else found.met_parted
     # In turn with limits, too: of links alone it is known how much.
-    several |= np.isin(of, of[parted & own.any(axis=0)])
-    given = bool(t.meta.get("external_force", True)) & own.any(axis=0)
+    several |= poses.beside(parted & pushes)
+    given = pushes & bool(t.meta.get("external_force", True))
     hidden = np.isnan(u).any(axis=1) | (given & (GIVEN not in t.columns))
-    blind = np.isin(of, of[hidden | given | (frames >= poses.free).any(axis=0)])
+    blind = poses.beside(hidden | given | (frames >= poses.free).any(axis=0))
     single, joint = ~several & ~hidden, several & ~blind
     # Weights move bodies on after the impacts of a move, whose impulses, of unknown parts, are taken to work on that.
-    fell = 0.5 * c["duration"] * float(np.linalg.norm(t.scene["gravity"])) * np.hypot(1.0, c["mu"]) * r[:, 0]
+    fell = 0.5 * c["duration"] * poses.weight * np.hypot(1.0, c["mu"]) * r[:, 0]
     fell[own.all(axis=0)] = 0.0
     speed = np.linalg.norm([flight.met.before, flight.met.after], axis=2).max(axis=0)
     scale = np.maximum(size * np.maximum(speed, CREEP), ROUND_OFF * at_play(poses))
-    _, first, which = np.unique(of[joint], return_index=True, return_inverse=True)
+    _, first, which = np.unique(poses.instant[joint], return_index=True, return_inverse=True)
     whole = [np.bincount(which, x[joint], first.size) for x in (normal + friction, doubt + fell, scale)]
     rows = np.concatenate([np.flatnonzero(single), np.flatnonzero(joint)[first]])
     off = np.concatenate([(np.abs(normal) + np.abs(friction) - doubt)[single], np.abs(whole[0]) - whole[1]])
@@ -137,7 +138,7 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     twice = _twice(poses, flight) + (0.0 if found is None else found.met_twice)
     rest, slack = nothing, nothing
     turns = np.zeros(step.size, np.bool_) if found is None else found.met_parted & flight.instant
-    turns = np.isin(poses.instant, poses.instant[turns])
+    turns = poses.beside(turns)
     # What strikes in turn does in all what the velocities before and after tell.
     told = np.where(turns, (c["impulse"] * flight.met.mean).sum(axis=1), 0.0)
     for name, lasts in (("normal", stays), ("friction", sticks)):
