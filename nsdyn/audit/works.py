@@ -149,6 +149,9 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
         left[name] = np.abs(off) - most - parted
         rest, slack, told = rest + off, slack + most, told - np.where(turns & ~lasts, work, 0.0)
     # Where surfaces move it is not known.
+    slack = slack + np.bincount(
+        step, np.where(turns, np.linalg.norm(c["impulse"], axis=1) * flight.unsure, 0.0), t.steps
+    )
     left["impacts"] = np.nan_to_num(np.abs(rest - np.bincount(step, told, t.steps)) - slack, nan=0.0)
     left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
     if not (poses.free and t.meta.get("external_force", True)):

@@ -386,6 +386,21 @@ def test_limits_and_contacts_that_rebound_in_turn():
         assert not audit[where].passed and audit["balance"].passed
 
 
+def test_limits_and_bodies_that_strike_in_turn_with_theta_above_half():
+    """A capsule falls on an arm that rests on its limit: where it strikes is in doubt in a step that is cut."""
+    model, material = pin.Model(), nd.Material(mu=0.5, restitution=0.6)
+    arm = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "arm")
+    model.appendBodyToJoint(arm, pin.Inertia(0.2, np.array([0.2, 0, 0]), np.diag([1e-3, 3e-3, 3e-3])), at((0, 0, 0)))
+    model.addJointFrame(arm)
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -1.0, 0.0
+    scene, lying = nd.Scene(), pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.array([0.2, 0, 0]))
+    scene.add_model("r", model, collisions={"arm": [(shapes.capsule(0.02, 0.4), lying)]}, material=material)
+    thrown = {"quaternion": (0.64, 0.48, 0.36, 0.48), "angular_velocity": (6, -8, 4), "material": material}
+    scene.add_capsule("body", 0.03, 0.1, 1.0, position=(0.3, 0, 0.13), **thrown)
+    audit = nd.check(nd.simulate(scene, 0.15, 1e-2, theta=0.75, impact="fremond"))
+    assert audit.passed, audit
+
+
 @pytest.mark.slow
 def test_many_true_recordings_pass(audits, monkeypatch, capsys):
     """Sixty random robots and the named scenes; `demos/bench/audits.py` has any number."""
