@@ -13,7 +13,7 @@ from nsdyn.audit.poses import CONJUGATE, Poses, matrix, turned
 from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import contact_frames, impulses_world
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Array, Bools, Index, cross
 
 __all__ = ["Flight", "angles", "least", "spins", "sunk", "tumbled"]
 
@@ -57,9 +57,6 @@ CLOSED = 1e-9
 
 SLOW = 0.01
 """m/s: a contact may sink for as long as this takes to go the size of its bodies, but for no longer than a step."""
-
-NEXT, LAST = [1, 2, 0], [2, 0, 1]
-"""Of each axis."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +150,7 @@ class Flight:
         arm, size = np.zeros(at.shape), np.linalg.norm(push, axis=1)
         arm[met] = point[row[met]] - at[met]
         # Of older recordings, which have no couples, the angular momentum is not audited.
-        moment = np.cross(arm, push) + couple
+        moment = cross(arm, push) + couple
         ends, then, turning = _turned(poses, pushes, moment)
         sides = links or (Side.nowhere(len(point)), Side.nowhere(len(point)))
         own = _sides(poses, pushes, (before, forced, begun / h), (at, arm, then, turning))
@@ -203,8 +200,8 @@ def _sides(
     linear = before[step, body] + np.stack(gone) * forced[step, body] + pushes.around(pushes.push) / mass
     back = product(poses.quaternion[step, body], then * CONJUGATE)
     spin = rotate(poses.quaternion[step, body], poses.v[step, body, 3:])
-    begin = before[step, body] + np.cross(spin, rotate(back, arm))
-    return Side(at, then, np.stack([begin, *(linear + np.cross(turning, arm))]), turning, back)
+    begin = before[step, body] + cross(spin, rotate(back, arm))
+    return Side(at, then, np.stack([begin, *(linear + cross(turning, arm))]), turning, back)
 
 
 def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, own: Side) -> None:
@@ -271,7 +268,7 @@ def _doubted(
     at, (arm, then, turning) = (pushes.step, pushes.body), met
     axes, length = matrix(then), np.linalg.norm(arm, axis=1)
     inertia, swept = axes @ poses.inertia[pushes.body] @ np.swapaxes(axes, 1, 2), 2.0 * length * turn[at]
-    levers = np.linalg.solve(inertia, np.cross(np.eye(3), pushes.push[:, None]).swapaxes(1, 2))
+    levers = np.linalg.solve(inertia, cross(np.eye(3), pushes.push[:, None]).swapaxes(1, 2))
     off, spun = swept, np.linalg.norm(levers, axis=(1, 2)) * swept
     for way in ways:
         off = off + np.linalg.norm(way[at], axis=1)
@@ -294,7 +291,7 @@ def least(poses: Poses) -> Array:
 def product(one: Array, other: Array) -> Array:
     """Quaternions (..., 4) of turns one after the other, the second first."""
     v, s, w, r = one[..., :3], one[..., 3:], other[..., :3], other[..., 3:]
-    return np.concatenate([s * w + r * v + np.cross(v, w), s * r - (v * w).sum(-1, keepdims=True)], axis=-1)
+    return np.concatenate([s * w + r * v + cross(v, w), s * r - (v * w).sum(-1, keepdims=True)], axis=-1)
 
 
 def angles(one: Array, other: Array) -> Array:
@@ -393,13 +390,7 @@ def _leapt(y: Array, h: Array, inertia: Array, inverse: Array) -> Array:
             break
         q, w = there[:, :4], there[:, 4:]
         v, s = q[:, :3], q[:, 3:]
-        rates[k, :, :3] = 0.5 * (s * w + _cross(v, w))
+        rates[k, :, :3] = 0.5 * (s * w + cross(v, w))
         rates[k, :, 3] = -0.5 * (v * w).sum(axis=1)
-        rates[k, :, 4:] = np.einsum("mij,mj->mi", inverse, _cross(np.einsum("mij,mj->mi", inertia, w), w))
+        rates[k, :, 4:] = np.einsum("mij,mj->mi", inverse, cross(np.einsum("mij,mj->mi", inertia, w), w))
     return there
-
-
-def _cross(one: Array, other: Array) -> Array:
-    """Cross products of vectors (m, 3), in a third of the time of `numpy.cross` where they are few."""
-    out: Array = one[:, NEXT] * other[:, LAST] - one[:, LAST] * other[:, NEXT]
-    return out

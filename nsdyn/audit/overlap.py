@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nsdyn.audit.true_shapes import Solid
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, cross
 
 __all__ = ["overlap", "separation"]
 
@@ -162,7 +162,7 @@ def _face_normals(a: Solid, b: Solid, R: Array, x: Array) -> Array:
 def _edge_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
     """Crosses of edges, 0 where they are parallel, shape (m, k, 3)."""
     other = b.edges @ np.swapaxes(R, 1, 2)
-    out = np.cross(a.edges[None, :, None], other[:, None]).reshape(len(x), -1, 3)
+    out = cross(a.edges[None, :, None], other[:, None]).reshape(len(x), -1, 3)
     out[np.linalg.norm(out, axis=2) < 1e-12] = 0.0
     return out
 
@@ -280,7 +280,7 @@ def _around(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Ar
         first = _across(n, axis)
         first = np.where(np.linalg.norm(first, axis=1)[:, None] > 1e-6, first, _tangents(axis)[:, :, 0])
         first /= np.linalg.norm(first, axis=1)[:, None]
-        second = np.cross(axis, first)
+        second = cross(axis, first)
 
         def at(angle: Array, first: Array = first, second: Array = second) -> tuple[Array, Array]:
             directions = np.cos(angle)[..., None] * first[:, None] + np.sin(angle)[..., None] * second[:, None]
@@ -303,9 +303,9 @@ def _around(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Ar
 def _tangents(n: Array) -> Array:
     """Two unit vectors across each n (m, 3), shape (m, 3, 2)."""
     helper = np.eye(3)[np.abs(n).argmin(axis=1)]
-    first = np.cross(n, helper)
+    first = cross(n, helper)
     first /= np.linalg.norm(first, axis=1)[:, None]
-    return np.stack([first, np.cross(n, first)], axis=2)
+    return np.stack([first, cross(n, first)], axis=2)
 
 
 def _sphere(count: int) -> Array:

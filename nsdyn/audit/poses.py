@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.recording.series import rotate
 from nsdyn.recording.trajectory import Trajectory
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Array, Bools, Index, cross
 
 __all__ = ["CONJUGATE", "Poses", "matrix", "turned"]
 
@@ -31,7 +31,7 @@ def turned(quaternion: Array, angle: Array) -> Array:
     size = np.linalg.norm(angle, axis=-1, keepdims=True)
     axis, w = 0.5 * np.sinc(0.5 * size / np.pi) * angle, np.cos(0.5 * size)
     v, s = quaternion[..., :3], quaternion[..., 3:]
-    return np.concatenate([s * axis + w * v + np.cross(v, axis), s * w - (v * axis).sum(-1, keepdims=True)], axis=-1)
+    return np.concatenate([s * axis + w * v + cross(v, axis), s * w - (v * axis).sum(-1, keepdims=True)], axis=-1)
 
 
 class Poses:
