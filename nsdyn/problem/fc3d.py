@@ -24,6 +24,8 @@ __all__ = ["FC3D"]
 
 def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
     """W in 3 x 3 blocks as `FC3D.csr`; ValueError when it is not square, finite or a multiple of 3."""
+    if sp.issparse(W) and W.dtype.kind == "c":
+        raise ValueError("W must be real, got complex numbers")
     if not sp.issparse(W):
         W = numbers(W, "square with 3 rows per contact", "W")
     if W.ndim != 2 or W.shape[0] != W.shape[1] or W.shape[0] % 3:

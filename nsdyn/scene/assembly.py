@@ -242,6 +242,8 @@ def _collisions(
             kept.append((body, link))
     for body, given in collisions.items():
         choice(body, known, f"body in collisions of {name!r}")
+        if not isinstance(given, Sequence):
+            raise ValueError(f"collisions of {name!r} must be a sequence of shapes for {body!r}, got {given!r}")
         for k, item in enumerate(given):
             shape, placement = item if isinstance(item, tuple) else (item, pin.SE3.Identity())
             if not isinstance(shape, Shape) or not isinstance(placement, pin.SE3):

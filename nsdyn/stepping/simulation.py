@@ -28,6 +28,9 @@ from nsdyn.tools.options import is_number
 
 __all__ = ["Options", "RunOptions", "command", "simulate"]
 
+MOST_STEPS = 2**53
+"""Up to which times k dt can be told apart."""
+
 command: ContextVar[str] = ContextVar("command", default="")
 """The `nsdyn` command that simulates, as it was typed, for its recording."""
 
@@ -149,6 +152,10 @@ def simulate(
     )
     if duration < 0.5 * stepper.dt:
         raise ValueError(f"duration must be at least half a step of dt = {stepper.dt:g} s, got {duration:g} s")
+    if not duration / stepper.dt < MOST_STEPS:
+        raise ValueError(
+            f"duration must be fewer than {MOST_STEPS:.4g} steps of dt = {stepper.dt:g} s, got {duration:g} s"
+        )
     if not is_number(every, int) or every < 1:
         raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
     for name, file in (("record", record), ("resume", resume)):

@@ -15,6 +15,8 @@ Bools = NDArray[np.bool_]
 def numbers(value: ArrayLike, words: str, what: str) -> Array:
     """An array of numbers, the same if it is one; ValueError with what it must be, in words, for what is none."""
     try:
+        if isinstance(value, np.ndarray) and value.dtype.kind == "c":  # NumPy would drop the imaginary part
+            raise TypeError
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"{what} must be {words}, got {value!r}") from None

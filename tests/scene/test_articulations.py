@@ -192,6 +192,7 @@ def test_loop():
         ({"self_collisions": 0}, "self_collisions of 'r' must be True, False or 'apart', got 0"),
         ({"collisions": {"z": []}}, "body in collisions of 'r' must be one of .*; got 'z'"),
         ({"collisions": {"a": [1.0]}}, r"collisions of 'r' must be shapes or \(Shape, SE3\)"),
+        ({"collisions": {"a": shapes.sphere(0.1)}}, "collisions of 'r' must be a sequence of shapes for 'a', got"),
         ({"collisions": "visual"}, "collisions of 'r' must be True, False or"),
         ({"srdf": "nowhere.srdf"}, "srdf of 'r' must be an SRDF file"),
         ({"package_dirs": ()}, r"mesh 'package://thing/box.stl' was not found"),

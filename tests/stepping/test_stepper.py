@@ -102,6 +102,7 @@ def test_state_of_another_scene_is_refused():
         ({"dt": float("nan")}, "dt must be a positive"),
         ({"duration": 0.0}, "duration must be a positive"),
         ({"duration": float("inf")}, "duration must be a positive"),
+        ({"duration": 1e300}, "duration must be fewer than 9.007e.15 steps of dt = "),
         ({"theta": 0.4}, r"theta must lie in \[0.5, 1\]"),
         ({"theta": 1.1}, r"theta must lie in \[0.5, 1\]"),
         ({"theta": "a"}, r"theta must lie in \[0.5, 1\], got 'a'"),
