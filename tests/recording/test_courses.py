@@ -37,3 +37,17 @@ def test_a_fall_is_followed_to_its_tolerance(mechanism):
         there, speed = part.q, part.v
     np.testing.assert_allclose(whole.q, there, rtol=0, atol=1e-9)
     assert sum(mechanism.energies(whole.q, whole.v)) == pytest.approx(sum(mechanism.energies(q, v)), rel=1e-10)
+
+
+def test_parts_are_no_more_than_a_smooth_motion_asks_for(mechanism, monkeypatch):
+    """What halved parts tell is extrapolated: their fourth order alone took 378 parts."""
+    count, made = [], courses._in_parts
+    monkeypatch.setattr(courses, "_in_parts", lambda *given: count.append(given[-1]) or made(*given))
+    q, v = np.array([1.5, -0.8]), np.array([2.0, -30.0])
+    coarse = courses.move(mechanism, q, v, 0.02, mechanism.zero)
+    assert sum(count) <= 100  # 90
+    monkeypatch.undo()
+    fine = made(mechanism, q, v, 0.02, mechanism.zero, 0.0, 1000)
+    np.testing.assert_allclose(coarse.q, fine[0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(coarse.v, fine[1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(coarse.mean, fine[2], rtol=0, atol=1e-12)
