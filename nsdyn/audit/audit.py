@@ -130,8 +130,8 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     Articulations are followed through every step by equations of motion of their own (`nsdyn.recording.retrace`),
     from the model that the recording holds. Not audited: what external forces and a controller give, the works of
     moving surfaces, limits that rebound together or with contacts; of contacts the couples that fit the change of
-    spin, when within a step a free body was pushed, and velocities of what does not push; gaps, velocities and works
-    in a step that is cut are known to first order for θ > ½.
+    spin, when within a step a free body was pushed, and points, normals and velocities of what does not push; gaps,
+    velocities and works in a step that is cut are known to first order for θ > ½.
     Where only every N-th step is recorded there are no balances of momentum, nor of the works of contacts one by
     one, nor is it known where those of the last step were in its middle; the ledger is audited, being of all steps.
     Where contacts are not recorded, nothing is audited that they do. In recordings before format 7 articulations
