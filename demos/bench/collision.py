@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 import nsdyn as nd
-from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.scene.pairs import pair_material
@@ -96,7 +96,7 @@ def main() -> None:
     x, R, _ = dynamics.place(dynamics.start()[0])
     detector = Detector(geoms, pair_material(scene, geoms))
     still = np.zeros(dynamics.frames)
-    contacts, memory = detector.find(x, R, still, ContactMemory.empty())
+    contacts = detector.find(x, R, still, ContactSet.empty())
     pairs = sorted(set(zip(contacts.geom1.tolist(), contacts.geom2.tolist(), strict=True)))
     touching = len(pairs)
     print(f"{boxes} boxes, {touching} pairs that touch, {contacts.gap.size} contacts{'a step':>34} {'a pair':>15}")
@@ -125,7 +125,7 @@ def main() -> None:
     report(f"pin.computeCollisions over its broad phase, {some}", median(managed), touch)
 
     def find() -> object:
-        return detector.find(x, R, still, memory)
+        return detector.find(x, R, still, contacts)
 
     def renew() -> None:
         detector._fat_lower[:] = np.inf

@@ -12,7 +12,7 @@ import pinocchio as pin
 from nsdyn._kernels.collision import broadphase
 from nsdyn._kernels.collision.geometry import Geometry
 from nsdyn._kernels.packing import pack
-from nsdyn.collision.contacts import ContactSet
+from nsdyn.collision.contacts import ContactSet, ordered
 from nsdyn.collision.distances import SHRINK, Batch, empty_model, split
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.shapes import HALFSPACE, ROUND
@@ -137,8 +137,7 @@ class Candidates:
 
     def ordered(self, contacts: ContactSet) -> ContactSet:
         """Contacts sorted by their pairs, those of one as they come."""
-        order = np.argsort(self.codes(contacts), kind="stable")
-        return ContactSet._make([column[order] for column in contacts])
+        return ordered(contacts, np.argsort(self.codes(contacts), kind="stable"))
 
     def ask(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and ask Coal for the distances of the candidate pairs."""

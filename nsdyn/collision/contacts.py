@@ -11,72 +11,95 @@ from nsdyn._kernels.collision import advancement
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.naming import counted
 
-__all__ = ["ContactMemory", "ContactSet", "Looked", "Poses", "Touches", "carry", "joined", "take"]
+__all__ = ["ContactSet", "Looked", "Poses", "Touches", "carry", "joined", "ordered", "take"]
 
 
 class ContactSet(NamedTuple):
-    """Contacts of one configuration, sorted by (geom1, geom2) with geom1 < geom2.
+    """Contacts of one configuration, sorted by (geom1, geom2) with geom1 < geom2; kernels take its arrays.
 
     Attributes
     ----------
-    geom1, geom2 : ndarray, shape (nc,)
-        Indices of the geoms.
-    frame1, frame2 : ndarray, shape (nc,)
-        Moving frames they hang on, -1 for the world.
-    point : ndarray, shape (nc, 3)
-        World, m.
-    normal : ndarray, shape (nc, 3)
-        Unit, world, from geom 1 to geom 2.
-    gap : ndarray, shape (nc,)
-        m, negative where the geoms overlap. Its derivative is normal · (velocity of 2 - velocity of 1) at the point.
-    mu, restitution : ndarray, shape (nc,)
-    key : ndarray, shape (nc,)
-        Names a contact for as long as it lasts; never used twice.
-    """
-
-    geom1: Index
-    geom2: Index
-    frame1: Index
-    frame2: Index
-    point: Array
-    normal: Array
-    gap: Array
-    mu: Array
-    restitution: Array
-    key: Index
-
-    def __repr__(self) -> str:
-        return f"<ContactSet of {counted(self.gap.size, 'contact')}>"
-
-
-class ContactMemory(NamedTuple):
-    """What it takes to recognise contacts in the next configuration, all of it.
-
-    Attributes
-    ----------
-    names : ndarray, shape (5, nc)
-        Both geoms, both frames, the key.
+    names : ndarray of int, shape (5, nc)
+        Indices of both geoms; moving frames they hang on, -1 for the world; key, which names a contact for as long as
+        it lasts, and is never used twice.
     points : ndarray, shape (4, nc, 3)
-        Point and normal in world axes, the point in the frames of the two geoms; m.
+        Point, world, m; normal, unit, world, from geom 1 to geom 2; where it was found, the point in the axes of either
+        geom, m: by these it is recognised in the next configuration.
+    scalars : ndarray, shape (3, nc)
+        Gap, m, negative where the geoms overlap, whose derivative is normal · (velocity of 2 - velocity of 1) at the
+        point; mu; restitution.
     next_key : int
+        The first that no contact has.
     """
 
     names: Index
     points: Array
+    scalars: Array
     next_key: int
 
     @classmethod
-    def empty(cls) -> ContactMemory:
-        """Of no contacts: keys start at 0."""
-        return cls(np.empty((5, 0), dtype=np.int64), np.empty((4, 0, 3)), 0)
+    def empty(cls) -> ContactSet:
+        """No contacts, of which the first has the key 0."""
+        return cls(np.empty((5, 0), np.int64), np.empty((4, 0, 3)), np.empty((3, 0)), 0)
 
-    def joined(self, other: ContactMemory, keys: Index) -> ContactMemory:
+    @property
+    def geom1(self) -> Index:
+        """First geoms, shape (nc,)."""
+        return self.names[0, :]
+
+    @property
+    def geom2(self) -> Index:
+        """Second geoms, shape (nc,)."""
+        return self.names[1, :]
+
+    @property
+    def frame1(self) -> Index:
+        """Frames of the first geoms, shape (nc,)."""
+        return self.names[2, :]
+
+    @property
+    def frame2(self) -> Index:
+        """Frames of the second geoms, shape (nc,)."""
+        return self.names[3, :]
+
+    @property
+    def key(self) -> Index:
+        """Names that last, shape (nc,)."""
+        return self.names[4, :]
+
+    @property
+    def point(self) -> Array:
+        """Shape (nc, 3), m."""
+        return self.points[0, :]
+
+    @property
+    def normal(self) -> Array:
+        """Shape (nc, 3)."""
+        return self.points[1, :]
+
+    @property
+    def gap(self) -> Array:
+        """Shape (nc,), m."""
+        return self.scalars[0, :]
+
+    @property
+    def mu(self) -> Array:
+        """Shape (nc,)."""
+        return self.scalars[1, :]
+
+    @property
+    def restitution(self) -> Array:
+        """Shape (nc,)."""
+        return self.scalars[2, :]
+
+    def __repr__(self) -> str:
+        return f"<ContactSet of {counted(self.gap.size, 'contact')}>"
+
+    def joined(self, other: ContactSet, keys: Index) -> ContactSet:
         """The same with those of a later configuration that have some keys, unless they are known."""
-        more = np.isin(other.names[4], keys) & ~np.isin(other.names[4], self.names[4])
-        names = np.concatenate((self.names, other.names[:, more]), axis=1)
-        points = np.concatenate((self.points, other.points[:, more]), axis=1)
-        order = np.lexsort((names[1], names[0]))
-        return ContactMemory(names.take(order, axis=1), points.take(order, axis=1), other.next_key)
+        more = np.isin(other.key, keys) & ~np.isin(other.key, self.key)
+        out = joined((self, take(other, more)))
+        return ordered(out, np.lexsort((out.geom2, out.geom1)))._replace(next_key=other.next_key)
 
 
 class Poses(NamedTuple):
@@ -117,26 +140,35 @@ class Touches(NamedTuple):
         As they are when the pair touches, carried to the end of the way by `carry`.
     fraction : ndarray, shape (nc,)
         Part of the way in [0, 1] at which the pair touches.
-    memory : ContactMemory
-        The one given and these contacts at the end of the way.
+    memory : ContactSet
+        Those given and these contacts at the end of the way.
     far : ndarray of int
         Codes of pairs that may touch of which a body turns so far that it is not known how: then no other is followed.
     """
 
     contacts: ContactSet
     fraction: Array
-    memory: ContactMemory
+    memory: ContactSet
     far: Index
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:
     """Some of the contacts."""
-    return contacts if kept.all() else ContactSet._make([column[kept] for column in contacts])
+    return contacts if kept.all() else ordered(contacts, np.flatnonzero(kept))
+
+
+def ordered(contacts: ContactSet, order: Index) -> ContactSet:
+    """Those of such indices, in their order."""
+    names, points, scalars, next_key = contacts
+    rows = names.take(order, axis=1), points.take(order, axis=1), scalars.take(order, axis=1)
+    return ContactSet(*rows, next_key)
 
 
 def joined(some: Iterable[ContactSet]) -> ContactSet:
     """Contacts one after the other."""
-    return ContactSet._make([np.concatenate(columns) for columns in zip(*some, strict=True)])
+    *columns, next_keys = zip(*some, strict=True)
+    names, points, scalars = (np.concatenate(parts, axis=1) for parts in columns)
+    return ContactSet(names, points, scalars, max(next_keys))
 
 
 def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None = None) -> ContactSet:
@@ -146,7 +178,8 @@ def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None =
     n itself if none is given, the gap becomes n' · (p2 - p1), the point (p1 + p2)/2.
     """
     c, there = contacts, contacts.normal if normal is None else normal
-    point, gap = np.empty_like(c.point), np.empty_like(c.gap)
+    points, scalars = c.points.copy(), c.scalars.copy()
+    points[1] = there
     old = c.frame1, c.frame2, c.point, c.normal, c.gap
-    advancement.carry(old, tuple(begin), tuple(end), there, point, gap)
-    return c._replace(point=point, normal=there, gap=gap)
+    advancement.carry(old, tuple(begin), tuple(end), there, points[0], scalars[0])
+    return c._replace(points=points, scalars=scalars)

@@ -15,7 +15,7 @@ import numpy as np
 from nsdyn._kernels import sorting
 from nsdyn._kernels.collision import advancement, geometry, keys, manifold, search
 from nsdyn.collision.candidates import MARGIN, TOLERANCE, Candidates
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, Touches, carry
+from nsdyn.collision.contacts import ContactSet, Poses, Touches, carry, joined, take
 from nsdyn.collision.distances import distance_request
 from nsdyn.tools.arrays import Array, Index
 
@@ -27,8 +27,7 @@ TOUCH = 1e-4
 ADVANCES = 200
 """Most advances of a pair along its motion; one that is still close then, and not past, counts as touching."""
 
-_NONE, _NOWHERE, _NOTHING = np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
-_NO_CONTACTS = ContactSet(_NONE, _NONE, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOTHING, _NOTHING, _NOTHING, _NONE)
+_NONE, _NOTHING, _NO_CONTACTS = np.empty(0, dtype=np.int64), np.empty(0), ContactSet.empty()
 
 
 class Detector(Candidates):
@@ -37,7 +36,7 @@ class Detector(Candidates):
     A function of its arguments: what it keeps between calls (candidate pairs, models of Coal) changes no result.
     """
 
-    def find(self, x: Array, R: Array, reach: Array, memory: ContactMemory) -> tuple[ContactSet, ContactMemory]:
+    def find(self, x: Array, R: Array, reach: Array, memory: ContactSet) -> ContactSet:
         """Contacts of a configuration.
 
         Parameters
@@ -47,35 +46,24 @@ class Detector(Candidates):
         reach : ndarray, shape (nframes,)
             How far any point of the frame's geoms may still move, m. Contacts up to a gap of the sum of both reaches
             (and `MARGIN` of the size) are found.
-        memory : ContactMemory
+        memory : ContactSet
             Of the configuration whose contacts go on: those found again keep their keys.
-
-        Returns
-        -------
-        ContactSet
-        ContactMemory
-            To go on from these contacts.
         """
-        poses, placed = (x, R, reach), bool(self._batches)
+        poses, placed, next_key = (x, R, reach), bool(self._batches), memory.next_key
         if placed:
             self.ask(*poses)
         # Mostly there are as many contacts as before.
-        out, before = _room(memory.names.shape[1]), (memory.names, memory.points)
-        count, next_key = search.search(self._search, placed, poses, before, memory.next_key, out)
+        out, before = _room(memory.names.shape[1]), memory[:2]
+        count, last_key = search.search(self._search, placed, poses, before, next_key, out)
         if count == search.LEFT:
             self.ask(*poses)
-            count, next_key = search.search(self._search, True, poses, before, memory.next_key, out)
+            count, last_key = search.search(self._search, True, poses, before, next_key, out)
         elif not placed:
             self._served += 1
-        names, points, scalars = out
-        if count != names.shape[1]:
-            names, points, scalars = _room(count)
-            next_key = search.gather(*self._search[:2], TOLERANCE, before, memory.next_key, (names, points, scalars))
-        # By index: to unpack an array takes twice as long.
-        found = ContactSet(
-            names[0], names[1], names[2], names[3], points[0], points[1], scalars[0], scalars[1], scalars[2], names[4]
-        )
-        return found, ContactMemory(names, points, next_key)
+        if count != memory.names.shape[1]:
+            out = _room(count)
+            last_key = search.gather(*self._search[:2], TOLERANCE, before, next_key, out)
+        return ContactSet(*out, last_key)
 
     def gaps(self, contacts: ContactSet, found: ContactSet, poses: Poses) -> Array:
         """Gaps of contacts at later poses, shape (nc,), m.
@@ -106,7 +94,7 @@ class Detector(Candidates):
         self,
         begin: Poses,
         end: Poses,
-        memory: ContactMemory,
+        memory: ContactSet,
         known: ContactSet | None = None,
         least: Array | None = None,
         together: ContactSet | None = None,
@@ -121,7 +109,7 @@ class Detector(Candidates):
         Parameters
         ----------
         begin, end : Poses
-        memory : ContactMemory
+        memory : ContactSet
             Of the configuration whose contacts go on, as for `find`.
         known : ContactSet, optional
             Pairs with a contact here, sorted as `find` returns them, are left out.
@@ -143,7 +131,7 @@ class Detector(Candidates):
         self._renew(begin.x, begin.R, reach)
         motion, placed = (begin.x, end.x, turn), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least
-        before = memory.names, memory.points
+        before = memory[:2]
 
         def may_touch(known: Index) -> Index:
             pairs = np.empty(len(self._first), dtype=np.int64)
@@ -213,13 +201,13 @@ class Detector(Candidates):
         count = manifold.manifolds(placed, pairs, room, (*found, pair))
         return found[0][:count], found[1][:count], found[2][:count]
 
-    def _remember(self, touching: list[tuple[int, float, Array, Array]], end: Poses, memory: ContactMemory) -> Touches:
+    def _remember(self, touching: list[tuple[int, float, Array, Array]], end: Poses, memory: ContactSet) -> Touches:
         """Contacts of pairs that touch as (pair, fraction, R, t) of `_first_touch`, carried to the end, with keys."""
         found = [self._manifold(p, R, t) for p, _, R, t in touching]
         sizes = [gap.size for _, _, gap in found]
         point, normal, gap = (np.concatenate(parts) for parts in zip(*found, strict=True))
         pair = np.repeat([p for p, *_ in touching], sizes)
-        names, points = np.empty((5, gap.size), np.int64), np.empty((4, gap.size, 3))
+        names, points, scalars = out = _room(gap.size)
         names[0], names[1] = self._first[pair], self._second[pair]
         names[2:4] = self.frame[names[:2]]
         R, t = self._R.copy(), self._t.copy()
@@ -229,20 +217,14 @@ class Detector(Candidates):
         begin = np.concatenate([part[3] for part in touching]), np.concatenate([part[2] for part in touching])
         where = np.repeat(np.arange(both.size).reshape(-1, 2), sizes, axis=0).T
         body1, body2 = np.where(names[2:4] >= 0, where, -1)
-        points[1], carried_gap = normal, np.empty_like(gap)
+        points[1], scalars[1:] = normal, self._pair_material(names[0], names[1])
         old = body1, body2, point, normal, gap
-        advancement.carry(old, begin, (t[both], R[both]), normal, points[0], carried_gap)
-        geoms, before = (self._geometry.radius, R, t, np.zeros(len(R))), (memory.names, memory.points)
-        next_key = keys.match(geoms, TOLERANCE, before, memory.next_key, names, points)
-        first, second, frame1, frame2, key = names
-        mu, restitution = self._pair_material(first, second)
-        contacts = ContactSet(first, second, frame1, frame2, points[0], normal, carried_gap, mu, restitution, key)
-        others, codes = np.empty(memory.names.shape[1], np.bool_), self._codes[pair]
-        sorting.among(memory.names[0] * len(R) + memory.names[1], codes, others)
-        names = np.concatenate((memory.names[:, ~others], names), axis=1)
-        points = np.concatenate((memory.points[:, ~others], points), axis=1)
-        order = np.argsort(names[0] * len(R) + names[1], kind="stable")
-        remembered = ContactMemory(names.take(order, axis=1), points.take(order, axis=1), next_key)
+        advancement.carry(old, begin, (t[both], R[both]), normal, points[0], scalars[0])
+        geoms = self._geometry.radius, R, t, np.zeros(len(R))
+        contacts = ContactSet(*out, keys.match(geoms, TOLERANCE, memory[:2], memory.next_key, names, points))
+        others = np.empty(memory.names.shape[1], np.bool_)
+        sorting.among(self.codes(memory), self._codes[pair], others)
+        remembered = self.ordered(joined((take(memory, ~others), contacts)))
         return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered, _NONE)
 
 

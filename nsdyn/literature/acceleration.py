@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.collision.contacts import ContactMemory, ContactSet
+from nsdyn.collision.contacts import ContactSet, ordered
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.linkages import Linkage
@@ -72,7 +72,7 @@ def least_constraint(
     forces = d.forces(middle, t, 0.0, d.wrenches(middle.position, wrenches or {}), d.controls(tau or {}))
     joints = _joint_terms(d, position, v, closed, still)
     reach = np.full(d.frames, closed)
-    found, memory = detector.find(*middle.placement[:2], reach, ContactMemory.empty())
+    found = detector.find(*middle.placement[:2], reach, ContactSet.empty())
     rows, frame = d.rows(found, middle.placement, forces, None)
     blocks = rows.full
     u = blocks.relative_velocity(v).reshape(-1, 3)
@@ -90,7 +90,7 @@ def least_constraint(
     def along(s: float) -> Array:
         """Relative velocities of the contacts where v, held, brings them in the time s."""
         place = d.place(d.shift(position, s * v))
-        there, _ = detector.find(*place[:2], reach + 10 * REACH * size, memory)
+        there = detector.find(*place[:2], reach + 10 * REACH * size, found)
         rows, frame = d.rows(there, place, forces, None)
         return _of_same(found, there, rows.full.relative_velocity(v).reshape(-1, 3), frame)
 
@@ -99,10 +99,11 @@ def least_constraint(
     slip = np.where(np.linalg.norm(u[:, 1:], axis=1, keepdims=True) > still, u[:, 1:], 0.0)
     slip /= np.linalg.norm(slip, axis=1, keepdims=True) + (slip == 0.0).all(axis=1, keepdims=True)
     columns = (3 * keep[:, None] + np.arange(3)).ravel()
-    chosen = ContactSet(*(getattr(found, name)[keep] for name in ContactSet._fields))
     Z, given = _admissible(d, position, v, t, M, forces)
     f = _applied(d, middle, forces, v)
-    return LeastConstraint(chosen, frame[keep], M, f, H[:, columns], p.ravel(), slip[keep], Z, given, joints)
+    return LeastConstraint(
+        ordered(found, keep), frame[keep], M, f, H[:, columns], p.ravel(), slip[keep], Z, given, joints
+    )
 
 
 def _drift(along: Callable[[float], Array], step: float, frame: Array, keep: Index) -> Array:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.trees import Tree
@@ -125,7 +125,7 @@ class Prescribed:
                 )
 
     def _deepest(self, x: Array, R: Array, t: float) -> float:
-        found, _ = self._detector.find(x, R, self._still, ContactMemory.empty())
+        found = self._detector.find(x, R, self._still, ContactSet.empty())
         if not found.gap.size:
             return 0.0
         k = int(found.gap.argmin())

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses
+from nsdyn.collision.contacts import ContactSet, Looked, Poses
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
@@ -40,7 +40,7 @@ class Found(NamedTuple):
     integers : ndarray of int, shape (9 nc + 2,)
         Both geoms, both frames, keys; blocks, their starts; the size of H and whether rows are made.
     next_key : int
-        As of `ContactMemory`.
+        As of `ContactSet`.
     """
 
     floats: Array
@@ -62,30 +62,11 @@ class Found(NamedTuple):
         """Number of contacts."""
         return self.integers.size // _col.FOUND_NAMES
 
-    @property
-    def names(self) -> Index:
-        """As of `ContactMemory`."""
-        return self.integers[: 5 * self.nc].reshape(5, -1)
-
-    @property
-    def points(self) -> Array:
-        """As of `ContactMemory`."""
-        return self.floats[: 12 * self.nc].reshape(4, -1, 3)
-
-    @property
-    def memory(self) -> ContactMemory:
-        """What it takes to recognise them."""
-        return ContactMemory(self.names, self.points, self.next_key)
-
-    @property
-    def scalars(self) -> Array:
-        """Gaps [m], mu and restitution, shape (3, nc)."""
-        return self.floats[12 * self.nc : 15 * self.nc].reshape(3, -1)
-
     def contacts(self) -> ContactSet:
         """Them as values."""
-        names, (point, normal, *_), (gap, mu, restitution) = self.names, self.points, self.scalars
-        return ContactSet(names[0], names[1], names[2], names[3], point, normal, gap, mu, restitution, names[4])
+        nc, f, i = self.nc, self.floats, self.integers
+        arrays = i[: 5 * nc].reshape(5, nc), f[: 12 * nc].reshape(4, nc, 3), f[12 * nc : 15 * nc].reshape(3, nc)
+        return ContactSet(*arrays, self.next_key)
 
     @property
     def frame(self) -> Array:
@@ -191,13 +172,13 @@ class Flat(NamedTuple):
 
     def instant(self) -> Instant:
         """Its end."""
-        nc, (x, R) = self.status.size, self.poses
+        nc, (x, R), found = self.status.size, self.poses, self.found.contacts()
         force = self.contact(_col.FORCE, 3).reshape(-1, 3)
         return self.begin()._replace(
             position=self.position,
             placement=Placement(x, R, self.like.placement.links),
-            contacts=self.found.contacts(),
-            memory=self.found.memory,
+            contacts=found,
+            memory=found,
             warm=Warm(self.acted[:nc], self.acted[nc:], force, self.status, self.like.warm.joints),
             twists=self.twists,
             energies=self.of_trees,
@@ -248,12 +229,10 @@ def packed(s: Instant, rate: Array, wide: int) -> tuple[Acted, Found] | None:
     """
     m, c, w = s.memory, s.contacts, s.warm
     nc, p, acted = c.gap.size, s.position, np.concatenate((w.key, w.pair))
-    if m.names.shape[1] != nc or not np.array_equal(m.names, [*c[:4], c.key]):
+    if m is not c and not (np.array_equal(m.names, c.names) and np.array_equal(m.points, c.points)):
         return None
-    if not (np.array_equal(m.points[0], c.point) and np.array_equal(m.points[1], c.normal)):
-        return None
-    floats = [m.points.ravel(), c.gap, c.mu, c.restitution, np.empty((_col.ROWS - _col.FRAMES + wide) * nc)]
-    integers = np.concatenate((m.names.ravel(), np.zeros(4 * nc + 2, np.int64)))
+    floats = [c.points.ravel(), c.scalars.ravel(), np.empty((_col.ROWS - _col.FRAMES + wide) * nc)]
+    integers = np.concatenate((c.names.ravel(), np.zeros(4 * nc + 2, np.int64)))
     found = Found(np.concatenate(floats), integers, m.next_key)
     turns = np.concatenate((p.quaternion, np.zeros((s.placement.x.shape[0] - p.x.shape[0], 4))))
     columns = s.placement.x, turns, s.placement.R, *s.twists, *s.looked, s.v, rate, w.force
@@ -268,7 +247,7 @@ def solved(floats: Array, acted: Array, met: Found, blocks: Blocks, tol: float) 
     From the results and the columns of contacts of a state.
     """
     r, u, b = (acted[k * met.nc : (k + 3) * met.nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
-    problem = FC3D.prepared(blocks, b, met.scalars[1], met.scales, float(floats[_col.NORM]))
+    problem = FC3D.prepared(blocks, b, met.contacts().mu, met.scales, float(floats[_col.NORM]))
     error, residual, count, time = floats[_col.ERROR : _col.CERTIFIED].tolist()
     status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE
     return problem, Solution(r, u, status, error, residual, int(count), time)

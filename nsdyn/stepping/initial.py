@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked
+from nsdyn.collision.contacts import ContactSet, Looked
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.scene import checks
@@ -52,10 +52,10 @@ def begin(
     if q is not None:
         _check_limits(d, at)
     looked = Looked(at.x, at.R, np.zeros(d.frames))
-    contacts, memory = s.detector.find(*looked, ContactMemory.empty())
+    contacts = s.detector.find(*looked, ContactSet.empty())
     nobody = np.empty(0, np.int64)
     warm = Warm(nobody, nobody, np.empty((0, 3)), np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
-    out = Instant(position, velocity, at, contacts, d.limits(at), memory, looked, warm, d.twists(at, velocity), ())
+    out = Instant(position, velocity, at, contacts, d.limits(at), contacts, looked, warm, d.twists(at, velocity), ())
     where = _overlap(geoms, contacts, overlap)
     if where and not lift:
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=3)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels import sorting as _sorting
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, Poses, Touches
+from nsdyn.collision.contacts import ContactSet, Looked, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Energies, Placement, Position
@@ -117,7 +117,7 @@ class System(NamedTuple):
         self,
         begin: Poses,
         end: Poses,
-        memory: ContactMemory,
+        memory: ContactSet,
         known: ContactSet | None,
         together: ContactSet | None = None,
         foreseen: Array | None = None,
@@ -222,7 +222,7 @@ class Instant(NamedTuple):
         Found there, with the true gaps of the shapes.
     limits : ndarray
         Gaps of all joint limits, rad or m.
-    memory : ContactMemory
+    memory : ContactSet
     looked : Looked
         Where the contacts were found; not quite here if nothing has moved since.
     warm : Warm
@@ -237,7 +237,7 @@ class Instant(NamedTuple):
     placement: Placement
     contacts: ContactSet
     limits: Array
-    memory: ContactMemory
+    memory: ContactSet
     looked: Looked
     warm: Warm
     twists: tuple[Array, Array]

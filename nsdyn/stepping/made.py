@@ -60,7 +60,7 @@ class Made(NamedTuple):
         n, _ = size = d.frames, d.n
         b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = self.found.contacts() if went else begin.contacts
-        memory = self.found.memory if went else begin.memory
+        memory = found if went else begin.memory
         half = self._half(s, begin, t, h) if motion is None else motion.half
         where = looked(w, _col.LOOKED_THERE, n) if went else begin.looked
         met = self.met.contacts() if self.head[_col.SOME] else found
@@ -73,9 +73,8 @@ class Made(NamedTuple):
         found_there = found, d.limits(end), memory, where
         moved = Instant(position, velocity(b, size, _col.V), end, *found_there, begin.warm, twists, ())
         if goes:
-            moved = moved._replace(
-                contacts=self.end.contacts(), memory=self.end.memory, looked=looked(b, _col.LOOKED, n)
-            )
+            end_found = self.end.contacts()
+            moved = moved._replace(contacts=end_found, memory=end_found, looked=looked(b, _col.LOOKED, n))
         return Trial(
             half=half,
             v=velocity(w, size, _col.V_PLUS),

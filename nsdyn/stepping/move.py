@@ -172,8 +172,8 @@ def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> t
     middle, v, there = half.middle, half.forces.foreseen, begin
     if not s.unmoved(begin.looked, middle.placement, half.reach):
         looked = s.look(begin.looked, *middle.placement[:2], half.reach)
-        found, memory = s.detector.find(*looked, begin.memory)
-        there = begin._replace(contacts=found, memory=memory, looked=looked)
+        found = s.detector.find(*looked, begin.memory)
+        there = begin._replace(contacts=found, memory=found, looked=looked)
     contacts, joints = there.contacts, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
     if barred is None:
         if half.fast:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nsdyn._kernels.dynamics import motion as _motion
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Looked, joined, take
+from nsdyn.collision.contacts import ContactSet, Looked, joined, take
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.half import Callbacks, Given, Loads
@@ -82,18 +82,9 @@ class Part:
             p.driven_x,
             p.driven_quaternion,
         )
-        kept = self._has(at.contacts.frame1, at.contacts.frame2)
-        c = take(at.contacts, kept)
-        c = c._replace(
-            geom1=self._geom[c.geom1],
-            geom2=self._geom[c.geom2],
-            frame1=self._frame[c.frame1],
-            frame2=self._frame[c.frame2],
-        )
-        kept = self._has(at.memory.names[2], at.memory.names[3])
-        names = at.memory.names[:, kept]
-        names[:2], names[2:4] = self._geom[names[:2]], self._frame[names[2:4]]
-        memory = ContactMemory(names, at.memory.points[:, kept], next_key)
+        contacts = memory = self._own(at.contacts, next_key)
+        if at.memory is not at.contacts:
+            memory = self._own(at.memory, next_key)
         geoms = np.divmod(w.pair, self._geom.size)
         kept = self._has(*(self._frame_of_geom[g] for g in geoms))
         first, second = (self._geom[g[kept]] for g in geoms)
@@ -103,7 +94,7 @@ class Part:
             position,
             at.v[self.coordinates],
             there,
-            c,
+            contacts,
             at.limits[self._limits],
             memory,
             Looked._make([column[frames] for column in at.looked]),
@@ -111,6 +102,10 @@ class Part:
             (at.twists[0][frames], at.twists[1][frames]),
             tuple([at.energies[k] for k in trees]),
         )
+
+    def _own(self, c: ContactSet, next_key: int) -> ContactSet:
+        """Contacts of the whole that are of the part, as its own."""
+        return _renamed(take(c, self._has(c.frame1, c.frame2)), self._geom, self._frame)._replace(next_key=next_key)
 
     def given(self, wrenches: Wrenches | None, controls: Controls) -> tuple[Wrenches | None, Controls]:
         """What the user's functions gave, of the part."""
@@ -147,16 +142,7 @@ class Part:
 
     def contacts(self, c: ContactSet) -> ContactSet:
         """Contacts of the part as those of the whole."""
-        return c._replace(
-            geom1=self.geoms[c.geom1],
-            geom2=self.geoms[c.geom2],
-            frame1=self._frames[c.frame1],
-            frame2=self._frames[c.frame2],
-        )
-
-    def memory(self, m: ContactMemory) -> Index:
-        """The names of contacts of the part as those of the whole."""
-        return np.concatenate((self.geoms[m.names[:2]], self._frames[m.names[2:4]], m.names[4:]))
+        return _renamed(c, self.geoms, self._frames)
 
     def warm(self, w: Warm) -> Warm:
         """The warm start of the part as that of the whole, but for the joints."""
@@ -206,31 +192,31 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
         first = node[frame1]
         return left[np.where(first >= 0, first, node[frame2])]
 
-    c, m, w = base.contacts, base.memory, base.warm
-    pressed = [detector.frame[g] for g in np.divmod(w.pair, whole.inscribed.size)]
-    kept = stays(c.frame1, c.frame2), stays(m.names[2], m.names[3]), stays(*pressed)
-    contacts, warm = [take(c, kept[0])], [[x[kept[2]] for x in _columns(w)]]
-    names, points = [m.names[:, kept[1]]], [m.points[:, kept[1]]]
+    w = base.warm
+    pressed = stays(*[detector.frame[g] for g in np.divmod(w.pair, whole.inscribed.size)])
+    warm = [[x[pressed] for x in _columns(w)]]
+    contacts, memory = ([take(c, stays(c.frame1, c.frame2))] for c in (base.contacts, base.memory))
     for part, end in parts:
         part.fill(out, end)
         p, links = part.among(p, end.position.trees), part.among(links, end.placement.links)
         energies = part.among(energies, end.energies)
         contacts.append(part.contacts(end.contacts))
-        names.append(part.memory(end.memory))
-        points.append(end.memory.points)
+        memory.append(part.contacts(end.memory))
         warm.append(_columns(part.warm(end.warm)))
-    all_names, all_points = np.concatenate(names, axis=1), np.concatenate(points, axis=1)
-    ranks = np.argsort(all_names[0] * whole.inscribed.size + all_names[1], kind="stable")
-    next_key = max(base.memory.next_key, *(end.memory.next_key for _, end in parts))
     key, pair, force, status = [np.concatenate(columns) for columns in zip(*warm, strict=True)]
     return out._replace(
         position=out.position._replace(trees=p),
         placement=out.placement._replace(links=links),
         energies=energies,
         contacts=detector.ordered(joined(contacts)),
-        memory=ContactMemory(all_names[:, ranks].copy(), all_points[:, ranks].copy(), next_key),
+        memory=detector.ordered(joined(memory)),
         warm=Warm(key, pair, force, status, out.warm.joints),
     )
+
+
+def _renamed(c: ContactSet, geoms: Index, frames: Index) -> ContactSet:
+    """Contacts of other indices, of geoms and of frames."""
+    return c._replace(names=np.concatenate((geoms[c.names[:2]], frames[c.names[2:4]], c.names[4:])))
 
 
 def driven(at: Instant, x: Array, quaternion: Array) -> Instant:

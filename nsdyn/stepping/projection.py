@@ -31,8 +31,8 @@ where bodies move fast, and numbers so much larger than those that matter cost t
 
 def found(s: System, at: Instant, looked: Looked) -> Instant:
     """The contacts and limits where an instant is, whatever overlaps, where they are `looked` for."""
-    contacts, memory = s.detector.find(*looked, at.memory)
-    return at._replace(contacts=contacts, limits=s.dynamics.limits(at.placement), memory=memory, looked=looked)
+    contacts = s.detector.find(*looked, at.memory)
+    return at._replace(contacts=contacts, limits=s.dynamics.limits(at.placement), memory=contacts, looked=looked)
 
 
 def project(s: System, at: Instant, forces: Forces) -> tuple[Instant, bool]:

@@ -154,7 +154,7 @@ class Quiet:
         places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
         contacts = old.found.contacts(), take(new.met.contacts(), new.status > 0), new.found.contacts()
         turns = (1.0 - s.theta) * s.dt * old.twists[1], s.theta * s.dt * new.twists[1]
-        return touched(s, contacts, places, turns, made.found.memory, s.dt, reach / (s.theta * s.dt)) < s.dt
+        return touched(s, contacts, places, turns, made.found.contacts(), s.dt, reach / (s.theta * s.dt)) < s.dt
 
     def _is_ready(self, old: Flat) -> bool:
         """Whether the kernel is compiled: that takes half a minute, in which general steps do the same."""

@@ -15,7 +15,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import sight as _sight
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn.collision.contacts import ContactMemory, ContactSet, Poses, carry, joined, take
+from nsdyn.collision.contacts import ContactSet, Poses, carry, joined, take
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
@@ -144,8 +144,8 @@ def moved_by(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array
 
 
 def reached(
-    s: System, contacts: ContactSet, begin: Instant, there: Placement, memory: ContactMemory
-) -> tuple[ContactSet, ContactMemory]:
+    s: System, contacts: ContactSet, begin: Instant, there: Placement, memory: ContactSet
+) -> tuple[ContactSet, ContactSet]:
     """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
     touches = s.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, None, closed)
@@ -177,7 +177,7 @@ def touched(
     contacts: tuple[ContactSet, ContactSet, ContactSet],
     places: tuple[Poses, Poses, Poses],
     turns: tuple[Array, Array],
-    memory: ContactMemory,
+    memory: ContactSet,
     h: float,
     speed: Array,
 ) -> float:
@@ -216,11 +216,11 @@ def shown(
     met: Encounter,
     r: Array,
     moved: Instant,
-    memory: ContactMemory,
+    memory: ContactSet,
     middle: Placement,
     fast: bool,
     kept: Index,
-) -> tuple[ContactSet, ContactMemory, Index]:
+) -> tuple[ContactSet, ContactSet, Index]:
     """Contacts that the motion of a move shows, of those met with impulses r and those missed, and what to keep.
 
     What ends deep with features that were not met is met with those, where they were in the `middle`, where the

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -43,7 +43,7 @@ class Trial(NamedTuple):
     trees : tuple of Flow
     moved : Instant
         Where the motion ends, whatever overlaps there; what acted last and energies of trees are still to be told.
-    memory : ContactMemory
+    memory : ContactSet
         Of all that was found where the impulses act.
     hits : ndarray of int
         Codes, as of `nsdyn.stepping.sight.others`, of what strikes, where the motion ends; none where all was caught.
@@ -65,7 +65,7 @@ class Trial(NamedTuple):
     impulse: Array
     trees: tuple[Flow, ...]
     moved: Instant
-    memory: ContactMemory
+    memory: ContactSet
     hits: Index = NO_CODES
     limit: float = np.inf
     touched: float = np.inf

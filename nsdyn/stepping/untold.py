@@ -16,7 +16,7 @@ from nsdyn.problem.gauss import Certificate
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.flat import Flat
 from nsdyn.stepping.state import OnBodies, State, Step
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array
 
 if TYPE_CHECKING:
     from nsdyn.stepping.instant import System
@@ -63,7 +63,7 @@ class Untold(NamedTuple):
         if name in COLUMNS:
             return {name: _column(flat.contact(0, _col.CONTACT), self.nc, *COLUMNS[name])}
         if name in ("contacts", "frame", "contact_status", "contact_time", "contact_duration"):
-            return _contacts(flat.met.names, flat.met.floats, flat.status, self._times(self.nc))
+            return _told(flat.met.contacts(), flat.met.frame, flat.status, self._times(self.nc))
         if name in ("problem", "solution"):
             problem, solution = flat.solved(self.system.dynamics, self.system.solver.tol)
             return {"problem": problem, "solution": solution}
@@ -159,12 +159,14 @@ class Untold(NamedTuple):
         m, nc, met = len(some), some[0].nc, [one.flat.met for one in some]
         if all(each is met[0] for each in met):  # what rests touches where it touched
             met = met[:1]
-        names = np.stack([each.names for each in met], axis=1)
-        found = np.concatenate([each.floats[: _col.SCALES * nc] for each in met]).reshape(len(met), -1)
+        names, points, scalars, next_keys = zip(*(each.contacts() for each in met), strict=True)
+        arrays = np.stack(names, axis=1), np.stack(points, axis=1), np.stack(scalars, axis=1)
+        found = ContactSet(*arrays, max(next_keys))
+        frame = np.stack([each.frame for each in met])
         acted = np.concatenate([one.flat.contact(0, _col.CONTACT) for one in some]).reshape(m, -1)
         status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
         columns = {name: _column(acted, nc, *of) for name, of in COLUMNS.items()}
-        return Step(**_contacts(names, found, status, some[0]._times(1, nc)), **columns)
+        return Step(**_told(found, frame, status, some[0]._times(1, nc)), **columns)
 
 
 def _column(source: Array, nc: int, column: int, *shape: int) -> Array:
@@ -172,15 +174,11 @@ def _column(source: Array, nc: int, column: int, *shape: int) -> Array:
     return source[..., column * nc : (column + math.prod(shape)) * nc].reshape(*source.shape[:-1], nc, *shape)
 
 
-def _contacts(names: Index, found: Array, status: Any, times: tuple[Array, Array]) -> dict[str, Any]:
-    """What was met in a step, or in many with a leading axis, by the names of `Step`; names of shape (5, ..., nc)."""
-    nc = status.shape[-1]
-    geom1, geom2, frame1, frame2, key = names
-    point, normal = _column(found, nc, 0, 3), _column(found, nc, 3, 3)
-    gap, mu, restitution = (_column(found, nc, column) for column in (12, 13, 14))
+def _told(contacts: ContactSet, frame: Array, status: Any, times: tuple[Array, Array]) -> dict[str, Any]:
+    """What was met in a step, or in many with an axis before that of the contacts, by the names of `Step`."""
     return {
-        "contacts": ContactSet(geom1, geom2, frame1, frame2, point, normal, gap, mu, restitution, key),
-        "frame": _column(found, nc, _col.FRAMES, 3, 3),
+        "contacts": contacts,
+        "frame": frame,
         "contact_status": status,
         "contact_time": times[0],
         "contact_duration": times[1],

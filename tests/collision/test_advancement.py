@@ -7,10 +7,10 @@ import pytest
 from test_contacts import ALL, GROUND, about, detector, random_rotation
 
 from nsdyn._kernels.collision import advancement
-from nsdyn.collision.contacts import ContactMemory, Poses, carry
+from nsdyn.collision.contacts import ContactSet, Poses, carry
 from nsdyn.scene import shapes
 
-EMPTY = ContactMemory.empty()
+EMPTY = ContactSet.empty()
 THIN = {"plate": shapes.box((1.0, 0.8, 0.01)), "pin": shapes.cylinder(0.01, 1.0), "pea": shapes.sphere(0.02)}
 KINDS = {**ALL, **THIN}
 
@@ -69,7 +69,7 @@ def test_against_dense_sampling(seed):
             assert first - 0.2 < s <= first  # no later than the first sample inside
             assert -1e-7 < distance(A, B, between(begin, end, s)) < 1.001e-4 * size
             there = between(begin, end, s)
-            manifold = d.find(*there, np.zeros(2), EMPTY)[0]
+            manifold = d.find(*there, np.zeros(2), EMPTY)
             np.testing.assert_allclose(found.contacts.gap, carry(manifold, there, end).gap, rtol=0, atol=1e-6)
     assert min(outcomes) > 5
 
@@ -151,11 +151,11 @@ def test_gaps_at_the_end_pose(rng):
     R = about((0, 1, 0), np.arctan2(0.6, 0.8))
     d = detector(slope, cube, cube)
     x = np.array([0.601 * lift, 1.602 * lift])
-    c, memory = d.find(x, np.array([R, R]), np.full(2, 5e-3), EMPTY)
+    c = d.find(x, np.array([R, R]), np.full(2, 5e-3), EMPTY)
     assert len(c.gap) == 8
     tilt = about((0, 1, 0), 0.01) @ R
     end = Poses(x + 1e-3 * lift, np.array([R, tilt]))
-    found, _ = d.find(*end, np.zeros(2), memory)
+    found = d.find(*end, np.zeros(2), c)
     gaps = d.gaps(c, found, end)
     again = np.isin(c.key, found.key)
     assert again.any() and not again.all()
@@ -169,7 +169,7 @@ def test_gaps_at_the_end_pose(rng):
         else:
             top = (cube.vertices @ R.T + end.x[0]) @ n
             assert gaps[k] == pytest.approx(((cube.vertices @ tilt.T + end.x[1]) @ n).min() - top.max(), abs=1e-12)
-    none = d.gaps(c, found._replace(key=found.key[:0], gap=found.gap[:0]), end)
+    none = d.gaps(c, EMPTY, end)
     np.testing.assert_allclose(none[c.geom1 == 0], 2e-3, rtol=0, atol=1e-12)
 
 
@@ -178,16 +178,16 @@ def test_pairs_left_out_and_keys_go_on():
     ball = shapes.sphere(0.1)
     d = detector(GROUND, ball, ball)
     begin = poses(((0, 0, 0.1), np.eye(3)), ((0.5, 0, 0.1), np.eye(3)))
-    resting, memory = d.find(*begin, np.zeros(2), EMPTY)
+    resting = d.find(*begin, np.zeros(2), EMPTY)
     assert resting.key.tolist() == [0, 1]
     end = poses(((0.9, 0, 0.05), np.eye(3)), ((0.5, 0, 0.05), np.eye(3)))
-    found = d.touches(begin, end, memory, resting)
+    found = d.touches(begin, end, resting, resting)
     assert (found.contacts.geom1.tolist(), found.contacts.geom2.tolist()) == ([1], [2])
     assert found.contacts.key.tolist() == [2]
     assert found.contacts.gap[0] == pytest.approx(-0.6, abs=1e-3)
-    again, _ = d.find(*end, np.full(2, 1.0), found.memory)
+    again = d.find(*end, np.full(2, 1.0), found.memory)
     assert again.key.tolist() == [0, 1, 2]
-    assert set(zip(*(a.tolist() for a in d.touches(begin, end, memory).contacts[:2]), strict=True)) >= {(1, 2), (0, 1)}
+    assert set(zip(*d.touches(begin, end, resting).contacts.names[:2].tolist(), strict=True)) >= {(1, 2), (0, 1)}
 
 
 def test_bodies_that_move_together_are_not_followed(monkeypatch, rng):
@@ -217,7 +217,7 @@ def test_carry_keeps_points_on_their_bodies(rng):
     cube = shapes.box((1.0, 1.0, 1.0))
     d = detector(GROUND, cube, cube)
     begin = poses(((0, 0, 0.501), np.eye(3)), ((0.1, 0.2, 1.502), np.eye(3)))
-    c, _ = d.find(*begin, np.full(2, 1e-2), EMPTY)
+    c = d.find(*begin, np.full(2, 1e-2), EMPTY)
     end = poses(*((x + rng.normal(size=3), random_rotation(rng)) for x in begin.x))
     moved = carry(c, begin, end)
     for k in range(len(c.gap)):
@@ -247,7 +247,7 @@ def test_normals_turn_with_the_bodies_they_are_of(rng):
         begin = poses(((0, 0, 0), faces[0]), ((0, 0, over * height), faces[1]))
         end = poses(((0, 0, 0), R1 @ faces[0]), ((0, 0, over * height), R2 @ faces[1]))
         d = detector(first, second)
-        c, _ = d.find(*begin, np.full(2, 1e-2), EMPTY)
+        c = d.find(*begin, np.full(2, 1e-2), EMPTY)
         there, apart = d.carry(c, begin, end)
         back, _ = d.carry(there, end, begin)
         own = R1 if first is large else R2
@@ -285,23 +285,23 @@ def test_what_touches_is_found_where_it_touches_again():
     rod, ball = shapes.box((2.0, 0.02, 0.02)), shapes.sphere(0.1)
     begin = poses(((0, 0, 0), np.eye(3)), ((0.5, 0.11, 0), np.eye(3)))
     d = detector(rod, ball)
-    resting, memory = d.find(*begin, np.zeros(2), EMPTY)
+    resting = d.find(*begin, np.zeros(2), EMPTY)
     assert resting.gap.size == 1
     back = begin._replace(R=np.array([about((0, 0, 1), -3.0), np.eye(3)]))
-    touches = d.touches(begin, back, memory, together=resting)
+    touches = d.touches(begin, back, resting, together=resting)
     # What is nearer than 1e-4 of the ball's radius touches: at 0.5 m/rad, 7e-6 of the way.
     assert touches.fraction[0] == pytest.approx((np.pi - 2.0 * np.arctan2(0.11, 0.5)) / 3.0, abs=1e-5)
     short = begin._replace(R=np.array([about((0, 0, 1), -2.5), np.eye(3)]))
-    assert d.touches(begin, short, memory, together=resting).contacts.gap.size == 0
+    assert d.touches(begin, short, resting, together=resting).contacts.gap.size == 0
     # What does not part is not found, but where it gets deep: it touches all the way, or closes the gap that it has.
     least = np.full(2, 1e-3)
     along = begin._replace(x=begin.x + np.array([[0, 0, 0], [-0.9, -1e-4, 0]]))
-    assert d.touches(begin, along, memory, together=resting, least=least).contacts.gap.size == 0
+    assert d.touches(begin, along, resting, together=resting, least=least).contacts.gap.size == 0
     above = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, 1e-3, 0]]))
-    assert d.touches(above, along, memory, together=resting, least=least).contacts.gap.size == 0
-    assert d.touches(above, along, memory).contacts.gap.size == 1
+    assert d.touches(above, along, resting, together=resting, least=least).contacts.gap.size == 0
+    assert d.touches(above, along, resting).contacts.gap.size == 1
     through = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, -0.25, 0]]))
-    assert d.touches(begin, through, memory).fraction.tolist() == [0.0]
+    assert d.touches(begin, through, resting).fraction.tolist() == [0.0]
     # It moves on by as much as it may be deep: 1/250 of the way.
-    found = d.touches(begin, through, memory, together=resting, least=least).fraction
+    found = d.touches(begin, through, resting, together=resting, least=least).fraction
     np.testing.assert_allclose(found, [1 / 250], rtol=0, atol=1e-6)

@@ -13,7 +13,7 @@ from nsdyn._kernels.collision import broadphase
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.collision import distances
 from nsdyn.collision.candidates import MARGIN, SKIN
-from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.scene import shapes
 from nsdyn.scene.bodies import Geom
@@ -73,7 +73,7 @@ def contacts_of(*placed, reach=0.0, **options):
 
 def alone(detector, x, R, reach):
     """Contacts of a configuration that continues no other."""
-    return detector.find(x, R, reach, ContactMemory.empty())[0]
+    return detector.find(x, R, reach, ContactSet.empty())
 
 
 @functools.cache
@@ -498,12 +498,12 @@ def test_gap_changes_at_the_normal_velocity_of_the_point(first, second, flat, rn
         x[1] = n * (n @ x[1])
     v, w = rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
     d, h, reach = detector(A, B), 1e-6, np.full(2, 1e-2)
-    c, memory = d.find(x, np.array([R1, R2]), reach, ContactMemory.empty())
+    c = d.find(x, np.array([R1, R2]), reach, ContactSet.empty())
     assert c.gap.min() == pytest.approx(1e-2, abs=1e-6)
     gaps = {}
     for s in (-h, h):
         turned = np.array([about(w[0], s) @ R1, about(w[1], s) @ R2])
-        moved, _ = d.find(x + s * v, turned, reach, memory)
+        moved = d.find(x + s * v, turned, reach, c)
         gaps[s] = dict(zip(moved.key.tolist(), moved.gap.tolist(), strict=True))
     arm1, arm2 = c.point - x[0], c.point - x[1]
     speed = np.sum(c.normal * (v[1] + np.cross(w[1], arm2) - v[0] - np.cross(w[0], arm1)), axis=1)
@@ -555,9 +555,9 @@ def test_keys_last_while_a_box_slides_off_the_edge():
     cube = shapes.box((1, 1, 1))
     d = detector(shapes.box((1.2, 3, 1)), cube)
     R = np.tile(np.eye(3), (2, 1, 1))
-    seen, memory = [], ContactMemory.empty()
+    seen, memory = [], ContactSet.empty()
     for k in range(100):
-        c, memory = d.find(np.array([[0, 0, 0], [0.005 * k, 0, 1.0]]), R, np.zeros(2), memory)
+        c = memory = d.find(np.array([[0, 0, 0], [0.005 * k, 0, 1.0]]), R, np.zeros(2), memory)
         assert len(c.gap) == 4
         seen.append(dict(zip(c.key.tolist(), c.point.tolist(), strict=True)))
     trailing = [key for key, point in seen[0].items() if point[0] < 0]
@@ -570,18 +570,18 @@ def test_keys_last_while_a_box_slides_off_the_edge():
 def test_keys_of_a_lasting_contact_do_not_depend_on_the_order_of_points(rng):
     """A cylinder that rocks about a line through its centre: the rim points turn, keys never come back."""
     d = detector(GROUND, CYLINDER)
-    highest, memory = -1, ContactMemory.empty()
+    highest, memory = -1, ContactSet.empty()
     for k in range(50):
         R = about((np.cos(0.1 * k), np.sin(0.1 * k), 0), 1e-5)
-        c, memory = d.find(np.array([[0, 0, 0.3]]), R[None], np.array([1e-3]), memory)
+        c = memory = d.find(np.array([[0, 0, 0.3]]), R[None], np.array([1e-3]), memory)
         assert len(set(c.key.tolist())) == len(c.gap) == 8
         new = c.key[c.key > highest]
         assert set(new.tolist()) == set(range(highest + 1, highest + 1 + len(new)))
         highest = max(highest, int(c.key.max()))
 
 
-def everything(found, memory):
-    return b"".join(a.tobytes() for a in (*found, memory.names, memory.points)), memory.next_key
+def everything(found):
+    return b"".join(a.tobytes() for a in found[:3]), found.next_key
 
 
 def test_find_is_a_function_of_its_arguments(rng):
@@ -589,19 +589,19 @@ def test_find_is_a_function_of_its_arguments(rng):
     d, x, R = pile(rng)
     reach = np.full(len(x), 1e-3)
     velocity = 1e-3 * rng.uniform(-1, 1, size=x.shape)
-    memory, run = ContactMemory.empty(), []
+    memory, run = ContactSet.empty(), []
     for k in range(8):
-        found, after = d.find(x + k * velocity, R, reach, memory)
-        run.append((memory, found, after, everything(found, after)))
-        memory = after
+        found = d.find(x + k * velocity, R, reach, memory)
+        run.append((memory, found, everything(found)))
+        memory = found
     assert memory.next_key > len(run[0][1].key)
     fresh = detector(*CROWD)
     for k in reversed(range(8)):
-        before, found, after, was = run[k]
-        assert everything(found, after) == was
+        before, found, was = run[k]
+        assert everything(found) == was
         alone(d, x + rng.normal(size=x.shape), R, 9 * reach)
         for each in (d, fresh):
-            assert everything(*each.find(x + k * velocity, R, reach, before)) == was
+            assert everything(each.find(x + k * velocity, R, reach, before)) == was
 
 
 # -- Coal ---------------------------------------------------------------------------------------------------

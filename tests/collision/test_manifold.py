@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from test_contacts import BOX, CYLINDER, PRISM, ROCK, about, detector, random_rotation, solid, support
 
 from nsdyn.audit.touching import from_surface
-from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene import shapes
 
 SHAPES = {
@@ -130,7 +130,7 @@ def test_gaps_along_a_motion_foretell_the_distance(seed, overlap):
         v -= n * (n @ v + rng.uniform() * motion * size)  # towards each other
         w *= rng.uniform() * motion / np.linalg.norm(w)
         reach = np.array([0.0, np.linalg.norm(v) + np.linalg.norm(w) * B.bounding_radius])
-        c, _ = detector(A, B).find(x, R, reach, ContactMemory.empty())
+        c = detector(A, B).find(x, R, reach, ContactSet.empty())
 
         # Of disjoint polytopes the widest slab may be narrower than the distance, and this beyond the margin.
         assert c.gap.min(initial=np.inf) > before - 3e-6
@@ -170,7 +170,7 @@ def test_what_overlaps_is_parted_along_the_normals(seed):
             continue
         tried += 1
         reach = np.array([0.0, 0.1 * size * rng.uniform()])
-        c, _ = detector(A, B).find(x, R, reach, ContactMemory.empty())
+        c = detector(A, B).find(x, R, reach, ContactSet.empty())
         assert min(separation(a, b, x, R, n) for n in c.normal[c.gap < 0.0]) > before - 1e-5 * size, (a, b)
     assert tried > 100
 
@@ -185,7 +185,7 @@ def test_what_is_over_the_border_of_a_face_meets_its_edge(gap):
     top = (CUBE.vertices @ R[0].T)[:, 2].max()
     edge = CUBE.vertices[np.argmax((CUBE.vertices @ R[0].T)[:, 2])] @ R[0].T
     x = np.array([[0.0, 0.0, 0.0], [0.1, edge[1], top + gap + np.sqrt(0.5)]])
-    c, _ = detector(CUBE, CUBE).find(x, R, np.array([0.0, 0.05]), ContactMemory.empty())
+    c = detector(CUBE, CUBE).find(x, R, np.array([0.0, 0.05]), ContactSet.empty())
     assert c.gap.min() == pytest.approx(gap, abs=1e-14)
     np.testing.assert_allclose(c.normal, np.tile([0.0, 0.0, 1.0], (len(c.gap), 1)), rtol=0, atol=1e-14)
 
@@ -196,7 +196,7 @@ def test_edges_beside_a_face_that_hardly_tilts_meet_where_they_cross(tilt):
     R = np.array([about((1, 0, 0), tilt), about((0, 1, 0), 0.25 * np.pi)])
     top = R[0] @ (0.0, 0.5, 0.5)
     x = np.array([[0.0, 0.0, 0.0], [0.1, 0.7, top[2] + np.sqrt(0.5) - 1e-5]])
-    c, _ = detector(CUBE, CUBE).find(x, R, np.array([0.0, 0.0]), ContactMemory.empty())
+    c = detector(CUBE, CUBE).find(x, R, np.array([0.0, 0.0]), ContactSet.empty())
     deepest = c.gap.argmin()
     np.testing.assert_allclose(c.point[deepest], (0.1, top[1], top[2] - 0.5e-5), rtol=0, atol=1e-5)
     np.testing.assert_allclose(c.normal[deepest], (0.0, 0.0, 1.0), rtol=0, atol=tilt + 1e-9)
@@ -215,7 +215,7 @@ def test_what_is_round_beside_a_face_meets_its_edge(shape, swapped):
             x = np.array([np.zeros(3), (0.1, 0.5, 0.5) + radius * (1.0 - depth) * n])
             lying = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) if shape == "capsule" else np.eye(3)
             R = np.array([np.eye(3), lying])
-            c, _ = detector(*both).find(x[order], R[order], np.zeros(2), ContactMemory.empty())
+            c = detector(*both).find(x[order], R[order], np.zeros(2), ContactSet.empty())
             assert len(c.gap) == (2 if shape == "capsule" else 1)
             np.testing.assert_allclose(c.gap, -depth * radius, rtol=0, atol=1e-9)
             np.testing.assert_allclose(c.normal, np.tile(-n if swapped else n, (len(c.gap), 1)), rtol=0, atol=1e-9)
@@ -231,7 +231,7 @@ def test_cylinders_side_by_side_touch_where_both_are(rng):
         tilt, lean = 10.0 ** rng.uniform(-4.0, -1.0), 10.0 ** rng.uniform(-7.0, -3.0) * rng.choice((-1.0, 1.0))
         R = np.array([np.eye(3), about((1, 0, 0), tilt) @ about((0, 1, 0), lean)])
         x = np.array([[0.0, 0.0, 0.0], [0.75 - 1e-5, 0.0, rng.uniform(-0.3, 0.3)]])
-        c, _ = pair.find(x, R, np.zeros(2), ContactMemory.empty())
+        c = pair.find(x, R, np.zeros(2), ContactSet.empty())
         for k in np.flatnonzero(c.gap <= 0.0):
             closed += 1
             for shape, there, turn in zip((a, b), x, R, strict=True):
@@ -247,7 +247,7 @@ def test_a_corner_that_may_leave_a_face_meets_its_edge(inset, on_face):
     corners = CUBE.vertices @ R.T
     corner = corners[corners[:, 0].round(2) == 0.03][0]
     x = np.array([[0.0, 0.0, 0.0], np.array([0.5 - inset, 0.0, 0.5 + 0.01 * inset]) - corner])
-    c, _ = detector(CUBE, CUBE).find(x, np.array([np.eye(3), R]), np.array([0.0, 0.02]), ContactMemory.empty())
+    c = detector(CUBE, CUBE).find(x, np.array([np.eye(3), R]), np.array([0.0, 0.02]), ContactSet.empty())
     upright = np.linalg.norm(c.normal - (0, 0, 1), axis=1) < 1e-9
     np.testing.assert_allclose(c.point[1], x[1] + corner, rtol=0, atol=1e-15)
     assert c.gap[1] == pytest.approx(0.01 * inset, rel=1e-4) and upright.tolist() == [False, on_face]
@@ -259,7 +259,7 @@ def cubes_tilted(tilt):
     z = 0.5 + 0.01 * tilt - (CUBE.vertices @ R.T)[:, 2].min()
     x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, z]])
     reach = np.array([0.0, 2.0 * tilt])
-    return detector(CUBE, CUBE).find(x, np.array([np.eye(3), R]), reach, ContactMemory.empty())[0]
+    return detector(CUBE, CUBE).find(x, np.array([np.eye(3), R]), reach, ContactSet.empty())
 
 
 @pytest.mark.parametrize("tilt", [1e-5, 1e-4, 3e-4, 1e-3, 1e-2, 0.1])
@@ -279,7 +279,7 @@ def test_high_points_do_not_displace_low_ones():
     ball, _ = shapes.convex(np.column_stack((ring * np.cos(phi), ring * np.sin(phi), z)))
     floor = shapes.box((5.0, 5.0, 1.0))
     x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.5 + 1e-3]])
-    c, _ = detector(floor, ball).find(x, np.tile(np.eye(3), (2, 1, 1)), np.array([0.0, 0.3]), ContactMemory.empty())
+    c = detector(floor, ball).find(x, np.tile(np.eye(3), (2, 1, 1)), np.array([0.0, 0.3]), ContactSet.empty())
     heights = np.sort(ball.vertices[:, 2]) + 1.0 + 1e-3
     assert len(c.gap) == 8
     assert c.gap.min() == pytest.approx(heights[0], abs=1e-12)
@@ -302,7 +302,7 @@ def test_points_of_nearly_flush_boxes_are_on_both(seed):
         R = np.array([np.eye(3), lean])
         depth = 5e-3 * min(a.inscribed_radius, b.inscribed_radius)
         x[1, 2] = (a.vertices[:, 2].max() - (b.vertices @ lean.T)[:, 2].min()) - depth
-        c, _ = detector(a, b).find(x @ Q.T, Q @ R, np.zeros(2), ContactMemory.empty())
+        c = detector(a, b).find(x @ Q.T, Q @ R, np.zeros(2), ContactSet.empty())
         closed = c.point[c.gap < 0.0]
         tried += len(closed) > 0
         for shape, at, turned in ((a, x[0], R[0]), (b, x[1], R[1])):

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 import nsdyn as nd
-from nsdyn.collision.contacts import ContactMemory
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Middle
 
@@ -40,7 +40,7 @@ def test_free_bodies_against_one_pinocchio_model():
     stepper = nd.Stepper(scene, dt=1e-3)
     d, half = stepper.dynamics, middle(stepper)
     there = half.placement
-    c, _ = stepper.detector.find(there.x, there.R, np.full(3, 1e-2), ContactMemory.empty())
+    c = stepper.detector.find(there.x, there.R, np.full(3, 1e-2), ContactSet.empty())
     rows, frames = d.rows(c, there, d.inertia(half.position, half.v), None)
     problem = nd.FC3D.from_blocks(rows.blocks, np.zeros(3 * c.gap.size), c.mu)
     M, H = rows.full.dense()
@@ -116,11 +116,11 @@ def test_rows_are_gap_rates(rng):
     v = rng.normal(size=d.n)
     h, reach = 1e-6, np.full(3, 1e-3)
     here = d.place(position)
-    contacts, memory = stepper.detector.find(here.x, here.R, reach, ContactMemory.empty())
+    contacts = stepper.detector.find(here.x, here.R, reach, ContactSet.empty())
     gaps = []
     for s in (-h, h):
         there = d.place(d.shift(position, s * v))
-        gaps.append(stepper.detector.find(there.x, there.R, reach, memory)[0])
+        gaps.append(stepper.detector.find(there.x, there.R, reach, contacts))
     rows, _ = d.rows(contacts, here, d.inertia(position, v), None)
     same = (gaps[0].key[:, None] == contacts.key).any(axis=0) & (gaps[1].key[:, None] == contacts.key).any(axis=0)
     assert same.sum() >= 5

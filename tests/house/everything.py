@@ -8,7 +8,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from nsdyn import compilation, solvers
-from nsdyn.collision.contacts import ContactMemory, Poses
+from nsdyn.collision.contacts import ContactSet, Poses
 from nsdyn.collision.detector import Detector
 from nsdyn.problem import cones, gauss, paradox, polished
 from nsdyn.problem.fc3d import FC3D
@@ -51,10 +51,10 @@ def shapes() -> None:
     x = np.array([body.position for body in scene.free_bodies])
     R = np.array([checks.rotation(body.quaternion) for body in scene.free_bodies])
     near = x - np.outer(np.arange(len(x)) % 2, (0.0, 0.0, 0.25))
-    none = ContactMemory.empty()
-    _, memory = detector.find(near, R, np.full(len(x), 0.1), none)
+    none = ContactSet.empty()
+    memory = detector.find(near, R, np.full(len(x), 0.1), none)
     touches = detector.touches(Poses(x, R), Poses(near, R), memory)
-    detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none)[0], Poses(near, R))
+    detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none), Poses(near, R))
     detector.carry(touches.contacts, Poses(near, R), Poses(x, R))
     # A ball beside the border of a face of a box, deep in that.
     k = next(b for b, g in enumerate(geoms) if g.name == "1-0")
