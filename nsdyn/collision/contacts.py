@@ -178,8 +178,6 @@ def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None =
     n itself if none is given, the gap becomes n' · (p2 - p1), the point (p1 + p2)/2.
     """
     c, there = contacts, contacts.normal if normal is None else normal
-    points, scalars = c.points.copy(), c.scalars.copy()
-    points[1] = there
-    old = c.frame1, c.frame2, c.point, c.normal, c.gap
-    advancement.carry(old, tuple(begin), tuple(end), there, points[0], scalars[0])
-    return c._replace(points=points, scalars=scalars)
+    out = c._replace(points=c.points.copy(), scalars=c.scalars.copy())
+    advancement.carry(out[:3], tuple(begin), tuple(end), there)
+    return out

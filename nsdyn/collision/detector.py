@@ -75,8 +75,7 @@ class Detector(Candidates):
         if keys.kept(c.key, found.key, found.gap, out):
             return out
         pose, room = (poses.x, poses.R), (self._R, self._t)
-        old, new = (c.geom1, c.geom2, c.normal, c.key), (found.geom1, found.geom2, found.key, found.gap)
-        keys.gaps(self.fields, pose, room, old, new, out)
+        keys.gaps(self.fields, pose, room, c[:3], found[:3], out)
         return out
 
     def carry(self, contacts: ContactSet, begin: Poses, end: Poses) -> tuple[ContactSet, Array]:
@@ -86,8 +85,7 @@ class Detector(Candidates):
         with body 1 and turn with body 2, each contact has the one along which its geoms are farthest apart.
         """
         c, normal, apart = contacts, np.empty_like(contacts.normal), np.empty_like(contacts.gap)
-        who, room = (c.frame1, c.frame2, c.geom1, c.geom2, c.normal), (self._R, self._t)
-        advancement.turn_normals(self.fields, who, begin.R, tuple(end), room, normal, apart)
+        advancement.turn_normals(self.fields, c[:3], begin.R, tuple(end), (self._R, self._t), normal, apart)
         return carry(contacts, begin, end, normal), apart
 
     def touches(
@@ -216,10 +214,10 @@ class Detector(Candidates):
         both = np.column_stack((self._first, self._second))[[p for p, *_ in touching]].ravel()
         begin = np.concatenate([part[3] for part in touching]), np.concatenate([part[2] for part in touching])
         where = np.repeat(np.arange(both.size).reshape(-1, 2), sizes, axis=0).T
-        body1, body2 = np.where(names[2:4] >= 0, where, -1)
-        points[1], scalars[1:] = normal, self._pair_material(names[0], names[1])
-        old = body1, body2, point, normal, gap
-        advancement.carry(old, begin, (t[both], R[both]), normal, points[0], scalars[0])
+        points[:2], scalars[0], scalars[1:] = (point, normal), gap, self._pair_material(names[0], names[1])
+        bodies = names.copy()
+        bodies[2:4] = np.where(names[2:4] >= 0, where, -1)
+        advancement.carry((bodies, points, scalars), begin, (t[both], R[both]), normal)
         geoms = self._geometry.radius, R, t, np.zeros(len(R))
         contacts = ContactSet(*out, keys.match(geoms, TOLERANCE, memory[:2], memory.next_key, names, points))
         others = np.empty(memory.names.shape[1], np.bool_)

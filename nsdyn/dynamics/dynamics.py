@@ -174,13 +174,13 @@ class Dynamics(Kinematics):
         """Factors of contacts and joint rows where the frames are placed; frames (nc, 3, 3), rows (n, t1, t2)."""
         nc = contacts.gap.size
         frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
-        hang, where = (contacts.frame1, contacts.frame2), (contacts.point, frame)
-        size = _motion.contact_layout(contacts.normal, *hang, self.block_of_frame, self.offset, frame, block, start)
+        found = contacts[:3]
+        size = _motion.contact_layout(found, self.block_of_frame, self.offset, frame, block, start)
         H = np.zeros(size)
         if self.free:
-            _motion.free_rows(*hang, *where, place.x, place.R, self.free, start, H)
+            _motion.free_rows(found, frame, place.x, place.R, self.free, start, H)
         if self.trees:
-            _links.rows((*self.linkages, place.fields), *hang, *where, start, H)
+            _links.rows((*self.linkages, place.fields), found, frame, start, H)
         full = Blocks(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
         bases = NOTHING
         if self.constrained:

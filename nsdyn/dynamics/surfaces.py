@@ -122,6 +122,5 @@ class Surfaces:
         w, origin = np.zeros((contacts.gap.size, 3)), self._origin.copy()
         origin[: self._driven] = driven_x
         surfaces = self._motion_of_geom, origin, twist[:, 0].copy(), twist[:, 1].copy(), self._slides
-        where = contacts.geom1, contacts.geom2, contacts.point, contacts.normal
-        _motion.surface_velocities(where, surfaces, w)
+        _motion.surface_velocities(contacts[:3], surfaces, w)
         return w

@@ -36,7 +36,7 @@ from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
     from nsdyn.stepping.half import Half
-    from nsdyn.stepping.instant import Instant
+    from nsdyn.stepping.instant import Instant, System
 
 __all__ = ["Closing", "Encounter", "foresee"]
 
@@ -112,8 +112,8 @@ class Encounter(NamedTuple):
             full.arrays,
             (begin.v, middle.v, forces.v),
             (carried, *transport, rows.press),
-            (old.key, old.point, old.normal, begin.placement.x, *begin.twists, half.reach),
-            (contacts.key, contacts.frame1, contacts.frame2, contacts.point, frame, contacts.gap, there.x),
+            (old[:3], begin.placement.x, begin.twists, half.reach),
+            (contacts[:3], frame, there.x),
             (warm.key, warm.force, half.h),
             half.ahead,
             (local, end_gap, where),
@@ -174,18 +174,18 @@ class Encounter(NamedTuple):
         out[0] -= self.quickening
         return out
 
-    def lasting(self, pair: Index, begin: Instant, limits: Array, closed: float, h: float, struck: bool) -> Encounter:
-        """The same with what persists of what there was where the move begins; nothing if `struck`.
+    def lasting(self, s: System, begin: Instant, limits: Array, h: float, struck: bool) -> Encounter:
+        """The same with what persists of what there was where the move of h s begins; nothing if `struck`.
 
-        There joint rows have the gaps `limits`. The codes of pairs are `pair` (nc,), the move takes h s.
+        There joint rows have the gaps `limits`.
         """
-        contacts, warm = begin.contacts, begin.warm
+        warm, geoms = begin.warm, s.inscribed.size
         nc, rows = self.contacts.gap.size, self.end_gap.size
         stays, sticks, was = np.empty(rows, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
-        last, before = (warm.key, warm.pair, warm.status), (contacts.key, contacts.gap, closed, h)
+        last, before = (warm.key, warm.pair, warm.status), (begin.contacts[:3], s.closed, h)
         pressed = NEVER if self.joints is None else (warm.joints[self.joints.slot, 0] > 0.0) & (self.joints.mu == 0.0)
-        names, given = (self.contacts.key, pair), ((limits, pressed), self.begun, self.end_gap)
-        _persistence.persists(names, last, before, *given, struck, (stays, sticks, was))
+        given = self.contacts.names, geoms, last, before, (limits, pressed), self.begun, self.end_gap
+        _persistence.persists(*given, struck, (stays, sticks, was))
         return self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(rows))
 
     def turned(self, dv: Array, r: Array) -> Encounter:

@@ -151,7 +151,7 @@ class System(NamedTuple):
     def last_status(self, contacts: ContactSet, warm: Warm) -> NDArray[np.int8]:
         """What the contacts were in the last move, shape (nc,): 0 open, 1 stick, 2 slip."""
         out = np.empty(contacts.gap.size, np.int8)
-        _touching.last_status(contacts.key, self.detector.codes(contacts), warm.key, warm.pair, warm.status, out)
+        _touching.last_status(contacts.names, self.inscribed.size, (warm.key, warm.pair, warm.status), out)
         return out
 
     def striking_speed(self, at: Instant) -> float:
@@ -164,9 +164,8 @@ class System(NamedTuple):
         # But where such a contact has just closed its gap and that gains energy, it is stopped first.
         if self.depth < DEEP:
             warm = w.key, w.pair, np.zeros_like(w.status)
-        contacts, where = (c.key, c.geom1, c.geom2, c.gap, c.restitution), (c.frame1, c.frame2, c.point, c.normal)
         least: float = _touching.striking_speed(
-            contacts, (*where, at.placement.x), at.twists, warm, self.inscribed.size, self.closed
+            c[:3], at.placement.x, at.twists, warm, self.inscribed.size, self.closed
         )
         return least
 
@@ -183,8 +182,8 @@ class System(NamedTuple):
         it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS). What the solver's tolerance leaves of a velocity is no approach.
         """
         d, c, e = self.dynamics, met.contacts, met.restitution
-        weight, where = np.empty(c.gap.size), (c.frame1, c.frame2, c.point, c.normal, there.x)
-        _touching.weights(where, d.twists(there, rate), weight)
+        weight = np.empty(c.gap.size)
+        _touching.weights(c[:3], there.x, d.twists(there, rate), weight)
         if met.joints is not None:
             weight = np.concatenate((weight, np.abs(d.joints.rates(met.joints.slot, rate))))
         half, least = self.bounces

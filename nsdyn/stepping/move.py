@@ -296,8 +296,7 @@ def _encounter(
     if label is None:
         met, impact = caught_impacts(s, met, there, half.rate, half.h)
     limits = _limits(s, met.joints, begin.placement)
-    pair = s.detector.codes(contacts)
-    return met.lasting(pair, begin, limits, s.closed, half.h, impact is not None), impact
+    return met.lasting(s, begin, limits, half.h, impact is not None), impact
 
 
 def _ending(s: System, half: Half, met: Encounter, solution: Solution, moved: Instant) -> tuple[Encounter, Bools]:

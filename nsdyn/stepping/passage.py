@@ -12,7 +12,6 @@ from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.islands import EVENT, WORK
 from nsdyn._kernels.stepping.law import TURNS
 from nsdyn._kernels.stepping.quiet_checks import GAIN
-from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.booking import Passage, finish
@@ -178,8 +177,8 @@ def _gains(s: System, begin: Instant, fallen: Array, done: list[Impulses]) -> bo
 def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:
     """Contacts (nc,) that touch, of bodies that turn so far in half a move of h s that its law does not foresee it."""
     c, out = acted.contacts, np.empty(acted.status.size, np.bool_)
-    touch = c.frame1, c.frame2, c.gap, acted.status, s.closed
-    _touching.turns_far(touch, (begin.twists[1], end.twists[1]), TURNS / (s.theta * h), out)
+    spins = begin.twists[1], end.twists[1]
+    _touching.turns_far(c[:3], acted.status, s.closed, spins, TURNS / (s.theta * h), out)
     return out
 
 
@@ -348,17 +347,13 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
         moved_by(d, before, begin.position.driven_x, surfaces[0]),
     )
     time, least = _sight.first_touch(
-        ((c.key, s.detector.codes(c), c.gap), _where(c, there), moved.twists, carried[0], rates),
-        (before.key, _where(before, begin.placement), begin.twists, carried[1]),
+        (c[:3], there.x, moved.twists, carried[0], rates),
+        (before[:3], begin.placement.x, begin.twists, carried[1]),
         (m.met.contacts.key, m.normal),
         limits,
         barred,
         (s.closed, s.solver.tol, s.theta, m.half.h),
         wide,
+        s.inscribed.size,
     )
     return float(time), float(least)
-
-
-def _where(c: ContactSet, there: Placement) -> tuple[Index, Index, Array, Array, Array]:
-    """Contacts as of `touching.approach_of`."""
-    return c.frame1, c.frame2, c.point, c.normal, there.x

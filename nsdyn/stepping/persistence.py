@@ -73,7 +73,7 @@ def turned(
     exact = max(s.solver.aims[0] if isinstance(s.solver, Auto) else s.solver.tol, solution.residual)
     turns = _persistence.turn(
         rows.arrays,
-        (c.geom1, c.geom2, c.frame1, c.frame2, c.normal),
+        c[:3],
         0.5 * (half.middle.v + v),
         (half.middle.placement.R, d.inverse_J, s.arm, half.h),
         (solution.r, solution.u, met.mu, met.transport, exact),
@@ -88,5 +88,5 @@ def worked(s: System, met: Encounter, half: Half, v: Array, couple: Couple) -> C
     if not couple.dv.size:
         return couple
     work, c, R = np.empty(len(couple.impulse)), met.contacts, half.middle.placement.R
-    _persistence.works(c.frame1, c.frame2, s.dynamics.free, R, 0.5 * (half.middle.v + v), couple.impulse, work)
+    _persistence.works(c.names, s.dynamics.free, R, 0.5 * (half.middle.v + v), couple.impulse, work)
     return couple._replace(work=work)

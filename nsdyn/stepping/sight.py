@@ -62,17 +62,17 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
     gap, rate = before.gap, (v - begin.v) / half.h
     if s.elastic and _few.any_below(gap, s.closed) and _few.most(before.restitution) > 0.0:
         gap, here = np.empty(gap.size), begin.placement
-        where = before.frame1, before.frame2, before.point, before.normal, here.x
         motion = d.twists(here, begin.v), d.twists(here, rate)
         carried = moved_by(d, before, begin.position.driven_x, half.surfaces[0])
-        _sight.parting(where, carried, before.gap, before.restitution, motion, (s.closed, s.solver.tol, s.bounces), gap)
+        _sight.parting(before[:3], here.x, carried, motion, (s.closed, s.solver.tol, s.bounces), gap)
     if _touching.all_known(c.key, before.key, gap, s.closed):
         return contacts
     out, warm = np.empty(c.gap.size, np.bool_), begin.warm
     parts = parting(d, before, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
     _sight.caught(
-        (c.key, s.detector.codes(c), s.deep(c), c.gap, c.restitution),
-        (c.frame1, c.frame2, c.point, c.normal, there.x),
+        c[:3],
+        there.x,
+        (s.inscribed, s.depth),
         moved_by(d, c, half.middle.position.driven_x, half.surfaces[1]),
         tuple([d.twists(there, w) for w in (begin.v, v, rate)]),
         (before.key, gap, parts, s.closed),
@@ -130,8 +130,7 @@ def parting(d: Dynamics, contacts: ContactSet, there: Placement, v: Array, drive
     Driven bodies are at such positions (nd, 3), they and surfaces have such twists (surfaces, 2, 3).
     """
     out = np.empty(contacts.gap.size)
-    where = contacts.frame1, contacts.frame2, contacts.point, contacts.normal, there.x
-    _touching.approach(where, d.twists(there, v), out)
+    _touching.approach(contacts[:3], there.x, d.twists(there, v), out)
     return out + moved_by(d, contacts, driven_x, surfaces)
 
 

@@ -8,13 +8,20 @@ from nsdyn._kernels.stepping import law
 from nsdyn.stepping import passage
 
 
+def contacts(frame1, point, normal):
+    """Contacts of some frames with body 0, as kernels take them."""
+    names, points = np.zeros((5, len(point)), np.int64), np.zeros((4, *point.shape))
+    names[2], names[4], points[0], points[1] = frame1, np.arange(len(point)), point, normal
+    return names, points, np.zeros((3, len(point)))
+
+
 @pytest.mark.parametrize(("angle", "follows"), [(0.05, True), (0.19, True), (0.21, False), (0.27, False)])
 def test_a_normal_that_jumps_is_of_another_contact(angle, follows):
     """How fast bodies parted along the old normal counts where it turned into this one; else what does along this."""
     old, frame = np.array([[np.sin(angle), 0.0, np.cos(angle)]]), np.eye(3)[None, [2, 0, 1]].copy()
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
-    begin = 0, still, old, still, np.array([[1.0, 0.0, 0.0]]), still, np.ones(1)
-    here = 0, np.array([-1]), np.array([0]), still, frame, 0, still
+    begin = contacts([-1], still, old), still, (np.array([[1.0, 0.0, 0.0]]), still), np.ones(1)
+    here = contacts([-1], still, old), frame, still
     law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
     expected = (np.sin(angle), np.cos(angle), 0.0) if follows else (0.0, 1.0, 0.0)
     np.testing.assert_allclose(u, expected, rtol=0, atol=1e-15)
@@ -29,13 +36,13 @@ def test_only_a_contact_that_is_alone_rolls_far(gone, others, follows):
     Body 0 turns at 1 rad/s about y, and moves at 1 m/s along x: where the contact was it goes otherwise than here.
     """
     nc = 1 + others
-    place, key, names = np.full(nc, -1), np.arange(nc), np.full(nc, -1)
+    place = np.full(nc, -1)
     place[0] = 0
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3 * nc)
     old, frame = np.array([[gone, 0.0, 0.0]]), np.tile(np.eye(3)[[2, 0, 1]], (nc, 1, 1))
     along, about = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]])
-    begin = 0, old, np.array([[0.0, 0.0, 1.0]]), still, along, about, np.ones(1)
-    here = key, names, np.zeros(nc, np.int64), np.zeros((nc, 3)), frame, np.zeros(nc), still
+    begin = contacts([-1], old, np.array([[0.0, 0.0, 1.0]])), still, (along, about), np.ones(1)
+    here = contacts(np.full(nc, -1), np.zeros((nc, 3)), np.zeros((nc, 3))), frame, still
     law.begin_velocities(place, begin, here, np.empty((0, 3)), none, u)
     np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15)
 

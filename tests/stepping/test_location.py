@@ -105,16 +105,17 @@ def test_what_pressed_is_met_as_it_stands_where_the_move_begins(status, beside, 
     Deep are 4e-8 m. At the speed of the beginning, with the rows that it has there, it opens, or closes 2e-8 m in 1 ms.
     So is what stands `beside` a contact that pressed.
     """
-    key, none = np.array([7]), np.array([-1])
-    normal, still = np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3))
+    names, points, still = np.array([[0], [0], [-1], [0], [7]]), np.zeros((4, 1, 3)), np.zeros((1, 3))
+    points[1, 0, 2] = 1.0
     sinks = np.array([[0.0, 0.0, -6e-5]]), still
     out = np.empty(1, np.bool_)
     _sight.caught(
-        (key, np.array([0]), np.array([4e-8]), np.array([-3e-8]), np.zeros(1)),
-        (none, np.array([0]), still, normal, still),
+        (names, points, np.array([[-3e-8], [0.0], [0.0]])),
+        still,
+        (np.array([4e-8]), 1.0),
         np.zeros(1),
         (sinks, sinks, (still, still)),
-        (key, np.array([1e-9]), np.array([parts]), 1e-11),
+        (names[4], np.array([1e-9]), np.array([parts]), 1e-11),
         (np.array([7, 8]), np.array([0, 0]), np.array([status, beside], np.int8)),
         (5e-4, 1e-3, 1e-8, (0.0, 1e-3)),
         np.empty(0, np.int64),

@@ -28,7 +28,8 @@ class Pair:
         self.J = np.array([np.diag(rng.uniform(1.0, 1.5, 3)) for _ in range(2)])
         self.R = Rotation.random(2, random_state=3).as_matrix()
         self.mean, self.r = rng.normal(size=12), np.array([1.0, 0.1, -0.2])
-        self.normal = np.array([[0.6, 0.0, 0.8]])
+        self.contacts = np.array([[0], [1], [0], [1], [0]]), np.zeros((4, 1, 3)), np.zeros((3, 1))
+        self.contacts[1][1] = self.normal = np.array([[0.6, 0.0, 0.8]])
         H = rng.normal(size=36)
         offset, m_start = np.array([0, 6, 12]), np.array([0, 36])
         empty = np.empty(0)
@@ -48,10 +49,9 @@ class Pair:
         """
         yes = np.array([True])
         couple, dv = np.zeros((1, 3)), np.empty(12)
-        zero = np.array([0])
         other = kernels.couples(
             self.blocks,
-            (zero, zero + 1, zero, zero + 1, self.normal),
+            self.contacts,
             self.mean,
             (self.R, np.linalg.inv(self.J), np.ones(2), h),
             (self.r, np.array([0.0, 0.6 * slip, 0.8 * slip]), np.array([0.5]), np.array(transport, dtype=float), exact),

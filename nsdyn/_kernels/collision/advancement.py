@@ -89,37 +89,38 @@ def carried(f, p, x0, R0, x1, R1):
 
 
 @in_place
-def carry(contacts, begin, end, there, point_out, gap_out):
+def carry(contacts, begin, end, there):
     """Contacts whose points are fixed in both bodies, from poses to others, where they have the normals `there`.
 
-    `contacts` are (frame1, frame2, point, normal, gap), `begin` and `end` (x, R) of the frames.
+    In place of (names, points, scalars); `begin` and `end` are (x, R) of the frames.
     """
-    (frame1, frame2, point, normal, gap), (x0, R0), (x1, R1) = contacts, begin, end
-    for c in range(gap.size):
-        p, n = row(point, c), row(normal, c)
-        a = carried(frame1[c], along(p, -0.5 * gap[c], n), x0, R0, x1, R1)
-        b = carried(frame2[c], along(p, 0.5 * gap[c], n), x0, R0, x1, R1)
-        gap_out[c] = dot(row(there, c), minus(b, a))
-        put(point_out, c, times(0.5, along(a, 1.0, b)))
+    (names, points, scalars), (x0, R0), (x1, R1) = contacts, begin, end
+    for c in range(names.shape[1]):
+        p, n, gap = row(points[0], c), row(points[1], c), scalars[0, c]
+        a = carried(names[2, c], along(p, -0.5 * gap, n), x0, R0, x1, R1)
+        b = carried(names[3, c], along(p, 0.5 * gap, n), x0, R0, x1, R1)
+        scalars[0, c] = dot(row(there, c), minus(b, a))
+        put(points[0], c, times(0.5, along(a, 1.0, b)))
+        put(points[1], c, row(there, c))
 
 
 @in_place
 def turn_normals(fields, contacts, R0, end, room, out, apart):
     """Normals of contacts of poses 0 at poses 1, into out: along which the geoms are farthest apart, and how far.
 
-    Of those that stay in space, turn with frame 1 and turn with frame 2. `contacts` are (frame1, frame2, geom1, geom2,
-    normal), `end` the poses (x, R) of the frames, `room` is for those (R, t) of the geoms.
+    Of those that stay in space, turn with frame 1 and turn with frame 2. `contacts` are (names, points, scalars),
+    `end` the poses (x, R) of the frames, `room` is for those (R, t) of the geoms.
     """
-    (frame1, frame2, geom1, geom2, normal), (x1, R1), (R, t) = contacts, end, room
+    (names, points, _), (x1, R1), (R, t) = contacts, end, room
     place(fields, x1, R1, R, t)
     geometry = Placed(*fields, R, t)
-    for c in range(geom1.size):
+    for c in range(apart.size):
         apart[c] = -math.inf
-        for f in (-1, frame1[c], frame2[c]):
-            n = row(normal, c)
+        for f in (-1, names[2, c], names[3, c]):
+            n = row(points[1], c)
             if f >= 0:
                 n = to_world(R1, f, to_local(R0, f, n))
-            gap = gap_along(geometry, geom1[c], geom2[c], n)
+            gap = gap_along(geometry, names[0, c], names[1, c], n)
             if gap > apart[c]:
                 apart[c] = gap
                 put(out, c, n)

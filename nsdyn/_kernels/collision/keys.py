@@ -89,15 +89,14 @@ def gaps(fields, frames, room, contacts, found, out):
         Of `Geometry`.
     frames, room : tuple
         (x, R), poses of the frames, and room for (R, t) of the geoms.
-    contacts, found : tuple
-        (geom1, geom2, normal, key), and (geom1, geom2, key, gap), which is sorted.
+    contacts, found : (names, points, scalars)
+        The latter are sorted.
     out : ndarray
     """
     (x, R_frames), (R, t) = frames, room
-    geom1, geom2, normal, key = contacts
-    found1, found2, found_key, found_gap = found
-    order, n, placed = order_of(found_key), R.shape[0], False
-    known, pairs = found_key[order], found1 * n + found2
+    (names, points, _), (found_names, _, scalars) = contacts, found
+    key, found_gap, order, n, placed = names[4], scalars[0], order_of(found_names[4]), R.shape[0], False
+    known, pairs = found_names[4][order], found_names[0] * n + found_names[1]
     for c in range(key.size):
         at = place_of(known, key[c])
         if at < known.size and known[at] == key[c]:
@@ -106,10 +105,10 @@ def gaps(fields, frames, room, contacts, found, out):
         if not placed:
             place(fields, x, R_frames, R, t)
             placed = True
-        code, least = geom1[c] * n + geom2[c], np.inf
+        code, least = names[0, c] * n + names[1, c], np.inf
         at = place_of(pairs, code)
         while at < pairs.size and pairs[at] == code:
             least = min(least, found_gap[at])
             at += 1
-        apart = gap_along(Placed(*fields, R, t), geom1[c], geom2[c], row(normal, c))
+        apart = gap_along(Placed(*fields, R, t), names[0, c], names[1, c], row(points[1], c))
         out[c] = max(apart, least if least < np.inf else 0.0)

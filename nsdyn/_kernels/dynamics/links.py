@@ -34,7 +34,7 @@ def quaternions(R, out):
 
 
 @in_place
-def rows(trees, frame1, frame2, point, frame, start, H):
+def rows(trees, contacts, frame, start, H):
     """Add the rows of Hᵀ on the links of trees to H. A contact between two links of one tree adds both to side 0.
 
     Parameters
@@ -43,29 +43,28 @@ def rows(trees, frame1, frame2, point, frame, start, H):
         (table, support, J): of each tree its first frame, how many, its first coordinate, and how many; one tree after
         the other, which coordinates move a link, and the velocity fields of the coordinates, (nv, 6), world axes:
         linear at the world's origin, then angular.
-    frame1, frame2 : ndarray of int, shape (nc,)
-        Of each contact.
-    point, frame : ndarray, shapes (nc, 3), (nc, 3, 3)
+    contacts : (names, points, scalars)
+    frame : ndarray, shape (nc, 3, 3)
         World; rows (n, t1, t2).
     start : ndarray of int, shape (nc, 2)
         Where the rows of each contact and side begin in H.
     H : ndarray
     """
-    table, support, fields = trees
+    (table, support, fields), (names, points, _) = trees, contacts
     at, field = 0, 0
     for t in range(table.size // 4):
         first, count, nv = table[4 * t], table[4 * t + 1], table[4 * t + 3]
         moves, J = support[at : at + count * nv].reshape((count, nv)), fields[field : field + 6 * nv].reshape((nv, 6))
         last = first + count
-        for c in range(frame1.size):
-            inside = first <= frame1[c] < last
+        for c in range(names.shape[1]):
+            inside = first <= names[2, c] < last
             for s in range(2):
-                f = frame1[c] if s == 0 else frame2[c]
+                f = names[2 + s, c]
                 if f < first or f >= last:
                     continue
                 for i in range(3):
                     d0, d1, d2 = d = times(-1.0 if s == 0 else 1.0, row(frame[c], i))
-                    m0, m1, m2 = cross(row(point, c), d)
+                    m0, m1, m2 = cross(row(points[0], c), d)
                     own = H[start[c, 0 if inside else s] + nv * i :]
                     for j in range(nv):
                         if moves[f - first, j]:

@@ -115,16 +115,18 @@ def contact_frames(normal, frame):
 
 
 @in_place
-def contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block, start):
+def contact_layout(contacts, block_of_frame, offset, frame, block, start):
     """`contact_frames`, blocks of every contact (side 0: minus, side 1: plus) and where their rows begin.
 
-    Two links of one tree share its block and are merged into side 0. Returns the size of h.
+    Two links of one tree share its block and are merged into side 0. Returns the size of h. Contacts are those of
+    `nsdyn.collision.contacts.ContactSet`, (names, points, scalars).
     """
-    contact_frames(normal, frame)
+    names, points, _ = contacts
+    contact_frames(points[1], frame)
     size = 0
-    for c in range(frame1.size):
-        a = block_of_frame[frame1[c]] if frame1[c] >= 0 else -1
-        b = block_of_frame[frame2[c]] if frame2[c] >= 0 else -1
+    for c in range(names.shape[1]):
+        a = block_of_frame[names[2, c]] if names[2, c] >= 0 else -1
+        b = block_of_frame[names[3, c]] if names[3, c] >= 0 else -1
         block[c, 0], block[c, 1] = a, (-1 if a == b else b)
         for s in range(2):
             start[c, s] = size
@@ -134,14 +136,14 @@ def contact_layout(normal, frame1, frame2, block_of_frame, offset, frame, block,
 
 
 @in_place
-def free_rows(frame1, frame2, point, frame, x, R, free, start, H):
+def free_rows(contacts, frame, x, R, free, start, H):
     """Rows of Hᵀ on free bodies: direction d gives (d, Rᵀ ((p - x) x d)), minus on body 1, into H.
 
     Parameters
     ----------
-    frame1, frame2 : ndarray of int, shape (nc,)
-        Of each contact; those from `free` on and below 0 are no free bodies.
-    point, frame : ndarray, shapes (nc, 3), (nc, 3, 3)
+    contacts : (names, points, scalars)
+        Their frames from `free` on and below 0 are no free bodies.
+    frame : ndarray, shape (nc, 3, 3)
         World; rows (n, t1, t2).
     x, R : ndarray, shapes (free, 3), (free, 3, 3)
         Of the bodies.
@@ -150,12 +152,13 @@ def free_rows(frame1, frame2, point, frame, x, R, free, start, H):
         Where the rows of each contact and side begin in H.
     H : ndarray
     """
-    for c in range(frame1.size):
+    names, points, _ = contacts
+    for c in range(names.shape[1]):
         for s in range(2):
-            b = frame1[c] if s == 0 else frame2[c]
+            b = names[2 + s, c]
             if b < 0 or b >= free:
                 continue
-            arm = minus(row(point, c), row(x, b))
+            arm = minus(row(points[0], c), row(x, b))
             for i in range(3):
                 d, at = times(-1.0 if s == 0 else 1.0, row(frame[c], i)), start[c, s] + 6 * i
                 H[at], H[at + 1], H[at + 2] = d
@@ -218,16 +221,16 @@ def surface_velocities(contacts, surfaces, w):
     """Add what prescribed bodies move at the contacts, that of geom 2 minus that of geom 1, to w (nc, 3), world axes.
 
     Motion m has the velocity linear[m] + angular[m] x (p - origin[m]); where it `slides` in itself (a conveyor), only
-    the tangential part counts. `contacts` are (geom1, geom2, point, normal), `surfaces` (motion of every geom, -1 where
+    the tangential part counts. `contacts` are (names, points, scalars), `surfaces` (motion of every geom, -1 where
     nothing is prescribed, origin, linear, angular, slides).
     """
-    (geom1, geom2, point, normal), (motion_of_geom, origin, linear, angular, slides) = contacts, surfaces
-    for c in range(geom1.size):
+    (names, points, _), (motion_of_geom, origin, linear, angular, slides) = contacts, surfaces
+    for c in range(names.shape[1]):
         for s in range(2):
-            m = motion_of_geom[geom1[c] if s == 0 else geom2[c]]
+            m = motion_of_geom[names[s, c]]
             if m < 0:
                 continue
-            p, n, l, a = minus(row(point, c), row(origin, m)), row(normal, c), linear[m], angular[m]
+            p, n, l, a = minus(row(points[0], c), row(origin, m)), row(points[1], c), linear[m], angular[m]
             v = l[0] + a[1] * p[2] - a[2] * p[1], l[1] + a[2] * p[0] - a[0] * p[2], l[2] + a[0] * p[1] - a[1] * p[0]
             if slides[m]:
                 v = along(v, -dot(n, v), n)

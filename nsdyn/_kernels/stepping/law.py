@@ -46,10 +46,10 @@ def warm_start(place, force, h, frame, r):
 
 
 @in_place
-def alone(c, frame1, frame2):
+def alone(c, names):
     """Whether contact c is the only one between its frames."""
-    for other in range(frame1.size):
-        if other != c and frame1[other] == frame1[c] and frame2[other] == frame2[c]:
+    for other in range(names.shape[1]):
+        if other != c and names[2, other] == names[2, c] and names[3, other] == names[3, c]:
             return False
     return True
 
@@ -64,23 +64,22 @@ def begin_velocities(place, begin, here, carried, transport, u):
     move add `carried` (old contacts, 3) there, in world axes, and `transport` (3 nc,) here, in the frames; both are
     empty where none do. `begin` and `here` are those of `local_velocities`.
     """
-    _, old_point, old_normal, x_old, linear, angular, reach = begin
-    _, frame1, frame2, point, frame, _, x = here
+    ((_, old_points, _), x_old, (linear, angular), reach), ((names, points, _), frame, x) = begin, here
     for c in range(place.size):
-        f1, f2, n = frame1[c], frame2[c], row(frame[c], 0)
-        p, k = row(point, c), place[c]
+        f1, f2, n = names[2, c], names[3, c], row(frame[c], 0)
+        p, k = row(points[0], c), place[c]
         m, there = n, False
         if k >= 0:
-            d, m = minus(p, row(old_point, k)), row(old_normal, k)
+            d, m = minus(p, row(old_points[0], k)), row(old_points[1], k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
             gone, far = dot(d, d), far * far
-            rolls = gone <= far or (gone <= ROLLS * ROLLS * far and alone(c, frame1, frame2))
+            rolls = gone <= far or (gone <= ROLLS * ROLLS * far and alone(c, names))
             there = rolls and dot(m, n) > TILTS
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
             if f >= 0:
-                arm = minus(row(old_point, k), row(x_old, f)) if there else minus(p, row(x, f))
+                arm = minus(row(old_points[0], k), row(x_old, f)) if there else minus(p, row(x, f))
                 w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
         if there and carried.size:
             w = along(w, 1.0, row(carried, k))
@@ -111,10 +110,10 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         What surfaces that move add: carried and transport as in `begin_velocities`, all of these at the twists of the
         impulses; transport with those of the end; normal velocities of joint friction. Each is empty for none.
     begin : tuple
-        Keys, points and normals of the contacts found where the step begins, places and twists of the frames there, and
-        how far points of the frames move in about half a step.
+        The contacts found where the step begins, places and twists of the frames there, and how far points of the
+        frames move in about half a step.
     here : tuple
-        Keys, frames, points, directions and gaps where the impulses act, and the places of the frames.
+        The contacts where the impulses act, their directions, and the places of the frames.
     warm : tuple
         Keys, forces in world axes, h: forces whose impulses in h s start the solver; they need not be those found where
         the step begins.
@@ -126,14 +125,14 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     local, end_gap, place = out
     v_begin, v, v_free = velocities
     carried, transport, transport_end, press = surfaces
-    angular, key, frame1, frame2, frame, gap = begin[5], here[0], here[1], here[2], here[4], here[5]
-    nc = key.size
+    (_, angular), ((names, _, scalars), frame, _) = begin[2], here
+    key, nc = names[4], names.shape[1]
     u_begin, u, u_free, drift, guess = local[0], local[1], local[2], local[3], local[4]
     relative_velocity(blocks, v, u)
     relative_velocity(blocks, v_free, u_free)
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(blocks, v_begin, u_begin)
-    places(begin[0], key, place)
+    places(begin[0][0][4], key, place)
     begin_velocities(place, begin, here, carried, transport, u_begin)
     places(warm[0], key, place)
     warm_start(place, warm[1], warm[2], frame, guess)
@@ -144,12 +143,12 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         drift[i] = u[i] - u_begin[i]
     for c in range(nc):
         spin = 0.0
-        for f in (frame1[c], frame2[c]):
+        for f in (names[2, c], names[3, c]):
             if f >= 0:
                 spin = max(spin, dot(row(angular, f), row(angular, f)))
         if ahead * ahead * spin > TURNS * TURNS:
             drift[3 * c], drift[3 * c + 1], drift[3 * c + 2] = 0.0, 0.0, 0.0
-        end_gap[c] = gap[c] - 0.5 * ahead * drift[3 * c]
+        end_gap[c] = scalars[0, c] - 0.5 * ahead * drift[3 * c]
     # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
     for i in range(transport.size):
         drift[i] += transport_end[i] - transport[i]

@@ -32,23 +32,24 @@ and those that are if another pass does not halve them: impulses of redundant co
 
 
 @kernel
-def persists(names, warm, begin, limits, local, end_gap, struck, out):
+def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
     """Which rows persist, into out = (stays, sticks, was): those that do no work along and across their normals.
 
-    What pressed in the last move, by warm = (keys, pairs, status), or was closed where this one begins, by begin =
-    (keys, gaps, what counts as closed, h), and did not approach, stays, as do joint limits, of which `limits` has
+    What pressed in the last move, by `warm` as of `last_status`, or was closed where this one begins, by begin = (the
+    contacts, what counts as closed, h), and did not approach, stays, as do joint limits, of which `limits` has
     (gaps, whether they pressed), (rows - nc,) each. Not what is squeezed, so that it overlaps, strikes or parts: an
     approach in h s faster than `JOLT` drifts of the rows is one of the bodies, and no error. What stuck sticks however
     it approaches, for its slip is an error, as does what stays and did not slip there. Gaps that count as closed, of
     rows that do not turn, are set to 0. Returns whether anything stays. What contacts were in the last move goes into
-    was (nc,), slip if they were closed without pressing, and slip now. names = (keys, pairs).
+    was (nc,), slip if they were closed without pressing, and slip now.
     """
-    (key, pair), (begin_key, begin_gap, closed, h), (stays, sticks, was) = names, begin, out
+    ((begin_names, _, scalars), closed, h), (stays, sticks, was), key = begin, out, names[4]
+    begin_gap = scalars[0]
     some = False
     u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
     before = np.empty(key.size, np.int64)
-    places(begin_key, key, before)
-    last_status(key, pair, warm[0], warm[1], warm[2], was)
+    places(begin_names[4], key, before)
+    last_status(names, geoms, warm, was)
     nc = key.size
     for c in range(stays.size):
         i = 3 * c
@@ -120,7 +121,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     ----------
     blocks : tuple
         Factors of W.
-    contacts : (geom1, geom2, frame1, frame2, normal)
+    contacts : (names, points, scalars)
     mean : ndarray, shape (n,)
         Mean v̄ of the velocities before and after the impulses r (3 rows,).
     bodies : tuple
@@ -141,7 +142,8 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     bool
         Whether any does.
     """
-    geom1, geom2, frame1, frame2, normal = contacts
+    names, normal = contacts[0], contacts[1][1]
+    geom1, geom2, frame1, frame2 = names[0], names[1], names[2], names[3]
     (R, inverse_J, arm, h), (r, y, mu, transport, exact) = bodies, pressed
     couple, dv, left, other = found
     stays, sticks, slides = flags
@@ -226,8 +228,8 @@ def turn(blocks, contacts, mean, bodies, pressed, flags, found):
 
 
 @kernel
-def works(frame1, frame2, free, R, mean, couple, out):
+def works(names, free, R, mean, couple, out):
     """Works of couples at the mean velocity, into out (nc,), J."""
     for c in range(out.size):
-        turning = along(spin_of(frame2[c], free, R, mean), -1.0, spin_of(frame1[c], free, R, mean))
+        turning = along(spin_of(names[3, c], free, R, mean), -1.0, spin_of(names[2, c], free, R, mean))
         out[c] = dot(row(couple, c), turning)

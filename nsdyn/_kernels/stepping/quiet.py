@@ -149,17 +149,16 @@ def posed(s, first, last, met, rows, acted, flags, room):
     that were met before.
     """
     (num, size), _, _, _, _, masses, (free_bodies, trees), _ = s
-    (warm, force), (frame, block, start, H, scales, made), (names, points, scalars) = last, rows, met
+    (warm, force), (frame, block, start, H, scales, made), (names, _, scalars) = last, rows, met
     (b_old, out, a, w, own, place, head), (keys, pairs, was), nc, n = room, acted, acted[2].size, size[0]
     b, q, none, (block_of_frame, offset, m_start, m, minv) = out[col.RESULTS :], a[col.FREE * nc :], own[:0], masses
     q, x, again = q[: 3 * nc], col.vectors(w, col.LOOKED_THERE, n), made[col.MADE] > 0
     if not again:
-        hang, where = (names[2], names[3]), (points[0], frame)
-        made[col.SIZE] = motion.contact_layout(points[1], *hang, block_of_frame, offset, frame, block, start)
+        made[col.SIZE] = motion.contact_layout(met, block_of_frame, offset, frame, block, start)
         if free_bodies < n:
             H[: made[col.SIZE]] = 0.0
-        motion.free_rows(*hang, *where, x, col.rotations(w, col.LOOKED_THERE + 3, n), free_bodies, start, H)
-        links.rows(trees, *hang, *where, start, H)
+        motion.free_rows(met, frame, x, col.rotations(w, col.LOOKED_THERE + 3, n), free_bodies, start, H)
+        links.rows(trees, met, frame, start, H)
     blocks = (offset, block, start, H[: made[col.SIZE]], m_start, m, minv)
     if not again:
         _blocks.delassus_scales(blocks, scales)
@@ -167,30 +166,22 @@ def posed(s, first, last, met, rows, acted, flags, room):
     local, end_gap = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc)
     late = col.column(own, col.LATE, nc)
     slides, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
-    begin, closing = (first[0][4], first[2][0], num[col.CLOSED], num[col.STEP]), closing_of(num)
+    twists, closing = (col.vectors(b_old, col.LINEAR, n), col.vectors(b_old, col.ANGULAR, n)), closing_of(num)
     law.local_velocities(
         blocks,
         (col.velocity(b_old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
-        (points[0][:0], none, none, none),
-        (
-            first[0][4],
-            first[1][0],
-            first[1][1],
-            col.vectors(b_old, col.X, n),
-            col.vectors(b_old, col.LINEAR, n),
-            col.vectors(b_old, col.ANGULAR, n),
-            col.column(w, col.REACH, n),
-        ),
-        (names[4], names[2], names[3], points[0], frame, scalars[0], x),
+        (met[1][0][:0], none, none, none),
+        (first, col.vectors(b_old, col.X, n), twists, col.column(w, col.REACH, n)),
+        (met, frame, x),
         (warm[0], force, num[col.STEP]),
         closing[2],
         (local, end_gap, place),
     )
     law.foresee(blocks, scalars[1], place, warm[2], local, slides)
-    late[:] = 0.0
+    late[:], geoms, begin = 0.0, int(num[col.GEOMS]), (first, num[col.CLOSED], num[col.STEP])
     for c in range(nc):
-        keys[c], pairs[c] = names[4, c], names[0, c] * int(num[col.GEOMS]) + names[1, c]
-    persists((keys, pairs), warm, begin, (none, slides[:0]), local, end_gap, False, (stays, sticks, was))
+        keys[c], pairs[c] = names[4, c], names[0, c] * geoms + names[1, c]
+    persists(names, geoms, warm, begin, (none, slides[:0]), local, end_gap, False, (stays, sticks, was))
     law.offsets(local, (end_gap, scalars[2], none, late, closing), stays, slides, q)
     norm, good = _blocks.size_of(q, scalars[1])
     if not (good and _blocks.in_range(scales)):

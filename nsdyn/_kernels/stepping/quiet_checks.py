@@ -27,13 +27,8 @@ energy, at the velocity of all or at what gravity gives them, is at least half t
 @in_place
 def strikes_at_once(num, met, last, old, n):
     """Whether what is closed strikes where the step begins; last = (keys, pairs of shapes, states) of what acted."""
-    names, points, scalars = met
-    where = names[2], names[3], points[0], points[1], col.vectors(old, col.X, n)
-    closed, twists = (
-        (names[4], names[0], names[1], scalars[0], scalars[2]),
-        (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)),
-    )
-    least_speed = touching.striking_speed(closed, where, twists, last, int(num[col.GEOMS]), num[col.CLOSED])
+    x, twists = col.vectors(old, col.X, n), (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n))
+    least_speed = touching.striking_speed(met, x, twists, last, int(num[col.GEOMS]), num[col.CLOSED])
     return least_speed < -num[col.SLOW] / num[col.STEP]
 
 
@@ -43,21 +38,18 @@ def rebounds(scene, movers, met, old, w):
 
     scene = (numbers, size), movers as of `opened` where it begins.
     """
-    (num, size), n, rates, (names, points, scalars) = scene, scene[1][0], np.empty((2, scene[1][0], 3)), met
+    (num, size), n, rates, (names, _, scalars) = scene, scene[1][0], np.empty((2, scene[1][0], 3)), met
     v, v_free, x = col.velocity(old, col.V, size), col.velocity(w, col.V_FREE, size), col.vectors(old, col.X, n)
     change = np.empty(v.size)
     for i in range(change.size):
         change[i] = (v_free[i] - v[i]) / num[col.STEP]
     all_twists(movers, x, col.rotations(old, col.R, n), change, rates[0], rates[1])
-    where, twists = (
-        (names[2], names[3], points[0], points[1], x),
-        (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)),
-    )
+    twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
     for c in range(names.shape[1]):
         e = scalars[2, c]
         if e > 0.0 and scalars[0, c] <= num[col.CLOSED]:
-            weight = touching.weight_of(c, where, (rates[0], rates[1]))
-            u, rests = touching.approach_of(c, where, twists), rests_of(weight, e, (num[col.HALF], num[col.LEAST]))
+            weight, u = touching.weight_of(c, met, x, (rates[0], rates[1])), touching.approach_of(c, met, x, twists)
+            rests = rests_of(weight, e, (num[col.HALF], num[col.LEAST]))
             if u > num[col.TOL] + rests or u < -(num[col.TOL] + rests / e):
                 return True
     return False
@@ -115,7 +107,7 @@ def eventless(num, bodies, contacts, flags, was, spins, room):
         for k in range(spin.shape[0]):
             fastest = max(fastest, square(spin[k, 0]) + square(spin[k, 1]) + square(spin[k, 2]))
     if fastest > most * most:
-        touching.turns_far((names[2], names[3], scalars[0], presses, num[col.CLOSED]), spins, most, far)
+        touching.turns_far(met, presses, num[col.CLOSED], spins, most, far)
         for c in range(nc):
             if far[c]:
                 return False

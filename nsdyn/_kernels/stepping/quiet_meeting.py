@@ -49,45 +49,33 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
     contacts = (those where it begins, those found), old: the scene where it begins.
     """
     (num, size), (movers_begun, movers, inscribed) = scene, bodies
-    h, geoms, n = num[col.STEP], int(num[col.GEOMS]), size[0]
-    (names, points, scalars), (before, begun, known) = contacts[1], contacts[0]
-    nc, v, v_begin, x = (
-        names.shape[1],
-        col.velocity(w, col.V_FREE, size),
-        col.velocity(old, col.V, size),
-        col.vectors(w, col.X, n),
-    )
-    rate, twists, gap = np.empty(v.size), np.empty((5, 2, n, 3)), known[0].copy()
+    h, n, (before, found), v = num[col.STEP], size[0], contacts, col.velocity(w, col.V_FREE, size)
+    v_begin, x, at = col.velocity(old, col.V, size), col.vectors(w, col.X, n), col.vectors(old, col.X, n)
+    rate, twists, gap = np.empty(v.size), np.empty((5, 2, n, 3)), before[2][0].copy()
     for i in range(rate.size):
         rate[i] = (v[i] - v_begin[i]) / h
     closed, tol, bounces_of = num[col.CLOSED], num[col.TOL], (num[col.HALF], num[col.LEAST])
-    if num[col.ELASTIC] > 0.0 and known[2].any():
-        R, at = col.rotations(old, col.R, n), col.vectors(old, col.X, n)
-        where = before[2], before[3], begun[0], begun[1], at
-        all_twists(movers_begun, at, R, v_begin, twists[3, 0], twists[3, 1])
-        all_twists(movers_begun, at, R, rate, twists[4, 0], twists[4, 1])
-        moving = (twists[3, 0], twists[3, 1]), (twists[4, 0], twists[4, 1])
-        sight.parting(where, np.zeros(gap.size), known[0], known[2], moving, (closed, tol, bounces_of), gap)
-    if touching.all_known(names[4], before[4], gap, closed):
+    begun, R, R_begun = (twists[3, 0], twists[3, 1]), col.rotations(w, col.R_THERE, n), col.rotations(old, col.R, n)
+    all_twists(movers_begun, at, R_begun, v_begin, *begun)
+    if num[col.ELASTIC] > 0.0 and before[2][2].any():
+        all_twists(movers_begun, at, R_begun, rate, twists[4, 0], twists[4, 1])
+        moving = begun, (twists[4, 0], twists[4, 1])
+        sight.parting(before, at, np.zeros(gap.size), moving, (closed, tol, bounces_of), gap)
+    if touching.all_known(found[0][4], before[0][4], gap, closed):
         out[:] = True
-        return nc
-    pair, deep, R = np.empty(nc, np.int64), np.empty(nc), col.rotations(w, col.R_THERE, n)
-    there, at = col.rotations(old, col.R, n), col.vectors(old, col.X, n)
-    all_twists(movers_begun, at, there, v_begin, twists[3, 0], twists[3, 1])
-    parts = np.empty(before.shape[1])
-    touching.approach((before[2], before[3], begun[0], begun[1], at), (twists[3, 0], twists[3, 1]), parts)
-    for c in range(nc):
-        pair[c] = names[0, c] * geoms + names[1, c]
-        deep[c] = num[col.DEPTH] * min(inscribed[names[0, c]], inscribed[names[1, c]])
+        return out.size
+    parts = np.empty(gap.size)
+    touching.approach(before, at, begun, parts)
     all_twists(movers, x, R, v_begin, twists[0, 0], twists[0, 1])
     all_twists(movers, x, R, v, twists[1, 0], twists[1, 1])
     all_twists(movers, x, R, rate, twists[2, 0], twists[2, 1])
     sight.caught(
-        (names[4], pair, deep, scalars[0], scalars[2]),
-        (names[2], names[3], points[0], points[1], x),
-        np.zeros(nc),
+        found,
+        x,
+        (inscribed, num[col.DEPTH]),
+        np.zeros(out.size),
         ((twists[0, 0], twists[0, 1]), (twists[1, 0], twists[1, 1]), (twists[2, 0], twists[2, 1])),
-        (before[4], gap, parts, closed),
+        (before[0][4], gap, parts, closed),
         last,
         (num[col.THETA] * h, h, tol, bounces_of),
         barred,
@@ -121,13 +109,12 @@ def closing_of(num):
 @kernel
 def strikes(num, n, movers, met, local, end_gap, rate, w):
     """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`."""
-    (names, points, scalars), x = met, col.vectors(w, col.X, n)
-    rates, where = np.empty((2, n, 3)), (names[2], names[3], points[0], points[1], x)
+    (names, _, scalars), x, rates = met, col.vectors(w, col.X, n), np.empty((2, n, 3))
     all_twists(movers, x, col.rotations(w, col.R_THERE, n), rate, rates[0], rates[1])
     for c in range(names.shape[1]):
         closes = end_gap[c] + num[col.THETA] * num[col.STEP] * (local[2, 3 * c] + local[3, 3 * c]) <= 0.0
         if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0 and closes:
-            weight, bounces_of = touching.weight_of(c, where, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])
+            weight, bounces_of = touching.weight_of(c, met, x, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])
             resting = num[col.TOL] + sight.rests_of(weight, scalars[2, c], bounces_of) / scalars[2, c]
             if local[0, 3 * c] < -resting:
                 return True

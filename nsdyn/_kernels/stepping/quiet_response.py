@@ -100,22 +100,15 @@ def arrive(num, size, bodies, f, w):
 @in_place
 def end_gaps(geoms, met, now, f, n, gap):
     """Gaps of the contacts met where the step ends, as of `Detector.gaps`, into gap (nc,)."""
-    (names, points, _), (found, _, scalars) = met, now
-    if not keys.kept(names[4], found[4], scalars[0], gap):
-        keys.gaps(
-            fields_of(geoms),
-            (col.vectors(f, col.X, n), col.rotations(f, col.R, n)),
-            room_of(geoms),
-            (names[0], names[1], points[1], names[4]),
-            (found[0], found[1], found[4], scalars[0]),
-            gap,
-        )
+    if not keys.kept(met[0][4], now[0][4], now[2][0], gap):
+        places = col.vectors(f, col.X, n), col.rotations(f, col.R, n)
+        keys.gaps(fields_of(geoms), places, room_of(geoms), met, now, gap)
 
 
 @kernel
 def corrects(num, n, met, now, flags, room):
     """Whether contacts that persist end with gaps that are to be closed, as of `Encounter.corrected`."""
-    (out, _, own, a), (names, points, _), nc = room, now, met[0].shape[1]
+    (out, _, own, a), nc = room, met[0].shape[1]
     f, gap, r = out[col.RESULTS :], col.column(a, col.GAP_END, nc), a[col.IMPULSE * nc : col.U * nc]
     stays, off, alone = (
         flags[col.STAYS, :nc],
@@ -125,9 +118,9 @@ def corrects(num, n, met, now, flags, room):
     closed = max(num[col.CLOSED], out[col.RESIDUAL] * num[col.STEP])
     if not law.off(gap, r, stays, closed, off):
         return False
-    parts, twists = np.empty(names.shape[1]), (col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
-    touching.approach((names[2], names[3], points[0], points[1], col.vectors(f, col.X, n)), twists, parts)
-    ended, sizes = (names[4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], closed)
+    parts, twists = np.empty(now[0].shape[1]), (col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
+    touching.approach(now, col.vectors(f, col.X, n), twists, parts)
+    ended, sizes = (now[0][4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], closed)
     end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
     return law.end_otherwise(off, gap, met[0][4], ended, alone, sizes, end_gap, late)
 
@@ -166,7 +159,7 @@ def changes(scene, bodies, rows, met, now, flags, head, room):
         exact = max(num[col.ENOUGH], out[col.RESIDUAL])
         if persistence.turn(
             blocks,
-            (met[0][0], met[0][1], met[0][2], met[0][3], met[1][1]),
+            met,
             mean,
             (R, inverse_J, arm, num[col.STEP]),
             (r, u, met[2][1], own[:0], exact),
@@ -184,5 +177,5 @@ def changes(scene, bodies, rows, met, now, flags, head, room):
             pose_anew(scene, rows, met, flags, head, room)
             return True
     if head[col.TURNED]:
-        persistence.works(met[0][2], met[0][3], size[2], R, mean, couple, col.column(own, col.COUPLE_WORK, nc))
+        persistence.works(met[0], size[2], R, mean, couple, col.column(own, col.COUPLE_WORK, nc))
     return False

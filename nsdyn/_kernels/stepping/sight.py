@@ -15,33 +15,33 @@ def rests_of(weight, e, bounces):
 
 
 @in_place
-def parting(where, carried, gap, restitution, twists, sizes, out):
+def parting(contacts, x, carried, twists, sizes, out):
     """Gaps, into out (nc,), infinite of elastic contacts that are closed, but part faster than what rests.
 
-    `where` and twists, those of velocity and free acceleration, as of `touching.approach_of`; carried (nc,) is
+    Contacts and twists, those of velocity and free acceleration, as of `touching.approach_of`; carried (nc,) is
     what moving surfaces add to the former, m/s; sizes = (what counts as closed, tolerance, bounces).
     """
-    (velocity, rate), (closed, tol, bounces) = twists, sizes
+    (velocity, rate), (closed, tol, bounces), (_, _, scalars) = twists, sizes, contacts
     for c in range(out.size):
-        out[c] = gap[c]
-        if restitution[c] > 0.0 and gap[c] <= closed:
-            rests = rests_of(weight_of(c, where, rate), restitution[c], bounces)
-            if approach_of(c, where, velocity) + carried[c] > tol + rests:
+        out[c] = scalars[0, c]
+        if scalars[2, c] > 0.0 and scalars[0, c] <= closed:
+            rests = rests_of(weight_of(c, contacts, x, rate), scalars[2, c], bounces)
+            if approach_of(c, contacts, x, velocity) + carried[c] > tol + rests:
                 out[c] = math.inf
 
 
 @kernel
-def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
+def caught(contacts, x, near, carried, twists, before, warm, sizes, barred, out):
     """Which contacts a move need not leave alone, into out (nc,): those `known` of those before, and others.
 
     Those are shallow, neither of a pair barred nor elastic and striking.
 
     Parameters
     ----------
-    contacts : tuple
-        keys, pairs, depth at which each is deep, gaps and restitution.
-    where : tuple
+    contacts, x
         As of `touching.approach_of`.
+    near : tuple
+        Radii of balls inside the shapes, m, and the fraction of that of the smaller at which a contact is deep.
     carried : ndarray, shape (nc,)
         What moving surfaces add to normal velocities, m/s.
     twists : tuple
@@ -55,32 +55,35 @@ def caught(contacts, where, carried, twists, before, warm, sizes, barred, out):
     barred : ndarray of int
     out : ndarray of bool
     """
-    key, pair, deep, gap, restitution = contacts
+    (names, _, scalars), (inscribed, depth) = contacts, near
+    gap, restitution = scalars[0], scalars[2]
     ahead, h, tol, bounces = sizes
     begin, free, rate = twists
     before_key, before_gap, parts, closed = before
     status, place = np.empty(out.size, np.int8), np.empty(out.size, np.int64)
-    known(key, before_key, before_gap, closed, out)
-    places(before_key, key, place)
-    last_status(key, pair, *warm, status)
+    known(names[4], before_key, before_gap, closed, out)
+    places(before_key, names[4], place)
+    last_status(names, inscribed.size, warm, status)
     for c in range(out.size):
         k = place[c]
         if out[c] or (k >= 0 and before_gap[k] == math.inf):  # the latter part
             continue
-        weight, e = weight_of(c, where, rate), restitution[c]
-        u = approach_of(c, where, begin)
+        i, j = names[0, c], names[1, c]
+        pair, deep = i * inscribed.size + j, depth * min(inscribed[i], inscribed[j])
+        weight, e = weight_of(c, contacts, x, rate), restitution[c]
+        u = approach_of(c, contacts, x, begin)
         if not status[c] > 0:
             # What bears one of two bodies that fall together is not known here: it might be as if the other fell alone.
-            u = min(approach_of(c, where, free), u - h * weight)
+            u = min(approach_of(c, contacts, x, free), u - h * weight)
         u += carried[c]
-        shallow = gap[c] + ahead * u > -deep[c]
-        if not shallow and k >= 0 and before_gap[k] + h * parts[k] > -deep[c]:  # its rows turn
+        shallow = gap[c] + ahead * u > -deep
+        if not shallow and k >= 0 and before_gap[k] + h * parts[k] > -deep:  # its rows turn
             shallow = status[c] > 0
-            if before_gap[k] <= deep[c]:  # what presses bears what is as near
-                for i in range(warm[1].size):
-                    shallow = shallow or (warm[1][i] == pair[c] and warm[2][i] > 0)
+            if before_gap[k] <= deep:  # what presses bears what is as near
+                for l in range(warm[1].size):
+                    shallow = shallow or (warm[1][l] == pair and warm[2][l] > 0)
         for b in barred:
-            shallow = shallow and b != pair[c]
+            shallow = shallow and b != pair
         out[c] = shallow and (e == 0.0 or u > -(tol + rests_of(weight, e, bounces) / e))
 
 
@@ -103,44 +106,44 @@ def touch(gap, u, change, sizes):
 
 
 @kernel
-def first_touch(ended, begun, met, joints, barred, sizes, wide):
+def first_touch(ended, begun, met, joints, barred, sizes, wide, geoms):
     """When a move first touches what is barred, and the least gap of that, as of `nsdyn.stepping.passage`.
 
     Parameters
     ----------
     ended : tuple
-        Contacts where it ends, (keys, pairs, gaps), `where` and twists as of `touching.approach_of`, what moving
-        surfaces add to their speeds of parting, (nc,), and twists of the free acceleration.
+        Contacts where it ends, x and twists as of `touching.approach_of`, what moving surfaces add to their speeds of
+        parting, (nc,), and twists of the free acceleration.
     begun : tuple
-        Of the contacts where it begins (keys, where, twists, what surfaces add).
+        Of the contacts where it begins (contacts, x, twists, what surfaces add).
     met : (keys, normal impulses)
     joints : (gaps, speeds where it ends, and where it begins)
         Of joint limits that are barred.
     barred : ndarray of int
         Pairs.
     sizes : (closed, tol, θ, h)
-    wide : float
-        The gap where nothing is near.
+    wide, geoms : float, int
+        The gap where nothing is near, and the number of shapes.
     """
-    (key, pair, gap), where, twists, carried, rates = ended
-    begin_key, begin_where, begin_twists, begin_carried = begun
-    closed, tol, _, h = sizes
+    (contacts, x, twists, carried, rates), (begin_contacts, begin_x, begin_twists, begin_carried) = ended, begun
+    (names, _, scalars), (closed, tol, _, h) = contacts, sizes
+    key, gap = names[4], scalars[0]
     place, pressed, time, least = np.empty(key.size, np.int64), np.empty(key.size, np.int64), math.inf, wide
-    places(begin_key, key, place)
+    places(begin_contacts[0][4], key, place)
     places(met[0], key, pressed)
     for c in range(key.size):
         apart = True
         for code in barred:
-            apart = apart and code != pair[c]
+            apart = apart and code != names[0, c] * geoms + names[1, c]
         if apart or (pressed[c] >= 0 and met[1][pressed[c]] > 0.0):
             continue
-        u, k = approach_of(c, where, twists) + carried[c], place[c]
+        u, k = approach_of(c, contacts, x, twists) + carried[c], place[c]
         if abs(gap[c]) > closed or u < -tol:
             least = min(least, gap[c])
         if k < 0:
-            change = h * approach_of(c, where, rates)
+            change = h * approach_of(c, contacts, x, rates)
         else:
-            change = u - (approach_of(k, begin_where, begin_twists) + begin_carried[k])
+            change = u - (approach_of(k, begin_contacts, begin_x, begin_twists) + begin_carried[k])
         time = min(time, touch(gap[c], u, change, sizes))
     for k in range(joints[0].size):
         if abs(joints[0][k]) > closed or joints[1][k] < -tol:

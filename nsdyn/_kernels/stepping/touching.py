@@ -1,4 +1,7 @@
-"""Where contacts were found before, and how fast bodies approach each other there."""
+"""Where contacts were found before, and how fast bodies approach each other there.
+
+Contacts are (names, points, scalars), as `nsdyn.collision.contacts.ContactSet` has them.
+"""
 
 import numpy as np
 
@@ -88,56 +91,55 @@ def look(looked, now, arm, tol, out):
 
 
 @in_place
-def approach_of(c, where, twists):
-    """Normal velocity of contact c, m/s, of where = (frame1, frame2, point, normal, x) and twists = (linear, angular).
-
-    The frames are at x, and move as in `begin_velocities`.
-    """
-    (frame1, frame2, point, normal, x), (linear, angular) = where, twists
-    p, w = row(point, c), (0.0, 0.0, 0.0)
+def approach_of(c, contacts, x, twists):
+    """Normal velocity of contact c of frames at x with twists = (linear, angular), as of `begin_velocities`, m/s."""
+    (names, points, _), (linear, angular) = contacts, twists
+    p, w = row(points[0], c), (0.0, 0.0, 0.0)
     for s in range(2):
-        f = frame1[c] if s == 0 else frame2[c]
+        f = names[2 + s, c]
         if f >= 0:
             arm = minus(p, row(x, f))
             w = along(w, -1.0 if s == 0 else 1.0, along(row(linear, f), 1.0, cross(row(angular, f), arm)))
-    return dot(row(normal, c), w)
+    return dot(row(points[1], c), w)
 
 
 @in_place
-def approach(where, twists, out):
+def approach(contacts, x, twists, out):
     """`approach_of` of all contacts, into out (nc,)."""
     for c in range(out.size):
-        out[c] = approach_of(c, where, twists)
+        out[c] = approach_of(c, contacts, x, twists)
 
 
 @in_place
-def weight_of(c, where, rates):
+def weight_of(c, contacts, x, rates):
     """`weights` of contact c."""
-    (frame1, frame2, point, normal, x), (linear, angular) = where, rates
-    p, n, total = row(point, c), row(normal, c), 0.0
-    for f in (frame1[c], frame2[c]):
+    (names, points, _), (linear, angular) = contacts, rates
+    p, n, total = row(points[0], c), row(points[1], c), 0.0
+    for f in (names[2, c], names[3, c]):
         if f >= 0:
             total += abs(dot(n, along(row(linear, f), 1.0, cross(row(angular, f), minus(p, row(x, f))))))
     return total
 
 
 @in_place
-def weights(where, rates, out):
+def weights(contacts, x, rates, out):
     """How much faster free accelerations would make each contact approach, |a1·n| + |a2·n|, into out (nc,), m/s².
 
     Of frames whose accelerations are those fields; as in `approach_of`. Not their difference: what two bodies that fall
     together rest by is nothing, but one of them is borne.
     """
     for c in range(out.size):
-        out[c] = weight_of(c, where, rates)
+        out[c] = weight_of(c, contacts, x, rates)
 
 
 @kernel
-def last_status(key, pair, warm_key, warm_pair, warm_status, out):
+def last_status(names, geoms, warm, out):
     """What each contact was in the last move, 0 open, 1 stick, 2 slip, into out (nc,).
 
-    One without a name there goes on from those of its pair of shapes whose names are lost: it has rolled far.
+    By warm = (keys, pairs of so many geoms, states) of what acted then. One without a name there goes on from those of
+    its pair of shapes whose names are lost: it has rolled far.
     """
+    key, (warm_key, warm_pair, warm_status) = names[4], warm
     place, kept = np.empty(key.size, np.int64), np.empty(warm_key.size, np.int64)
     places(warm_key, key, place)
     places(key, warm_key, kept)
@@ -145,37 +147,36 @@ def last_status(key, pair, warm_key, warm_pair, warm_status, out):
         out[c] = warm_status[place[c]] if place[c] >= 0 else 0
         if place[c] < 0:
             for k in range(warm_key.size):
-                if warm_pair[k] == pair[c] and kept[k] < 0:
+                if warm_pair[k] == names[0, c] * geoms + names[1, c] and kept[k] < 0:
                     out[c] = max(out[c], warm_status[k])
 
 
 @kernel
-def striking_speed(contacts, where, twists, warm, geoms, closed):
+def striking_speed(contacts, x, twists, warm, geoms, closed):
     """The least normal velocity of contacts that may strike, m/s, 0 if none is negative.
 
     Those that are closed, but that pressed in the last move and do not rebound: they turn with their bodies, and close
-    a little without striking. contacts = (keys, both geoms of so many, gaps, restitution), (nc,) each.
+    a little without striking.
     """
-    key, geom1, geom2, gap, restitution = contacts
-    was, least = np.empty(gap.size, np.int8), 0.0
-    last_status(key, geom1 * geoms + geom2, *warm, was)
-    for c in range(gap.size):
-        if gap[c] <= closed and (was[c] == 0 or restitution[c] > 0.0):
-            least = min(least, approach_of(c, where, twists))
+    names, _, scalars = contacts
+    was, least = np.empty(names.shape[1], np.int8), 0.0
+    last_status(names, geoms, warm, was)
+    for c in range(was.size):
+        if scalars[0, c] <= closed and (was[c] == 0 or scalars[2, c] > 0.0):
+            least = min(least, approach_of(c, contacts, x, twists))
     return least
 
 
 @in_place
-def turns_far(contacts, spins, most, out):
+def turns_far(contacts, status, closed, spins, most, out):
     """Which contacts touch whose bodies turn faster than `most`, rad/s, into out (nc,).
 
-    contacts = (frame1, frame2, gap, status, closed): those that are closed, or press. spins: angular velocities of the
-    frames, (frames, 3), at both ends of a move.
+    Those that are closed, or press. spins: angular velocities of the frames, (frames, 3), at both ends of a move.
     """
-    frame1, frame2, gap, status, closed = contacts
+    names, _, scalars = contacts
     for c in range(out.size):
         out[c] = False
-        if status[c] > 0 or gap[c] <= closed:
-            for f in (frame1[c], frame2[c]):
+        if status[c] > 0 or scalars[0, c] <= closed:
+            for f in (names[2, c], names[3, c]):
                 for spin in spins:
                     out[c] = out[c] or (f >= 0 and dot(row(spin, f), row(spin, f)) > most * most)
