@@ -272,7 +272,7 @@ def flies_past(frame, arm, i, j, ends, bounds):
 def stays_apart(geometry, arm, i, j, motion, codes, points):
     """Whether two geoms cannot touch on their way, by their separation along the normal of a contact of theirs.
 
-    motion = (x0, x1, turn) as in `motions`; the contacts have sorted codes, and points as of `ContactMemory`.
+    motion = (x0, x1, turn) as in `motions`; the contacts have sorted codes, and points as of `ContactSet`.
     """
     code = i * geometry.kind.size + j
     c = place_of(codes, code)

@@ -53,6 +53,13 @@ def sweep(awake, factors, given, state, keep):
         x0 = r0 + z0
         if r0 == 0.0 and x0 == 0.0:
             continue
+        if mu[c] == 0.0:  # of one row
+            if z0 != 0.0:
+                apply((z0,), rows, c, body, v)
+                r[c, 0] = x0
+                if z0 * (x0 - x[c, 0]) < 0.0:
+                    t[c] = max(1.0, keep * t[c])
+            continue
         u1, u2 = dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
         x1 = r1 - (q[c, 1] + u1 + steps[c, 1] * z0) * steps[c, 3]
         x2 = r2 - (q[c, 2] + u2 + steps[c, 2] * z0) * steps[c, 3]
@@ -77,41 +84,19 @@ def extrapolate(awake, factors, mu, state):
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
         b = (t[c] - 1.0) / (t[c] + 1.0)
         t[c] += 0.5
+        if mu[c] == 0.0:
+            z0 = b * (r0 - x[c, 0])
+            x[c, 0] = r0
+            if z0 != 0.0:
+                r[c, 0] = max(0.0, r0 + z0)
+                apply((r[c, 0] - r0,), rows, c, body, v)
+            continue
         z0, z1, z2 = b * (r0 - x[c, 0]), b * (r1 - x[c, 1]), b * (r2 - x[c, 2])
         x[c, 0], x[c, 1], x[c, 2] = r0, r1, r2
         if z0 != 0.0 or z1 != 0.0 or z2 != 0.0:
             y0, y1, y2 = project(r0 + z0, r1 + z1, r2 + z2, mu[c])
             r[c, 0], r[c, 1], r[c, 2] = y0, y1, y2
             apply((y0 - r0, y1 - r1, y2 - r2), rows, c, body, v)
-
-
-@in_place
-def sweep_normals(awake, factors, given, state, keep):
-    """`sweep` where no contact has friction."""
-    (rows, body, steps), (q, _), (r, x, v, t) = factors, given, state
-    for c in awake:
-        r0 = r[c, 0]
-        u0 = dot(rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
-        z0 = max(-r0, -(q[c, 0] + u0) * steps[c, 0])
-        if z0 != 0.0:
-            apply((z0,), rows, c, body, v)
-            r[c, 0] = r0 + z0
-            if z0 * (r0 + z0 - x[c, 0]) < 0.0:
-                t[c] = max(1.0, keep * t[c])
-
-
-@in_place
-def extrapolate_normals(awake, factors, state):
-    """`extrapolate` where no contact has friction."""
-    (rows, body, _), (r, x, v, t) = factors, state
-    for c in awake:
-        r0 = r[c, 0]
-        z0 = (t[c] - 1.0) / (t[c] + 1.0) * (r0 - x[c, 0])
-        t[c] += 0.5
-        x[c, 0] = r0
-        if z0 != 0.0:
-            r[c, 0] = max(0.0, r0 + z0)
-            apply((r[c, 0] - r0,), rows, c, body, v)
 
 
 @in_place
@@ -169,14 +154,10 @@ def solve(given, state, so_far, limits):
     tol, most, check, patience = limits
     moving = y, x, v, t
     u, before = np.full((mu.size, 3), -np.inf), np.empty((mu.size, 3))
-    index, rough = np.arange(mu.size).astype(np.uint64), mu.any()
-    awake = index
+    awake = index = np.arange(mu.size).astype(np.uint64)
     while best > tol and count < most and count - last < patience:
         count += 1
-        if rough:
-            sweep(awake, factors, (q, mu), moving, keep)
-        else:
-            sweep_normals(awake, factors, (q, mu), moving, keep)
+        sweep(awake, factors, (q, mu), moving, keep)
         if count % check == 0:
             refresh(factors, y, v)  # what the updates leave of round-off
             before, u = u, before
@@ -188,10 +169,7 @@ def solve(given, state, so_far, limits):
             awake = index[: wake(u, before, y, x, index)]
         if count - last > CYCLE:
             keep = 0.0
-        if rough:
-            extrapolate(awake, factors, mu, moving)
-        else:
-            extrapolate_normals(awake, factors, moving)
+        extrapolate(awake, factors, mu, moving)
     return count, last, best, keep
 
 
