@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -102,18 +102,16 @@ class ContactSet(NamedTuple):
         return ordered(out, np.lexsort((out.geom2, out.geom1)))._replace(next_key=other.next_key)
 
 
-class Poses(NamedTuple):
-    """Poses of the moving frames, body to world.
+class Poses(Protocol):
+    """Whatever has poses of the moving frames, body to world."""
 
-    Attributes
-    ----------
-    x : ndarray, shape (nframes, 3)
-        m.
-    R : ndarray, shape (nframes, 3, 3)
-    """
+    @property
+    def x(self) -> Array:
+        """Origins, shape (nframes, 3), m."""
 
-    x: Array
-    R: Array
+    @property
+    def R(self) -> Array:
+        """Orientations, shape (nframes, 3, 3)."""
 
 
 class Looked(NamedTuple):
@@ -179,5 +177,5 @@ def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None =
     """
     c, there = contacts, contacts.normal if normal is None else normal
     out = c._replace(points=c.points.copy(), scalars=c.scalars.copy())
-    advancement.carry(out[:3], tuple(begin), tuple(end), there)
+    advancement.carry(out[:3], (begin.x, begin.R), (end.x, end.R), there)
     return out

@@ -85,7 +85,7 @@ class Detector(Candidates):
         with body 1 and turn with body 2, each contact has the one along which its geoms are farthest apart.
         """
         c, normal, apart = contacts, np.empty_like(contacts.normal), np.empty_like(contacts.gap)
-        advancement.turn_normals(self.fields, c[:3], begin.R, tuple(end), (self._R, self._t), normal, apart)
+        advancement.turn_normals(self.fields, c[:3], begin.R, (end.x, end.R), (self._R, self._t), normal, apart)
         return carry(contacts, begin, end, normal), apart
 
     def touches(
@@ -125,7 +125,8 @@ class Detector(Candidates):
         """
         turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
         foreseen = np.zeros_like(begin.x) if foreseen is None else foreseen
-        advancement.motions(self.frame, self._arm, tuple(begin), tuple(end), foreseen, turn, reach)
+        ends = (begin.x, begin.R), (end.x, end.R)
+        advancement.motions(self.frame, self._arm, *ends, foreseen, turn, reach)
         self._renew(begin.x, begin.R, reach)
         motion, placed = (begin.x, end.x, turn), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least

@@ -13,7 +13,7 @@ from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Surfaces"]
 
-NONE, NOTHING, NO_VELOCITIES = np.empty((0, 2, 3)), np.empty(0), np.empty((0, 3))
+NONE, NO_TRANSPORT, NO_VELOCITIES = np.empty((0, 2, 3)), np.empty((2, 0)), np.empty((0, 3))
 
 
 class Surfaces:
@@ -93,21 +93,21 @@ class Surfaces:
 
     def transport(
         self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, begun: Array, ended: Array
-    ) -> tuple[Array, Array]:
+    ) -> Array:
         """What the surfaces add to the relative velocities of the contacts at the beginning and the end of a step.
 
-        Shapes (3 rows,), 0 beyond the contacts, m/s; empty in a scene without surfaces. The contacts have such frames
+        Shape (2, 3 rows), 0 beyond the contacts, m/s; empty in a scene without surfaces. The contacts have such frames
         (nc, 3, 3), driven bodies are at driven_x (nd, 3), m, and the surfaces have the twists `begun` and `ended`
         (surfaces, 2, 3).
         """
         if not self.count:
-            return NOTHING, NOTHING
+            return NO_TRANSPORT
         out = np.zeros((2, rows, 3))
         for k, twist in enumerate((begun, ended)):
             w = self.velocities(contacts, driven_x, twist)[:, None]
             # Term by term, so that what one contact gets does not depend on how many there are.
             out[k, : len(frame)] = frame[:, :, 0] * w[..., 0] + frame[:, :, 1] * w[..., 1] + frame[:, :, 2] * w[..., 2]
-        return out[0].ravel(), out[1].ravel()
+        return out.reshape(2, -1)
 
     def carry(self, contacts: ContactSet) -> Bools:
         """Which contacts are with driven bodies or sliding surfaces, shape (nc,)."""

@@ -44,6 +44,7 @@ STOPPED = 1e-13
 """Of the change of a velocity by impacts, what is left of it in some hundred of them."""
 
 NOTHING, NEVER, UNKNOWN = np.empty(0), np.empty(0, np.bool_), np.empty(0, np.int8)
+NO_TRANSPORT = np.empty((2, 0))
 
 
 Closing = tuple[float, float, float, float]
@@ -66,10 +67,8 @@ class Encounter(NamedTuple):
         u_k, u⁻, u_f and c [m/s], and the last impulses [N·s].
     end_gap : ndarray, shape (rows,)
         G, m or rad.
-    transport : ndarray, shape (3 rows,)
-        What surfaces that move add to u⁻ and u⁺, m/s; empty if none do.
-    quickening : ndarray, shape (3 rows,)
-        How much more of it there is at the end of the step, and less where it begins, m/s; empty if none move.
+    transport : ndarray, shape (2, 3 rows)
+        What surfaces that move add to u⁻ and u⁺, and what they would at the end of the step, m/s; empty if none move.
     rebound : ndarray, shape (rows,)
         u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
         Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
@@ -88,8 +87,7 @@ class Encounter(NamedTuple):
     restitution: Array
     local: Array
     end_gap: Array
-    transport: Array = NOTHING
-    quickening: Array = NOTHING
+    transport: Array = NO_TRANSPORT
     rebound: Array = NOTHING
     stays: Bools = NEVER
     sticks: Bools = NEVER
@@ -122,8 +120,7 @@ class Encounter(NamedTuple):
         if joints is not None:
             _of_joints(half, joints, warm, local[:, 3 * nc :], end_gap[nc:])
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
-        moved = transport[0], transport[1] - transport[0]
-        return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, *moved)
+        return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, transport)
 
     def changed(self, dv: Array, struck: Bools) -> Encounter:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
@@ -157,8 +154,7 @@ class Encounter(NamedTuple):
             restitution=self.restitution[kept],
             local=self.local[:, rows],
             end_gap=self.end_gap[kept],
-            transport=self.transport[rows] if self.transport.size else NOTHING,
-            quickening=self.quickening[rows] if self.quickening.size else NOTHING,
+            transport=self.transport.compress(rows, axis=1) if self.transport.size else self.transport,
             stays=self.stays[kept],
             sticks=self.sticks[kept[:nc]],
             was=self.was[kept[:nc]],
@@ -168,10 +164,10 @@ class Encounter(NamedTuple):
     @property
     def begun(self) -> Array:
         """What `local` is with u⁻ as it is where the move begins, on surfaces that quicken too."""
-        if not self.quickening.size:
+        if not self.transport.size:
             return self.local
         out = self.local.copy()
-        out[0] -= self.quickening
+        out[0] -= self.transport[1] - self.transport[0]
         return out
 
     def lasting(self, s: System, begin: Instant, limits: Array, h: float, struck: bool) -> Encounter:

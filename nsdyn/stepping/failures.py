@@ -73,17 +73,16 @@ class Failures:
             warnings.warn(message + "; further such steps are recorded without a warning", stacklevel=4)
         self.count += 1
 
-    def tell_created(self, law: str, acted: Impulses, state: State) -> None:
-        """Warn, the first time, of the energy that a law of impact created in a step from a state."""
+    def tell_created(self, law: str, acted: Impulses, t: float) -> None:
+        """Warn, the first time, of the energy that a law of impact created at a time, s."""
         if self.created:
             return
         self.created = True
         work = acted.normal + acted.friction
         gains = work > 0.0
-        where, t = "at limits of joints", state.t
+        where = "at limits of joints"
         if gains.any():
             where = f"between {self._pairs(take(acted.contacts, gains), work[gains])}"
-            t += acted.time
         warnings.warn(
             f"the law of impact {law} created {acted.created:.3g} J at t = {t:.6g} s {where}; Step.created has how "
             "much it creates from now on, impact='dissipative' creates none",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactSet, Looked, Poses
+from nsdyn.collision.contacts import ContactSet, Looked
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
@@ -172,11 +172,11 @@ class Flat(NamedTuple):
 
     def instant(self) -> Instant:
         """Its end."""
-        nc, (x, R), found = self.status.size, self.poses, self.found.contacts()
+        nc, found = self.status.size, self.found.contacts()
         force = self.contact(_col.FORCE, 3).reshape(-1, 3)
         return self.begin()._replace(
             position=self.position,
-            placement=Placement(x, R, self.like.placement.links),
+            placement=self.place._replace(links=self.like.placement.links),
             contacts=found,
             memory=found,
             warm=Warm(self.acted[:nc], self.acted[nc:], force, self.status, self.like.warm.joints),
@@ -190,8 +190,8 @@ class Flat(NamedTuple):
         if like.position.trees:  # the last motion has left it
             return like
         found, v = (like.contacts, like.limits, like.memory), self.coordinate(_col.V)
-        where, place = looked(self.floats[_col.RESULTS :], _col.LOOKED, self.size[0]), Placement(*self.poses, ())
-        return Instant(self.position, v, place, *found, where, like.warm, like.twists, ())
+        where = looked(self.floats[_col.RESULTS :], _col.LOOKED, self.size[0])
+        return Instant(self.position, v, self.place, *found, where, like.warm, like.twists, ())
 
     @property
     def position(self) -> Position:
@@ -205,9 +205,9 @@ class Flat(NamedTuple):
         return self.frame(_col.LINEAR, 3), self.frame(_col.ANGULAR, 3)
 
     @property
-    def poses(self) -> Poses:
-        """Where the frames are."""
-        return Poses(self.frame(_col.X, 3), self.frame(_col.R, 9).reshape(-1, 3, 3))
+    def place(self) -> Placement:
+        """Where the frames are, but for links."""
+        return Placement(self.frame(_col.X, 3), self.frame(_col.R, 9).reshape(-1, 3, 3), ())
 
     def solved(self, d: Dynamics, tol: float) -> tuple[FC3D, Solution]:
         """The problem of the step and its solution, as of the function `solved`."""

@@ -45,14 +45,12 @@ class Impulses(NamedTuple):
         Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
     created : float
         Energy that impacts created, J.
-    time, duration : float
-        When it acted, s after the beginning of the move, or of the step, and how long the move is, s; 0 of impacts in
-        no time.
+    begin, duration : float
+        When the move begins, s after the beginning of the step, and how long it is, s; 0 of impacts in no time. The
+        impulses of a move act (1 - θ) of it after its beginning.
     solved : (FC3D, Solution)
         Its problem and the solution, of impacts the worst.
     works : tuple of Works
-    begin : float
-        When the move begins, s after the beginning of the step.
     moves : ndarray of bool, shape (n,), or None
         Coordinates of the island that it is of; None for all.
     wrench : ndarray, shape (free, 6), or None
@@ -77,11 +75,10 @@ class Impulses(NamedTuple):
     joints: Array
     links: Array
     created: float
-    time: float
+    begin: float
     duration: float
     solved: tuple[FC3D, Solution]
     works: tuple[Works, ...]
-    begin: float = 0.0
     moves: Bools | None = None
     wrench: Array | None = None
     lift: Array | None = None
@@ -124,7 +121,7 @@ def account(
             np.empty((nc, 3)),
         )
         rows, lasting = (
-            (met.rows.full.arrays, met.transport, met.mu, met.local, met.frame),
+            (met.rows.full.arrays, met.transport[0], met.mu, met.local, met.frame),
             (met.stays, met.sticks, couple.work, struck),
         )
         beyond, normal_work, friction_work, rest = _law.outcome(
@@ -144,7 +141,7 @@ def account(
     if met.joints is not None:
         actuation = float(friction[nc:][met.joints.actuated].sum())
         friction_work -= actuation
-    constraint = -float(met.transport @ total) if met.transport.size else 0.0
+    constraint = -float(met.transport[0] @ total) if met.transport.size else 0.0
     works = Works(actuation, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
     u, impulse = u_end.reshape(-1, 3), total.reshape(-1, 3)
     slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n) if d.trees else d.no_impulses
@@ -153,6 +150,6 @@ def account(
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
-    of_contacts, when = (c, met.frame, u, impulse, status, turned, normal, friction), ((1.0 - s.theta) * h, h)
-    impulses = Impulses(*of_contacts, on_joints, links, created, *when, solved, (works,), lasting=last)
+    of_contacts = c, met.frame, u, impulse, status, turned, normal, friction
+    impulses = Impulses(*of_contacts, on_joints, links, created, 0.0, h, solved, (works,), lasting=last)
     return impulses, Warm(c.key, s.detector.codes(c), world, status, slots)

@@ -14,7 +14,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import islands as _islands
 from nsdyn._kernels.stepping.quiet_checks import GAIN
-from nsdyn.collision.contacts import ContactSet, Poses, take
+from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -248,7 +248,7 @@ class Islands:
         # What passes through something unseen.
         fast = d.node[:-1][a.half.reach > FAST * s.smallest] if a.half.fast else d.node[:0]
         if (fast < 0).any() or not opened[label[fast]].all():
-            poses = [Poses(*p[:2]) for p in (begin.placement, a.half.middle.placement, a.moved.placement)]
+            poses = begin.placement, half.middle.placement, a.moved.placement
             known = followed(s, begin.contacts, found)
             closed, pressed = take(begin.contacts, begin.contacts.gap <= s.closed), take(c, a.normal > 0.0)
             turns = half.turns(begin, a.moved)

@@ -111,8 +111,7 @@ class Made(NamedTuple):
         couple = NO_COUPLE
         if self.head[_col.TURNED]:
             works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, size, _col.TURN)
-            left = own[_col.LEFT_OVER * nc : _col.ISLANDS * nc]
-            couple = Couple(vectors(a, _col.COUPLE, nc), works, dv, left)
+            couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
         return {
             "met": encounter,
             "impact": None,

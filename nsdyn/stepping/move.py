@@ -10,7 +10,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.solving import PASSES
-from nsdyn.collision.contacts import ContactSet, Looked, Poses, take
+from nsdyn.collision.contacts import ContactSet, Looked, take
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Placement
@@ -122,9 +122,9 @@ def _met(s: System, begin: Instant, m: Trial, barred: Index | None) -> Trial:
     m = _run_into(s, m, limits)
     if not half.fast or barred.size:
         return m
-    first, second, third = [Poses(*p[:2]) for p in (begin.placement, half.middle.placement, moved.placement)]
     contacts = begin.contacts, take(m.met.contacts, m.normal > 0.0), moved.contacts
-    own = contacts, (first, second, third), half.turns(begin, moved), m.memory
+    places = begin.placement, half.middle.placement, moved.placement
+    own = contacts, places, half.turns(begin, moved), m.memory
     return m._replace(touched=touched(s, *own, half.h, half.reach / half.ahead))
 
 
@@ -233,7 +233,7 @@ def _respond(
     near = 2.0 * half.reach if barred is not None and barred.size else d.nowhere
     effort = 0.0 if rough else EFFORT if barred is None else math.inf
     alone, couple, passes, back = met, NO_COUPLE, 0 if rough else PASSES, barred is None or last is not None
-    lasts = bool(met.stays.any())
+    lasts, left = bool(met.stays.any()), np.full(slides.size, np.inf)
     off: Bools | None = None
     while True:
         met, problem, solution = solve(met, s.solver, known, slides, closing, effort, label is None, off)
@@ -248,7 +248,7 @@ def _respond(
         slips = np.zeros(slides.size, np.bool_)
         if passes:
             slips = slips_otherwise(met, problem, solution, slides, back, off)
-        turn = turned(s, met, half, solution, v, slides, couple) if passes and lasts else None
+        turn = turned(s, met, half, solution, v, slides, couple, left) if passes and lasts else None
         off = np.zeros(alone.end_gap.size, np.bool_)
         if barred is not None or not passes or (turn is None and not slips.any()):
             trees, moved = _arrive(s, half, there, v, impulse, near)
@@ -257,7 +257,7 @@ def _respond(
         if turn is not None:
             couple, other = turn
             slips |= other
-        couple.left[off[: couple.left.size]] = np.inf
+        left[off[: left.size]] = np.inf
         off[: slips.size] |= slips
         if not (passes and off.any()):
             break
@@ -302,7 +302,7 @@ def _encounter(
 def _ending(s: System, half: Half, met: Encounter, solution: Solution, moved: Instant) -> tuple[Encounter, Bools]:
     """What is met with the gaps that rows end with, and which rows end otherwise than the solution tells."""
     d, there, joints = s.dynamics, moved.placement, met.joints
-    gap = s.detector.gaps(met.contacts, moved.contacts, Poses(there.x, there.R))
+    gap = s.detector.gaps(met.contacts, moved.contacts, there)
     if joints is not None:
         gap = np.concatenate((gap, _limits(s, joints, there)))
     closed = max(s.closed, solution.residual * half.h)

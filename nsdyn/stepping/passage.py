@@ -189,7 +189,7 @@ def _jammed(solution: Solution) -> bool:
 
 def _later(acted: Impulses, begun: float) -> Impulses:
     """What acted in a part that began so many seconds after the whole."""
-    return acted._replace(time=begun + acted.time, begin=begun + acted.begin) if begun > 0.0 else acted
+    return acted._replace(begin=begun + acted.begin) if begun > 0.0 else acted
 
 
 def _until_event(

@@ -42,33 +42,30 @@ class Couple(NamedTuple):
         J.
     dv : ndarray, shape (n,)
         Change of v by them.
-    left : ndarray, shape (nc,)
-        Work that they were to leave, J, as of `nsdyn._kernels.stepping.persistence.couples`.
     """
 
     impulse: Array
     work: Array
     dv: Array
-    left: Array
 
 
-NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty(0))
+NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0))
 
 
 def turned(
-    s: System, met: Encounter, half: Half, solution: Solution, v: Array, slides: Bools, couple: Couple
+    s: System, met: Encounter, half: Half, solution: Solution, v: Array, slides: Bools, couple: Couple, left: Array
 ) -> tuple[Couple, Bools] | None:
     """Couples with which contacts that persist do no work, and which contacts have others than act; None if none do.
 
     With the impulses of a solution, which lead to the velocity v (n,), contacts that slide through (nc,), and the
-    couples that act.
+    couples that act; `left` (nc,), the work that couples leave, J, changes as in the kernel `couples`.
     """
     d, c, rows = s.dynamics, met.contacts, met.rows.full
     if not d.free:
         return None
-    impulse, dv, left = couple.impulse.copy(), couple.dv.copy(), couple.left.copy()
+    impulse, dv = couple.impulse.copy(), couple.dv.copy()
     if not dv.size:
-        impulse, dv, left = np.zeros((c.gap.size, 3)), np.zeros(d.n), np.full(c.gap.size, np.inf)
+        impulse, dv = np.zeros((c.gap.size, 3)), np.zeros(d.n)
     other = np.empty(c.gap.size, np.bool_)
     exact = max(s.solver.aims[0] if isinstance(s.solver, Auto) else s.solver.tol, solution.residual)
     turns = _persistence.turn(
@@ -76,11 +73,11 @@ def turned(
         c[:3],
         0.5 * (half.middle.v + v),
         (half.middle.placement.R, d.inverse_J, s.arm, half.h),
-        (solution.r, solution.u, met.mu, met.transport, exact),
+        (solution.r, solution.u, met.mu, met.transport[0], exact),
         (met.stays, met.sticks, slides),
         (impulse, dv, left, other),
     )
-    return (Couple(impulse, couple.work, dv, left), other) if turns else None
+    return (Couple(impulse, couple.work, dv), other) if turns else None
 
 
 def worked(s: System, met: Encounter, half: Half, v: Array, couple: Couple) -> Couple:

@@ -10,11 +10,12 @@ import math
 from collections.abc import Callable
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import Poses, take
+from nsdyn.collision.contacts import take
+from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Certificate, Opening
 from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Flat, Found, looked, velocity
+from nsdyn.stepping.flat import Flat, Found, looked, matrices, vectors, velocity
 from nsdyn.stepping.half import Loads, first_half
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.instant import NOTHING, Instant, System
@@ -150,8 +151,8 @@ class Quiet:
     def _passes(self, old: Flat, new: Flat, made: Made) -> bool:
         """Whether anything touches on its way what it is not seen to meet."""
         s, n, w = self._system, self._system.dynamics.frames, made.work
-        there = Poses(w[: 3 * n].reshape(n, 3), w[_col.R_THERE * n : _col.REACH * n].reshape(n, 3, 3))
-        places, reach = (old.poses, there, new.poses), w[_col.REACH * n : _col.LOOKED_THERE * n]
+        there = Placement(vectors(w, _col.X, n), matrices(w, _col.R_THERE, n), ())
+        places, reach = (old.place, there, new.place), w[_col.REACH * n : _col.LOOKED_THERE * n]
         contacts = old.found.contacts(), take(new.met.contacts(), new.status > 0), new.found.contacts()
         turns = (1.0 - s.theta) * s.dt * old.twists[1], s.theta * s.dt * new.twists[1]
         return touched(s, contacts, places, turns, made.found.contacts(), s.dt, reach / (s.theta * s.dt)) < s.dt

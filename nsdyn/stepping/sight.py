@@ -147,7 +147,7 @@ def reached(
 ) -> tuple[ContactSet, ContactSet]:
     """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
     closed = take(begin.contacts, begin.contacts.gap <= s.closed)
-    touches = s.touches(Poses(*begin.placement[:2]), Poses(*there[:2]), memory, None, closed)
+    touches = s.touches(begin.placement, there, memory, None, closed)
     c = touches.contacts
     deep = c.gap < -FAST * np.minimum(s.inscribed[c.geom1], s.inscribed[c.geom2])
     if not deep.any():
@@ -232,7 +232,7 @@ def shown(
     contacts = take(met.contacts, real)
     if not fast and _few.least(found.gap) >= -s.slow:
         return contacts, memory, kept
-    begin, end = Poses(*middle[:2]), Poses(*moved.placement[:2])
+    begin, end = middle, moved.placement
     late = take(found, (found.gap < -s.deep(found)) & ~among(found.key, met.contacts.key))
     if late.gap.size:
         late, memory = _parting(s, late, met.contacts, end, begin), memory.joined(moved.memory, late.key)
@@ -260,8 +260,8 @@ def missed(
     deep &= among(codes(found), codes(take(met.contacts, r > 0.0)))
     if not deep.any():
         return None
-    late, end = take(found, deep), Poses(*moved.placement[:2])
-    before, there = (s.detector.carry(late, end, Poses(*placement[:2]))[0] for placement in (begin, middle))
+    late, end = take(found, deep), moved.placement
+    before, there = (s.detector.carry(late, end, placement)[0] for placement in (begin, middle))
     touched = np.abs(before.gap) <= s.closed
     return take(there, touched) if touched.any() else None
 

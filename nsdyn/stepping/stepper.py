@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nsdyn.collision.contacts import ContactSet, Poses
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.ledger import Ledger, Works
@@ -316,7 +316,8 @@ class Stepper:
             self.failures.tell(*solved[k], done[k].contacts, s, self.solver.tol)
         for acted in done:
             if acted.created > 0.0:
-                self.failures.tell_created(repr(self.system.impact), acted, s)
+                when = s.t + acted.begin + (1.0 - self.theta) * acted.duration
+                self.failures.tell_created(repr(self.system.impact), acted, when)
         certificate, opening = self._certify(solved, s.opening)
         energies = self.dynamics.energies(now.position, now.v, now.energies)
         if not math.isfinite(sum(energies)):
@@ -380,8 +381,9 @@ class Stepper:
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)
         gap, sizes = acted.contacts.gap, [a.status.size for a in done]
+        times = [a.begin + (1.0 - self.theta) * a.duration for a in done]
         if acted.contacts is not end.contacts:
-            gap = self.detector.gaps(acted.contacts, end.contacts, Poses(end.placement.x, end.placement.R))
+            gap = self.detector.gaps(acted.contacts, end.contacts, end.placement)
         joints = pieces = None
         if d.trees:
             joints = acted.joints[:, 6 * d.free :]
@@ -399,15 +401,15 @@ class Stepper:
             r=acted.r,
             couple=acted.couple,
             contact_status=acted.status,
-            contact_time=np.repeat([a.time for a in done], sizes),
+            contact_time=np.repeat(times, sizes),
             contact_duration=np.repeat([a.duration for a in done], sizes),
             work_normal=acted.normal,
             work_friction=acted.friction,
             joints=joints,
             links=acted.links,
             pieces=pieces,
-            wrenches=OnBodies.of([(a.time, a.duration, a.wrench) for a in done]),
-            lifts=OnBodies.of([(a.time, a.duration, a.lift) for a in done]),
+            wrenches=OnBodies.of([(t, a.duration, a.wrench) for t, a in zip(times, done, strict=True)]),
+            lifts=OnBodies.of([(t, a.duration, a.lift) for t, a in zip(times, done, strict=True)]),
             created=acted.created,
             ledger=ledger,
             gauss=certificate,

@@ -11,7 +11,6 @@ import numpy as np
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.ledger import Ledger, Works
-from nsdyn.dynamics.values import Placement
 from nsdyn.problem.gauss import Certificate
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.flat import Flat
@@ -76,7 +75,7 @@ class Untold(NamedTuple):
     def told(self) -> dict[str, Any]:
         """Where the step led, by the names of `Step`."""
         flat, d = self.flat, self.system.dynamics
-        x, quaternion = d.poses(flat.position, Placement(*flat.poses, ()))
+        x, quaternion = d.poses(flat.position, flat.place)
         q, v = d.pinocchio_state(flat.position, flat.coordinate(_col.V))
         return {
             "q": q,

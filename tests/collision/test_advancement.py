@@ -7,7 +7,8 @@ import pytest
 from test_contacts import ALL, GROUND, about, detector, random_rotation
 
 from nsdyn._kernels.collision import advancement
-from nsdyn.collision.contacts import ContactSet, Poses, carry
+from nsdyn.collision.contacts import ContactSet, carry
+from nsdyn.dynamics.values import Placement
 from nsdyn.scene import shapes
 
 EMPTY = ContactSet.empty()
@@ -17,14 +18,14 @@ KINDS = {**ALL, **THIN}
 
 def poses(*placed):
     """Poses of frames from (x, R)."""
-    return Poses(np.array([p[0] for p in placed], dtype=float), np.array([p[1] for p in placed], dtype=float))
+    return Placement(np.array([p[0] for p in placed], dtype=float), np.array([p[1] for p in placed], dtype=float), ())
 
 
 def between(begin, end, s):
     """Poses at the fraction s of the way."""
     turn = [s * pin.log3(b @ a.T) for a, b in zip(begin.R, end.R, strict=True)]
     R = np.array([pin.exp3(w) @ a for w, a in zip(turn, begin.R, strict=True)])
-    return Poses(begin.x + s * (end.x - begin.x), R)
+    return Placement(begin.x + s * (end.x - begin.x), R, ())
 
 
 def distance(A, B, where):
@@ -52,7 +53,8 @@ def test_against_dense_sampling(seed):
         x1 = x0 + rng.uniform(-0.5, 0.5, size=(2, 3))
         x1[1] -= apart * rng.uniform(0.5, 2.0)
         turn = rng.uniform(-1.0, 1.0, size=(2, 3)) / np.sqrt(3.0)
-        begin, end = Poses(x0, R0), Poses(x1, np.array([pin.exp3(w) @ R for w, R in zip(turn, R0, strict=True)]))
+        begin = Placement(x0, R0, ())
+        end = Placement(x1, np.array([pin.exp3(w) @ R for w, R in zip(turn, R0, strict=True)]), ())
         if distance(A, B, begin) < 1e-3:
             continue
         samples = np.array([distance(A, B, between(begin, end, s)) for s in np.linspace(0.0, 1.0, 500)])
@@ -69,7 +71,7 @@ def test_against_dense_sampling(seed):
             assert first - 0.2 < s <= first  # no later than the first sample inside
             assert -1e-7 < distance(A, B, between(begin, end, s)) < 1.001e-4 * size
             there = between(begin, end, s)
-            manifold = d.find(*there, np.zeros(2), EMPTY)
+            manifold = d.find(*there[:2], np.zeros(2), EMPTY)
             np.testing.assert_allclose(found.contacts.gap, carry(manifold, there, end).gap, rtol=0, atol=1e-6)
     assert min(outcomes) > 5
 
@@ -137,7 +139,7 @@ def test_a_slanted_halfspace_is_followed(rng):
         n, x = rng.normal(size=3), rng.normal(size=3)
         n /= np.linalg.norm(n)
         d = detector(shapes.halfspace(n, n @ x), shapes.box((0.2, 0.4, 0.6)))
-        begin = Poses((x + 0.5 * n)[None], random_rotation(rng)[None])
+        begin = Placement((x + 0.5 * n)[None], random_rotation(rng)[None], ())
         for down, expected in ((0.1, False), (2.0, True)):
             end = begin._replace(x=begin.x - down * n)
             assert (d.touches(begin, end, EMPTY).contacts.gap.size > 0) == expected
@@ -154,8 +156,8 @@ def test_gaps_at_the_end_pose(rng):
     c = d.find(x, np.array([R, R]), np.full(2, 5e-3), EMPTY)
     assert len(c.gap) == 8
     tilt = about((0, 1, 0), 0.01) @ R
-    end = Poses(x + 1e-3 * lift, np.array([R, tilt]))
-    found = d.find(*end, np.zeros(2), c)
+    end = Placement(x + 1e-3 * lift, np.array([R, tilt]), ())
+    found = d.find(*end[:2], np.zeros(2), c)
     gaps = d.gaps(c, found, end)
     again = np.isin(c.key, found.key)
     assert again.any() and not again.all()
@@ -178,14 +180,14 @@ def test_pairs_left_out_and_keys_go_on():
     ball = shapes.sphere(0.1)
     d = detector(GROUND, ball, ball)
     begin = poses(((0, 0, 0.1), np.eye(3)), ((0.5, 0, 0.1), np.eye(3)))
-    resting = d.find(*begin, np.zeros(2), EMPTY)
+    resting = d.find(*begin[:2], np.zeros(2), EMPTY)
     assert resting.key.tolist() == [0, 1]
     end = poses(((0.9, 0, 0.05), np.eye(3)), ((0.5, 0, 0.05), np.eye(3)))
     found = d.touches(begin, end, resting, resting)
     assert (found.contacts.geom1.tolist(), found.contacts.geom2.tolist()) == ([1], [2])
     assert found.contacts.key.tolist() == [2]
     assert found.contacts.gap[0] == pytest.approx(-0.6, abs=1e-3)
-    again = d.find(*end, np.full(2, 1.0), found.memory)
+    again = d.find(*end[:2], np.full(2, 1.0), found.memory)
     assert again.key.tolist() == [0, 1, 2]
     assert set(zip(*d.touches(begin, end, resting).contacts.names[:2].tolist(), strict=True)) >= {(1, 2), (0, 1)}
 
@@ -217,7 +219,7 @@ def test_carry_keeps_points_on_their_bodies(rng):
     cube = shapes.box((1.0, 1.0, 1.0))
     d = detector(GROUND, cube, cube)
     begin = poses(((0, 0, 0.501), np.eye(3)), ((0.1, 0.2, 1.502), np.eye(3)))
-    c = d.find(*begin, np.full(2, 1e-2), EMPTY)
+    c = d.find(*begin[:2], np.full(2, 1e-2), EMPTY)
     end = poses(*((x + rng.normal(size=3), random_rotation(rng)) for x in begin.x))
     moved = carry(c, begin, end)
     for k in range(len(c.gap)):
@@ -247,7 +249,7 @@ def test_normals_turn_with_the_bodies_they_are_of(rng):
         begin = poses(((0, 0, 0), faces[0]), ((0, 0, over * height), faces[1]))
         end = poses(((0, 0, 0), R1 @ faces[0]), ((0, 0, over * height), R2 @ faces[1]))
         d = detector(first, second)
-        c = d.find(*begin, np.full(2, 1e-2), EMPTY)
+        c = d.find(*begin[:2], np.full(2, 1e-2), EMPTY)
         there, apart = d.carry(c, begin, end)
         back, _ = d.carry(there, end, begin)
         own = R1 if first is large else R2
@@ -285,7 +287,7 @@ def test_what_touches_is_found_where_it_touches_again():
     rod, ball = shapes.box((2.0, 0.02, 0.02)), shapes.sphere(0.1)
     begin = poses(((0, 0, 0), np.eye(3)), ((0.5, 0.11, 0), np.eye(3)))
     d = detector(rod, ball)
-    resting = d.find(*begin, np.zeros(2), EMPTY)
+    resting = d.find(*begin[:2], np.zeros(2), EMPTY)
     assert resting.gap.size == 1
     back = begin._replace(R=np.array([about((0, 0, 1), -3.0), np.eye(3)]))
     touches = d.touches(begin, back, resting, together=resting)

@@ -8,8 +8,9 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from nsdyn import compilation, solvers
-from nsdyn.collision.contacts import ContactSet, Poses
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.detector import Detector
+from nsdyn.dynamics.values import Placement
 from nsdyn.problem import cones, gauss, paradox, polished
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import operator
@@ -53,9 +54,9 @@ def shapes() -> None:
     near = x - np.outer(np.arange(len(x)) % 2, (0.0, 0.0, 0.25))
     none = ContactSet.empty()
     memory = detector.find(near, R, np.full(len(x), 0.1), none)
-    touches = detector.touches(Poses(x, R), Poses(near, R), memory)
-    detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none), Poses(near, R))
-    detector.carry(touches.contacts, Poses(near, R), Poses(x, R))
+    touches = detector.touches(Placement(x, R, ()), Placement(near, R, ()), memory)
+    detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none), Placement(near, R, ()))
+    detector.carry(touches.contacts, Placement(near, R, ()), Placement(x, R, ()))
     # A ball beside the border of a face of a box, deep in that.
     k = next(b for b, g in enumerate(geoms) if g.name == "1-0")
     near[k + 1], R[k] = near[k] + (0.1 + 1e-5, 0.0, 0.14 + 0.05), np.eye(3)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn.collision.contacts import ContactSet, Poses
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.values import Placement
 from nsdyn.stepping import failures, sight
 
 
@@ -603,8 +604,8 @@ def test_what_a_move_has_not_met_is_met_where_it_parts_bodies(end, kept):
     scene.add_box("upper", (1, 1, 1), 1.0, position=(0.5, 0, 1))
     stepper = nd.Stepper(scene, 1e-2)
     middle, s = stepper.get_state().instant, stepper.system
-    places = [Poses(np.array([x]), np.eye(3)[None]) for x in (end, (0.5, 0.0, 1.0))]
-    late = s.detector.find(*places[0], np.zeros(1), ContactSet.empty())
+    places = [Placement(np.array([x]), np.eye(3)[None], ()) for x in (end, (0.5, 0.0, 1.0))]
+    late = s.detector.find(*places[0][:2], np.zeros(1), ContactSet.empty())
     assert late.gap.size and (late.gap < -0.04).all()
     met = sight._parting(s, late, middle.contacts, *places)
     assert met.gap.size == (late.gap.size if kept else 0)
