@@ -65,9 +65,9 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
         motion = d.twists(here, begin.v), d.twists(here, rate)
         carried = moved_by(d, before, begin.position.driven_x, half.surfaces[0])
         _sight.parting(before[:3], here.x, carried, motion, (s.closed, s.solver.tol, s.bounces), gap)
-    if _touching.all_known(c.key, before.key, gap, s.closed):
-        return contacts
     out, warm = np.empty(c.gap.size, np.bool_), begin.warm
+    if _touching.known(c.key, before.key, gap, s.closed, out):
+        return contacts
     parts = parting(d, before, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
     _sight.caught(
         c[:3],
@@ -107,10 +107,11 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
     bodies turn it may open, and strike again when it closes. Met are some contacts with normal impulses r (nc,), N·s,
     and the joint rows of some slots.
     """
-    if not limits.size and (found is met or _touching.all_known(found.key, met.key, -r, -_touching.LEAST)):
+    if found is met and not limits.size:
         return NO_CODES, np.inf
     pressed, known = np.empty(found.gap.size, np.bool_), np.empty(found.gap.size, np.bool_)
-    _touching.known(found.key, met.key, -r, -_touching.LEAST, pressed)
+    if _touching.known(found.key, met.key, -r, -_touching.LEAST, pressed) and not limits.size:
+        return NO_CODES, np.inf
     _touching.known(found.key, met.key, -r, np.inf, known)
     left, rests = take(found, ~pressed), known[~pressed]
     code, gap = s.detector.codes(left), left.gap

@@ -10,7 +10,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import in_place, kernel
 from nsdyn._kernels.dynamics.motion import beyond_potential
-from nsdyn._kernels.problem.blocks import relative_velocity
+from nsdyn._kernels.problem.blocks import diagonal_block, relative_velocity, widest
 from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
@@ -156,15 +156,15 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         u_free[i] += press[i]
 
 
-@in_place
+@kernel
 def foresee(blocks, mu, place, old_status, local, slides):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
 
     What stuck begins without slip, but for what the solver's tolerance left; of what is new nothing can be foreseen.
     `local` is what `local_velocities` gives.
     """
-    u_begin, u_free, drift, guess = local[0], local[2], local[3], local[4]
-    offset, block, start, H, m_start, _, minv = blocks
+    u_begin, u_free, drift, guess, most = local[0], local[2], local[3], local[4], widest(blocks[0])
+    x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
     for c in range(slides.size):
         i = 3 * c
         slides[c] = False
@@ -173,25 +173,9 @@ def foresee(blocks, mu, place, old_status, local, slides):
         slip = math.sqrt(square(u_begin[i + 1]) + square(u_begin[i + 2]))
         if slip <= 2.0 * math.sqrt(square(drift[i + 1]) + square(drift[i + 2])) or mu[c] == 0.0:
             continue
-        normal, tangential = 0.0, 0.0
-        for s in range(2):
-            k = block[c, s]
-            if k < 0:
-                continue
-            n = offset[k + 1] - offset[k]
-            for j in range(3):
-                a = start[c, s] + j * n
-                total = 0.0
-                for l in range(n):
-                    if H[a + l] != 0.0:
-                        for m in range(n):
-                            total += H[a + l] * minv[m_start[k] + l * n + m] * H[a + m]
-                if j == 0:
-                    normal += total
-                else:
-                    tangential += total
-        press = max(0.0, -(u_free[i] + drift[i])) / normal if normal > 0.0 else 0.0
-        slides[c] = slip > mu[c] * max(press, guess[i]) * tangential
+        diagonal_block(blocks, c, 3, x, y, W)
+        press = max(0.0, -(u_free[i] + drift[i])) / W[0, 0] if W[0, 0] > 0.0 else 0.0
+        slides[c] = slip > mu[c] * max(press, guess[i]) * (W[1, 1] + W[2, 2])
 
 
 @in_place

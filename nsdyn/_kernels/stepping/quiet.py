@@ -105,9 +105,9 @@ def meet(s, contacts, warm, rooms, flags, barred, room):
     num, (first, found), (into, wide), (b_old, w, head) = scene[0], contacts, rooms, room
     nc = found[0].shape[1]
     head[col.MET], head[col.SOME], head[col.NEEDED] = nc, 0, nc
-    if num[col.ELASTIC] == 0.0 and touching.all_known(found[0][4], first[0][4], first[2][0], num[col.CLOSED]):
-        return DONE
     kept = flags[col.OFF, :nc]
+    if num[col.ELASTIC] == 0.0 and touching.known(found[0][4], first[0][4], first[2][0], num[col.CLOSED], kept):
+        return DONE
     head[col.MET] = catch(scene, (movers_begun, movers, inscribed), contacts, warm, b_old, w, barred, kept)
     if head[col.MET] < nc:
         if wide * head[col.MET] > into[0].size:

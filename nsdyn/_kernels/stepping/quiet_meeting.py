@@ -61,8 +61,7 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
         all_twists(movers_begun, at, R_begun, rate, twists[4, 0], twists[4, 1])
         moving = begun, (twists[4, 0], twists[4, 1])
         sight.parting(before, at, np.zeros(gap.size), moving, (closed, tol, bounces_of), gap)
-    if touching.all_known(found[0][4], before[0][4], gap, closed):
-        out[:] = True
+    if touching.known(found[0][4], before[0][4], gap, closed, out):
         return out.size
     parts = np.empty(gap.size)
     touching.approach(before, at, begun, parts)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping.law import reconsider
 
@@ -11,23 +11,25 @@ PASSES = 8
 left of the latter smaller by about h ω; slip is, after the first, only changed where it would be turned round."""
 
 
-@in_place
-def concerned(label, some, islands):
-    """Islands (of the contacts, by their label) of which a row is among `some` (rows,), into islands."""
-    islands[:] = False
+@kernel
+def concerned(blocks, some):
+    """Rows in islands of which a row is among `some` (rows,), shape (rows,)."""
+    label, out = np.empty(some.size, np.int64), np.empty(some.size, np.bool_)
+    islands = np.zeros(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
     for c in range(some.size):
         if some[c]:
             islands[label[c]] = True
+    for c in range(some.size):
+        out[c] = islands[label[c]]
+    return out
 
 
 @kernel
 def thaw(blocks, some, before, after):
     """Leave (r, u) as they were `before`, in after, in the islands of which no row is among `some` (rows,)."""
-    label = np.empty(some.size, np.int64)
-    islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
-    concerned(label, some, islands)
-    for c in range(label.size):
-        if not islands[label[c]]:
+    anew = concerned(blocks, some)
+    for c in range(some.size):
+        if not anew[c]:
             for i in range(3 * c, 3 * c + 3):
                 after[0][i], after[1][i] = before[0][i], before[1][i]
 
@@ -42,11 +44,9 @@ def slips_otherwise(blocks, solution, local, slides, back, some, out):
     for c in range(nc):
         out[c] = slides[c]
     if reconsider(solution, local, slides, back) and some.size > 0:
-        label = np.empty(some.size, np.int64)
-        islands = np.empty(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
-        concerned(label, some, islands)
+        anew = concerned(blocks, some)
         for c in range(nc):
-            if not islands[label[c]]:
+            if not anew[c]:
                 slides[c] = out[c]
     for c in range(nc):
         out[c] = slides[c] != out[c]

@@ -36,22 +36,13 @@ def sorted_places(old_key, new_key, begin, out):
 
 @kernel
 def known(key, old_key, old_gap, closed, out):
-    """Which contacts are among old ones that are closed, into out (nc,)."""
-    place = np.empty(key.size, np.int64)
+    """Which contacts are among old ones that are closed, into out (nc,); whether all are."""
+    place, every = np.empty(key.size, np.int64), True
     places(old_key, key, place)
     for c in range(key.size):
         out[c] = place[c] >= 0 and old_gap[place[c]] <= closed
-
-
-@kernel
-def all_known(key, old_key, old_gap, closed):
-    """Whether all contacts are among old ones that are closed."""
-    place = np.empty(key.size, np.int64)
-    places(old_key, key, place)
-    for c in range(key.size):
-        if place[c] < 0 or not old_gap[place[c]] <= closed:
-            return False
-    return True
+        every = every and out[c]
+    return every
 
 
 @in_place
