@@ -12,7 +12,7 @@ import pinocchio as pin
 from nsdyn._kernels.collision import broadphase
 from nsdyn._kernels.collision.geometry import Geometry
 from nsdyn._kernels.packing import pack
-from nsdyn.collision.contacts import ContactSet, ordered
+from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.distances import SHRINK, Batch, empty_model, split
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.shapes import HALFSPACE, ROUND
@@ -134,10 +134,6 @@ class Candidates:
     def codes(self, contacts: ContactSet) -> Index:
         """One number for the pair of geoms of every contact, shape (nc,)."""
         return contacts.geom1 * len(self._cores) + contacts.geom2
-
-    def ordered(self, contacts: ContactSet) -> ContactSet:
-        """Contacts sorted by their pairs, those of one as they come."""
-        return ordered(contacts, np.argsort(self.codes(contacts), kind="stable"))
 
     def ask(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and ask Coal for the distances of the candidate pairs."""

@@ -11,7 +11,7 @@ from nsdyn._kernels.collision import advancement
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.naming import counted
 
-__all__ = ["ContactSet", "Looked", "Poses", "Touches", "carry", "joined", "ordered", "take"]
+__all__ = ["ContactSet", "Looked", "Poses", "Touches", "carry", "joined", "ordered", "take", "united"]
 
 
 class ContactSet(NamedTuple):
@@ -98,8 +98,7 @@ class ContactSet(NamedTuple):
     def joined(self, other: ContactSet, keys: Index) -> ContactSet:
         """The same with those of a later configuration that have some keys, unless they are known."""
         more = np.isin(other.key, keys) & ~np.isin(other.key, self.key)
-        out = joined((self, take(other, more)))
-        return ordered(out, np.lexsort((out.geom2, out.geom1)))._replace(next_key=other.next_key)
+        return united((self, take(other, more)))._replace(next_key=other.next_key)
 
 
 class Poses(Protocol):
@@ -167,6 +166,12 @@ def joined(some: Iterable[ContactSet]) -> ContactSet:
     *columns, next_keys = zip(*some, strict=True)
     names, points, scalars = (np.concatenate(parts, axis=1) for parts in columns)
     return ContactSet(names, points, scalars, max(next_keys))
+
+
+def united(some: Iterable[ContactSet]) -> ContactSet:
+    """Contacts sorted by their pairs, those of one as they come."""
+    out = joined(some)
+    return ordered(out, np.lexsort((out.geom2, out.geom1)))
 
 
 def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None = None) -> ContactSet:

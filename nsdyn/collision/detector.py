@@ -15,7 +15,7 @@ import numpy as np
 from nsdyn._kernels import sorting
 from nsdyn._kernels.collision import advancement, geometry, keys, manifold, search
 from nsdyn.collision.candidates import MARGIN, TOLERANCE, Candidates
-from nsdyn.collision.contacts import ContactSet, Poses, Touches, carry, joined, take
+from nsdyn.collision.contacts import ContactSet, Poses, Touches, carry, take, united
 from nsdyn.collision.distances import distance_request
 from nsdyn.tools.arrays import Array, Index
 
@@ -223,7 +223,7 @@ class Detector(Candidates):
         contacts = ContactSet(*out, keys.match(geoms, TOLERANCE, memory[:2], memory.next_key, names, points))
         others = np.empty(memory.names.shape[1], np.bool_)
         sorting.among(self.codes(memory), self._codes[pair], others)
-        remembered = self.ordered(joined((take(memory, ~others), contacts)))
+        remembered = united((take(memory, ~others), contacts))
         return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered, _NONE)
 
 

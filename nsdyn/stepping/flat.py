@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn._kernels.compiled import plain
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactSet, Looked
 from nsdyn.dynamics.values import Energies, Placement, Position
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "put", "solved", "vectors", "velocity"]
 
+
+VIEWS = "column", "vectors", "rotations", "velocity", "placed", "contacts", "rows"
+column, vectors, matrices, velocity, placed, contacts, rows = (plain(_col.__name__)[name] for name in VIEWS)
+"""Views of columns as Python makes them at once: to call a kernel takes longer."""
 
 Acted = tuple[Array, Index, NDArray[np.int8]]
 """A state as the kernel has it: floats; keys, then pairs of shapes of what acted last; what these were."""
@@ -64,26 +69,25 @@ class Found(NamedTuple):
 
     def contacts(self) -> ContactSet:
         """Them as values."""
-        nc, f, i = self.nc, self.floats, self.integers
-        arrays = i[: 5 * nc].reshape(5, nc), f[: 12 * nc].reshape(4, nc, 3), f[12 * nc : 15 * nc].reshape(3, nc)
-        return ContactSet(*arrays, self.next_key)
+        names, points, scalars = contacts(self[:2], self.nc)
+        return ContactSet(names, points, scalars, self.next_key)
 
     @property
     def frame(self) -> Array:
         """Directions of the contacts, shape (nc, 3, 3)."""
-        return self.floats[_col.FRAMES * self.nc : _col.SCALES * self.nc].reshape(-1, 3, 3)
+        out: Array = matrices(self.floats, _col.FRAMES, self.nc)
+        return out
 
     @property
     def scales(self) -> Array:
         """λ_max(W_cc), shape (nc,), 1/kg."""
-        return self.floats[_col.SCALES * self.nc : _col.ROWS * self.nc]
+        out: Array = column(self.floats, _col.SCALES, self.nc)
+        return out
 
     def blocks(self, d: Dynamics, masses: tuple[Array, Array]) -> Blocks:
         """Factors of W, with M and its inverse."""
-        nc, i = self.nc, self.integers
-        block, start = (i[k * nc : (k + 2) * nc].reshape(-1, 2) for k in (_col.BLOCKS, _col.STARTS))
-        H = self.floats[_col.ROWS * nc :][: i[_col.SIZE - 2]]
-        return Blocks(d.offset, block, start, H, d.m_start, *masses)
+        _, block, start, H, _, made = rows(self[:2], self.nc)
+        return Blocks(d.offset, block, start, H[: made[_col.SIZE]], d.m_start, *masses)
 
 
 class Flat(NamedTuple):
@@ -160,9 +164,10 @@ class Flat(NamedTuple):
         begin = _col.RESULTS + first * n
         return self.floats[begin : begin + width * n].reshape(n, width)
 
-    def coordinate(self, column: tuple[int, int]) -> Array:
+    def coordinate(self, which: tuple[int, int]) -> Array:
         """A column of the coordinates, (n,)."""
-        return velocity(self.floats[_col.RESULTS :], self.size, column)
+        out: Array = velocity(self.floats[_col.RESULTS :], which, self.size)
+        return out
 
     def contact(self, first: int, width: int = 1) -> Array:
         """So many columns of the contacts from one on, as one array."""
@@ -253,16 +258,6 @@ def solved(floats: Array, acted: Array, met: Found, blocks: Blocks, tol: float) 
     return problem, Solution(r, u, status, error, residual, int(count), time)
 
 
-def vectors(f: Array, k: int, n: int) -> Array:
-    """The columns from k on as (n, 3)."""
-    return f[k * n : (k + 3) * n].reshape(n, 3)
-
-
-def matrices(f: Array, k: int, n: int) -> Array:
-    """The columns from k on as (n, 3, 3)."""
-    return f[k * n : (k + 9) * n].reshape(n, 3, 3)
-
-
 def put(f: Array, k: int, n: int, values: Array) -> None:
     """Set the columns from k on, of the first frames."""
     f[k * n : k * n + values.size] = values.ravel()
@@ -270,10 +265,4 @@ def put(f: Array, k: int, n: int, values: Array) -> None:
 
 def looked(f: Array, k: int, n: int) -> Looked:
     """Where contacts are looked for, in the columns from k on."""
-    return Looked(vectors(f, k, n), matrices(f, k + 3, n), f[(k + 12) * n : (k + 13) * n])
-
-
-def velocity(f: Array, size: tuple[int, int], column: tuple[int, int]) -> Array:
-    """A column of the coordinates, (n,), of columns of a scene of size = (frames, coordinates)."""
-    begin = column[0] * size[0] + column[1] * size[1]
-    return f[begin : begin + size[1]]
+    return Looked(*placed(f, k, n))

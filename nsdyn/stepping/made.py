@@ -71,13 +71,13 @@ class Made(NamedTuple):
             end, position = motion.placement, motion.position
         twists = vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)
         found_there = found, d.limits(end), memory, where
-        moved = Instant(position, velocity(b, size, _col.V), end, *found_there, begin.warm, twists, ())
+        moved = Instant(position, velocity(b, _col.V, size), end, *found_there, begin.warm, twists, ())
         if goes:
             end_found = self.end.contacts()
             moved = moved._replace(contacts=end_found, memory=end_found, looked=looked(b, _col.LOOKED, n))
         return Trial(
             half=half,
-            v=velocity(w, size, _col.V_PLUS),
+            v=velocity(w, _col.V_PLUS, size),
             impulse=NOTHING if motion is None else motion.impulse,
             trees=() if motion is None else motion.ends,
             moved=moved,
@@ -110,7 +110,7 @@ class Made(NamedTuple):
         )
         couple = NO_COUPLE
         if self.head[_col.TURNED]:
-            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, size, _col.TURN)
+            works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, _col.TURN, size)
             couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
         return {
             "met": encounter,
@@ -127,7 +127,7 @@ class Made(NamedTuple):
         n, _ = size = d.frames, d.n
         x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
         there = Placement(x, matrices(w, _col.R_THERE, n), ())
-        middle = Middle(begin.position.moved(x, quaternion), velocity(w, size, _col.V_THERE), there, ())
-        v_free = velocity(w, size, _col.V_FREE)
+        middle = Middle(begin.position.moved(x, quaternion), velocity(w, _col.V_THERE, size), there, ())
+        v_free = velocity(w, _col.V_FREE, size)
         forces = Forces(v_free, v_free, d.no_load, *d.masses[3:], ())
         return Half(s, h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)

@@ -10,7 +10,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.solving import PASSES
-from nsdyn.collision.contacts import ContactSet, Looked, take
+from nsdyn.collision.contacts import ContactSet, Looked, take, united
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.dynamics.values import Placement
@@ -22,7 +22,7 @@ from nsdyn.stepping.instant import Instant, System, among
 from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.sight import caught, caught_limits, missed, others, parting, reached, shown, touched, united
+from nsdyn.stepping.sight import caught, caught_limits, missed, others, parting, reached, shown, touched
 from nsdyn.stepping.solving import slips_otherwise, solve
 from nsdyn.stepping.trial import Known, Trial, parted
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -105,8 +105,8 @@ def _whole(s: System, begin: Instant, m: Trial, barred: Index, label: Index | No
         if there is None:
             there, (_, joints) = _reachable(s, begin, m.half, barred)
         apart = take(there.contacts, ~among(there.contacts.key, late.key))  # of which it may have been left alone
-        contacts, memory = united(apart, late, s.detector), m.memory.joined(m.moved.memory, late.key)
-        there, met = there._replace(contacts=contacts, memory=memory), united(m.met.contacts, late, s.detector)
+        contacts, memory = united((apart, late)), m.memory.joined(m.moved.memory, late.key)
+        there, met = there._replace(contacts=contacts, memory=memory), united((m.met.contacts, late))
         m = _respond(s, begin, m.half, there, (met, joints), barred, m, label=label)
     return m
 

@@ -144,7 +144,7 @@ class Mover:
                 if constrained and head[_col.MET]:
                     return None
                 if motion is not None:
-                    motion.v = velocity(work[0], self._size, _col.V_PLUS).copy()
+                    motion.v = velocity(work[0], _col.V_PLUS, self._size).copy()
                 return self._made(new, rooms, work, begun, code == _meeting.DONE)
             if code == _meeting.MORE:
                 self._most, room = max(self._most, int(head[_col.NEEDED])), True
@@ -174,8 +174,8 @@ class Mover:
         (x, R, links), forces = half.middle.placement, half.forces
         put(work, _col.X, n, x)
         put(work, _col.R_THERE, n, R)
-        velocity(work, self._size, _col.V_THERE)[:] = half.middle.v
-        velocity(work, self._size, _col.V_FREE)[:] = forces.v
+        velocity(work, _col.V_THERE, self._size)[:] = half.middle.v
+        velocity(work, _col.V_FREE, self._size)[:] = forces.v
         views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
         if self._dynamics.free:
             put(work, _col.QUATERNION, n, half.middle.position.quaternion)
@@ -189,7 +189,7 @@ class Mover:
         """Bring the scene to the end of its step; whether it goes there."""
         n, b = self._size[0], floats[_col.RESULTS :]
         found = motion.end(
-            velocity(work, self._size, _col.V_PLUS).copy(), velocity(work, self._size, _col.PUSHED).copy()
+            velocity(work, _col.V_PLUS, self._size).copy(), velocity(work, _col.PUSHED, self._size).copy()
         )
         if found is None:
             return False
@@ -198,7 +198,7 @@ class Mover:
             put(b, _col.QUATERNION, n, position.quaternion)
         for column, values in ((_col.X, x), (_col.R, R), (_col.LINEAR, linear), (_col.ANGULAR, angular)):
             put(b, column, n, values)
-        velocity(b, self._size, _col.V)[:] = v
+        velocity(b, _col.V, self._size)[:] = v
         return True
 
     def respond(

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nsdyn._kernels.dynamics import motion as _motion
-from nsdyn.collision.contacts import ContactSet, Looked, joined, take
+from nsdyn.collision.contacts import ContactSet, Looked, take, united
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.half import Callbacks, Given, Loads
@@ -208,8 +208,8 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
         position=out.position._replace(trees=p),
         placement=out.placement._replace(links=links),
         energies=energies,
-        contacts=detector.ordered(joined(contacts)),
-        memory=detector.ordered(joined(memory)),
+        contacts=united(contacts),
+        memory=united(memory),
         warm=Warm(key, pair, force, status, out.warm.joints),
     )
 

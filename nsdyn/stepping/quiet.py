@@ -103,7 +103,7 @@ class Quiet:
                 break
             motion, callbacks = again, None
         b, size = made.floats[_col.RESULTS :], (s.dynamics.frames, s.dynamics.n)
-        if (like := motion.ended(velocity(b, size, _col.V), looked(b, _col.LOOKED, size[0]))) is None:
+        if (like := motion.ended(velocity(b, _col.V, size), looked(b, _col.LOOKED, size[0]))) is None:
             return None
         return self._told(old, made, like, motion, certify)
 

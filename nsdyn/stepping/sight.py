@@ -15,8 +15,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.stepping import sight as _sight
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn.collision.contacts import ContactSet, Poses, carry, joined, take
-from nsdyn.collision.detector import Detector
+from nsdyn.collision.contacts import ContactSet, Poses, carry, take, united
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
@@ -36,7 +35,6 @@ __all__ = [
     "reached",
     "shown",
     "touched",
-    "united",
 ]
 
 NO_CODES = np.empty(0, np.int64)
@@ -156,7 +154,7 @@ def reached(
     first = take(c, deep)
     codes = s.detector.codes
     others = take(contacts, ~among(codes(contacts), codes(first)))
-    return united(others, first, s.detector), touches.memory
+    return united((others, first)), touches.memory
 
 
 def followed(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
@@ -240,10 +238,10 @@ def shown(
     if fast:
         (passed, _, memory, _), codes = s.touches(begin, end, memory, met.contacts), s.detector.codes
         passed = carry(passed, end, begin)
-        late = united(take(late, ~among(codes(late), codes(passed))), passed, s.detector)
+        late = united((take(late, ~among(codes(late), codes(passed))), passed))
     if not late.gap.size:
         return contacts, memory, kept
-    return united(contacts, late, s.detector), memory, np.concatenate((kept, late.key))
+    return united((contacts, late)), memory, np.concatenate((kept, late.key))
 
 
 def missed(
@@ -287,8 +285,3 @@ def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
         real = found.key[found.gap <= s.deep(found)]
         out &= ~among(met.contacts.key, real)
     return out
-
-
-def united(one: ContactSet, other: ContactSet, detector: Detector) -> ContactSet:
-    """Contacts of both, sorted by their pairs."""
-    return detector.ordered(joined((one, other)))
