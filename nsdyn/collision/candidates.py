@@ -128,7 +128,7 @@ class Candidates:
 
     @property
     def searches(self) -> tuple[Any, ...]:
-        """What `nsdyn._kernels.collision.search.search` takes first: geoms, pairs, most points of a pair, tolerance."""
+        """What `nsdyn._kernels.collision.search` takes first: geoms, pairs, most points of a pair, tolerance."""
         return self._search
 
     def codes(self, contacts: ContactSet) -> Index:
@@ -178,7 +178,7 @@ class Candidates:
             self._batches.append(Batch(self._models[k], self._cores, one, other, margin, self._coal[lo:hi]))
 
     def _pack_geoms(self) -> None:
-        """What does not change with the candidates, as `search` takes it; the arrays become views of that."""
+        """What does not change with the candidates, as `seek` takes it; the arrays become views of that."""
         g, pose = self._geometry, (self._R, self._t, self._reach, self._slack, self._base)
         boxes = self._lower, self._upper, self._fat_lower, self._fat_upper
         shapes = g.size, g.offset, g.radius, g.vertices, g.face_normals, g.face_offsets, g.placement_R, g.placement_t

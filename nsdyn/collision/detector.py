@@ -49,21 +49,17 @@ class Detector(Candidates):
         memory : ContactSet
             Of the configuration whose contacts go on: those found again keep their keys.
         """
-        poses, placed, next_key = (x, R, reach), bool(self._batches), memory.next_key
+        poses, placed = (x, R, reach), bool(self._batches)
         if placed:
             self.ask(*poses)
-        # Mostly there are as many contacts as before.
-        out, before = _room(memory.names.shape[1]), memory[:2]
-        count, last_key = search.search(self._search, placed, poses, before, next_key, out)
+        count = search.seek(*self._search[:3], placed, poses)
         if count == search.LEFT:
             self.ask(*poses)
-            count, last_key = search.search(self._search, True, poses, before, next_key, out)
+            count = search.seek(*self._search[:3], True, poses)
         elif not placed:
             self._served += 1
-        if count != memory.names.shape[1]:
-            out = _room(count)
-            last_key = search.gather(*self._search[:2], TOLERANCE, before, next_key, out)
-        return ContactSet(*out, last_key)
+        out = _room(count)
+        return ContactSet(*out, search.gather(*self._search[:2], TOLERANCE, memory[:2], memory.next_key, out))
 
     def gaps(self, contacts: ContactSet, found: ContactSet, poses: Poses) -> Array:
         """Gaps of contacts at later poses, shape (nc,), m.

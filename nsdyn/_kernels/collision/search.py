@@ -1,4 +1,4 @@
-"""The contacts of a configuration in one call: geoms in place, points of the candidate pairs, keys."""
+"""The contacts of a configuration: geoms in place, points of the candidate pairs, keys."""
 
 from nsdyn._kernels.collision.broadphase import follow
 from nsdyn._kernels.collision.keys import match
@@ -94,16 +94,3 @@ def gather(geoms, pairs, tolerance, memory, next_key, out):
         put(points[1], c, row(normal, c))
     shapes = numbers(f, i, RADIUS), *room_of(geoms), numbers(f, i, REACH)
     return match(shapes, tolerance, memory, next_key, names, points)
-
-
-@in_place
-def search(searches, placed, poses, memory, next_key, out):
-    """`seek`, and `gather` if there is room for just so many; the number of contacts and the next key.
-
-    `searches` are (geoms, pairs, limit, tolerance) of these.
-    """
-    geoms, pairs, limit, tolerance = searches
-    count = seek(geoms, pairs, limit, placed, poses)
-    if count == out[0].shape[1]:
-        next_key = gather(geoms, pairs, tolerance, memory, next_key, out)
-    return count, next_key

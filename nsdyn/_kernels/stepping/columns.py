@@ -214,7 +214,7 @@ def placed(f, k, n):
 
 @kernel(inline="always")
 def contacts(found, nc):
-    """(names, points, scalars) of what was found, as `search` gives them."""
+    """(names, points, scalars) of what was found, as `gather` gives them."""
     f, i = found
     return i[: 5 * nc].reshape((5, nc)), f[: 12 * nc].reshape((4, nc, 3)), f[12 * nc : 15 * nc].reshape((3, nc))
 

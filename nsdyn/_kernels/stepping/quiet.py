@@ -276,7 +276,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     system : tuple
         The packed arrays (floats, integers).
     detection : tuple
-        What `search` takes first: geoms, pairs, most points of a pair, tolerance.
+        Geoms, pairs, most points of a pair, tolerance, as `seek` and `gather` take them.
     old, new : tuple
         States: floats; keys, then pairs of shapes of the contacts that acted; what these were, of int8. The latter with
         room for so many contacts.
