@@ -253,7 +253,7 @@ class Islands:
             closed, pressed = take(begin.contacts, begin.contacts.gap <= s.closed), take(c, a.normal > 0.0)
             turns = half.turns(begin, a.moved)
             for (one, other), together, turn in zip(pairwise(poses), (closed, pressed), turns, strict=True):
-                touches = s.touches(one, other, a.memory, known, together, turn)
+                touches = s.touches(one, other, a.moved.memory, known, together, turn)
                 nodes = self._node[np.concatenate(np.divmod(touches.far, self._node.size))]
                 (met,) = self._nodes(touches.contacts, np.ones(touches.fraction.size, np.bool_))
                 opened[label[np.concatenate((met, nodes[nodes >= 0]))]] = True

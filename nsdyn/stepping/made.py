@@ -81,7 +81,6 @@ class Made(NamedTuple):
             impulse=NOTHING if motion is None else motion.impulse,
             trees=() if motion is None else motion.ends,
             moved=moved,
-            memory=memory,
             **self._answer(s, begin, met, (half.forces.m, half.forces.minv)),
         )
 

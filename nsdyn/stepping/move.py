@@ -105,7 +105,7 @@ def _whole(s: System, begin: Instant, m: Trial, barred: Index, label: Index | No
         if there is None:
             there, (_, joints) = _reachable(s, begin, m.half, barred)
         apart = take(there.contacts, ~among(there.contacts.key, late.key))  # of which it may have been left alone
-        contacts, memory = united((apart, late)), m.memory.joined(m.moved.memory, late.key)
+        contacts, memory = united((apart, late)), there.memory.joined(m.moved.memory, late.key)
         there, met = there._replace(contacts=contacts, memory=memory), united((m.met.contacts, late))
         m = _respond(s, begin, m.half, there, (met, joints), barred, m, label=label)
     return m
@@ -124,7 +124,7 @@ def _met(s: System, begin: Instant, m: Trial, barred: Index | None) -> Trial:
         return m
     contacts = begin.contacts, take(m.met.contacts, m.normal > 0.0), moved.contacts
     places = begin.placement, half.middle.placement, moved.placement
-    own = contacts, places, half.turns(begin, moved), m.memory
+    own = contacts, places, half.turns(begin, moved), moved.memory
     return m._replace(touched=touched(s, *own, half.h, half.reach / half.ahead))
 
 
@@ -264,7 +264,7 @@ def _respond(
         met, known, passes, back = alone.turned(couple.dv, solution.r), solution, passes - 1, True
     couple = worked(s, met, half, v, couple)
     solved = slides, problem, solution, couple
-    return Trial(half, met, impact, *solved, v, impulse, trees, moved, there.memory)
+    return Trial(half, met, impact, *solved, v, impulse, trees, moved)
 
 
 def _arrive(

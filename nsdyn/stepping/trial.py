@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.tree_values import Flow
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -43,8 +42,6 @@ class Trial(NamedTuple):
     trees : tuple of Flow
     moved : Instant
         Where the motion ends, whatever overlaps there; what acted last and energies of trees are still to be told.
-    memory : ContactSet
-        Of all that was found where the impulses act.
     hits : ndarray of int
         Codes, as of `nsdyn.stepping.sight.others`, of what strikes, where the motion ends; none where all was caught.
     limit : float
@@ -65,7 +62,6 @@ class Trial(NamedTuple):
     impulse: Array
     trees: tuple[Flow, ...]
     moved: Instant
-    memory: ContactSet
     hits: Index = NO_CODES
     limit: float = np.inf
     touched: float = np.inf
