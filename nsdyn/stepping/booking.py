@@ -54,13 +54,13 @@ def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Pa
     velocities = v, v if a.impact is None else v + a.kick, a.v
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
     impulses, warm = account(s, a.met, velocities, (a.problem, a.solution), half.h, a.impact, a.couple, mass)
-    impulses, own = impulses._replace(wrench=half.wrench(left)), half.booked(impulses.works[0], *velocities[1:], left)
+    impulses, own = impulses._replace(wrench=half.wrench(left)), half.booked(impulses.works, *velocities[1:], left)
     # What has just closed its gap approaches: where it would become deep in the next move it strikes before.
     sinks = s.dt / half.ahead * a.met.end_gap[: warm.status.size] > s.deep(a.met.contacts)
     arrived = sinks & ~a.met.stays[: sinks.size]
     if arrived.any():
         warm = warm._replace(status=np.where(arrived, OPEN, warm.status))
-    works = []
+    works: list[Works] = []
     if end is not a.moved:
         v_end, lifted = d.lift(a.moved.position, end.position, end.v)
         works.append(Works(projection=lifted))
@@ -76,7 +76,7 @@ def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Pa
         if a.impact is not None:
             works.append(_struck(s, a, a.impact))
     end = end._replace(warm=warm, energies=energies)
-    return Passage(end, half.rate, clear, [impulses._replace(works=(own, *works))])
+    return Passage(end, half.rate, clear, [impulses._replace(works=Works.total([own, *works]))])
 
 
 def tree_works(

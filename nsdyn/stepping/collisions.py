@@ -91,12 +91,12 @@ def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[In
     v = at.v + met.rows.velocity_change(impact.r)
     impulses, _ = account(s, met, (at.v, v, v), impact.solved, 0.0, impact, NO_COUPLE, d.mass)
     if any(free.constraints is not None for free in forces.trees):
-        push, (works,) = met.rows.full.momentum(impact.r), impulses.works
+        push, works = met.rows.full.momentum(impact.r), impulses.works
         for tree, free in zip(d.trees, forces.trees, strict=True):
             k = tree.coordinates
             reaction = free.m @ (v[k] - at.v[k]) - push[k]
             works = works._replace(constraint=works.constraint + 0.5 * float(reaction @ (v[k] + at.v[k])))
-        impulses = impulses._replace(works=(works,))
+        impulses = impulses._replace(works=works)
     # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
     struck = among(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
     warm = at.warm._replace(force=np.where(struck[:, None], 0.0, at.warm.force))

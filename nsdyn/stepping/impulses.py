@@ -50,7 +50,7 @@ class Impulses(NamedTuple):
         impulses of a move act (1 - θ) of it after its beginning.
     solved : (FC3D, Solution)
         Its problem and the solution, of impacts the worst.
-    works : tuple of Works
+    works : Works
     moves : ndarray of bool, shape (n,), or None
         Coordinates of the island that it is of; None for all.
     wrench : ndarray, shape (free, 6), or None
@@ -78,7 +78,7 @@ class Impulses(NamedTuple):
     begin: float
     duration: float
     solved: tuple[FC3D, Solution]
-    works: tuple[Works, ...]
+    works: Works
     moves: Bools | None = None
     wrench: Array | None = None
     lift: Array | None = None
@@ -151,5 +151,5 @@ def account(
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
     of_contacts = c, met.frame, u, impulse, status, turned, normal, friction
-    impulses = Impulses(*of_contacts, on_joints, links, created, 0.0, h, solved, (works,), lasting=last)
+    impulses = Impulses(*of_contacts, on_joints, links, created, 0.0, h, solved, works, lasting=last)
     return impulses, Warm(c.key, s.detector.codes(c), world, status, slots)

@@ -162,7 +162,7 @@ def _pass(
 
 def _gains(s: System, begin: Instant, fallen: Array, done: list[Impulses]) -> bool:
     """Whether contacts that persist, or what is lifted, add energy; free accelerations alone give `fallen` (n,)."""
-    d, works = s.dynamics, [w for a in done for w in a.works]
+    d, works = s.dynamics, [a.works for a in done]
     gained = sum(w.integration for w in works)
     if not any(d.surfaces.carry(a.contacts).any() for a in done):  # of what is driven the work is its own
         gained += sum(w.projection for w in works)

@@ -324,7 +324,7 @@ class Stepper:
             raise ArithmeticError("positions or velocities are no longer finite")
         self._now = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
         problem, solution = solved[k]
-        total = Works.total([works for acted in done for works in acted.works])
+        total = Works.total([acted.works for acted in done])
         if self._paradoxes.possible:
             done, total, odd = self._paradoxes.told(done, total, s.dt, rate)
             if odd is not None and solution.converged:
