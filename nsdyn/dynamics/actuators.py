@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn.dynamics.tree_values import Halfway, TreeLoads
+from nsdyn.dynamics.values import Halfway, TreeLoads
 from nsdyn.scene.actuation import Actuation, Actuator
 from nsdyn.scene.control import PD, Axes
 from nsdyn.tools.arrays import Array, Bools

@@ -19,8 +19,7 @@ from nsdyn.dynamics.actuators import Control
 from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
 from nsdyn.dynamics.kinematics import Kinematics
 from nsdyn.dynamics.layout import rotation
-from nsdyn.dynamics.tree_values import FreeMotion
-from nsdyn.dynamics.values import Energies, Forces, Middle, Placement, Position
+from nsdyn.dynamics.values import Energies, Forces, FreeMotion, Middle, Placement, Position
 from nsdyn.problem.blocks import Blocks
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import turns

@@ -10,8 +10,7 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn.dynamics.layout import Layout
-from nsdyn.dynamics.tree_values import Flow, Links
-from nsdyn.dynamics.values import Forces, Middle, Placement, Position
+from nsdyn.dynamics.values import Flow, Forces, Links, Middle, Placement, Position
 from nsdyn.tools.arrays import Array
 
 __all__ = ["Kinematics"]

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from nsdyn.collision.distances import pose_views
 from nsdyn.dynamics.loops import Closures, admissible, factored, supports
-from nsdyn.dynamics.tree_values import Constraints, Links
+from nsdyn.dynamics.values import Constraints, Links
 from nsdyn.scene.articulations import BALL, PLANAR, Articulation
 from nsdyn.scene.gears import Gear, GearGaps, joint_at
 from nsdyn.scene.prescribed import Motion

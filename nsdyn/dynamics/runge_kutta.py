@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn._kernels.dynamics import trees as _trees
-from nsdyn.dynamics.tree_values import Flow
+from nsdyn.dynamics.values import Flow
 from nsdyn.tools.arrays import Array
 
 __all__ = ["COARSER", "TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]

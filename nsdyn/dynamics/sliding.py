@@ -9,7 +9,7 @@ from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.loops import Closures, admissible, factored
 from nsdyn.dynamics.runge_kutta import fastest
-from nsdyn.dynamics.tree_values import Flow
+from nsdyn.dynamics.values import Flow
 from nsdyn.tools.arrays import Array
 
 __all__ = ["slide"]

@@ -12,7 +12,7 @@ from nsdyn.dynamics.linkages import Linkage
 from nsdyn.dynamics.loops import factored, indefinite
 from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
-from nsdyn.dynamics.tree_values import Flow, FreeMotion, Halfway, TreeLoads
+from nsdyn.dynamics.values import Flow, FreeMotion, Halfway, TreeLoads
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools

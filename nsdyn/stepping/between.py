@@ -10,8 +10,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _few
 from nsdyn.collision.contacts import Looked
 from nsdyn.dynamics.ledger import Works
-from nsdyn.dynamics.tree_values import Flow
-from nsdyn.dynamics.values import Energies, Placement, Position
+from nsdyn.dynamics.values import Energies, Flow, Placement, Position
 from nsdyn.stepping.booking import tree_works
 from nsdyn.stepping.half import Callbacks, Half, corrected
 from nsdyn.stepping.instant import Instant

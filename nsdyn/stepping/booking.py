@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn.dynamics.ledger import Works
-from nsdyn.dynamics.tree_values import Flow
-from nsdyn.dynamics.values import Energies, Placement, Position
+from nsdyn.dynamics.values import Energies, Flow, Placement, Position
 from nsdyn.stepping.half import Half
 from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import Instant, System

@@ -31,12 +31,11 @@ from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
 from nsdyn.dynamics.values import Placement
-from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
     from nsdyn.stepping.half import Half
-    from nsdyn.stepping.instant import Instant, System
+    from nsdyn.stepping.instant import Instant, System, Warm
 
 __all__ = ["Closing", "Encounter", "foresee"]
 

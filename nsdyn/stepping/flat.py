@@ -15,9 +15,8 @@ from nsdyn.problem.blocks import Blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.gauss import Opening
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.instant import Instant
+from nsdyn.stepping.instant import Instant, Warm
 from nsdyn.stepping.state import State
-from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:

@@ -13,10 +13,9 @@ from nsdyn.dynamics.ledger import Works
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.instant import NOTHING, System
+from nsdyn.stepping.instant import NOTHING, System, Warm
 from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["Impulses", "account"]

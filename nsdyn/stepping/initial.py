@@ -13,9 +13,8 @@ from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.scene import checks
 from nsdyn.scene.bodies import Geom
-from nsdyn.stepping.instant import Instant, System
+from nsdyn.stepping.instant import Instant, System, Warm
 from nsdyn.stepping.projection import project
-from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array
 
 __all__ = ["begin"]

@@ -17,13 +17,12 @@ from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.solvers import Solver
 from nsdyn.stepping.encounter import Closing, Encounter
 from nsdyn.stepping.impacts import Law
-from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
     from nsdyn.stepping.mover import Mover
 
-__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Instant", "System", "among"]
+__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Instant", "System", "Warm", "among"]
 
 NOTHING = np.empty(0)
 
@@ -207,6 +206,28 @@ class System(NamedTuple):
         turn = 2.0 * np.linalg.norm(after.quaternion - before.quaternion, axis=1)
         moved = np.linalg.norm(after.x - before.x, axis=1) + self.arm[:free] * turn
         return float(moved.max()) > FAST * self.smallest
+
+
+class Warm(NamedTuple):
+    """What a step leaves to the next besides its end: a start for the solver, and what was closed.
+
+    Attributes
+    ----------
+    key, pair : ndarray of int, shape (nc,)
+        Names of the contacts, and codes of their pairs of shapes.
+    force : ndarray, shape (nc, 3)
+        World axes, N: impulses over the length of their move.
+    status : ndarray of int8, shape (nc,)
+        0 open, 1 stick, 2 slip.
+    joints : ndarray, shape (slots, 3)
+        Of joint limits, joint friction and actuators, by the slots of `nsdyn.dynamics.joints.JointLaws`, N m or N.
+    """
+
+    key: Index
+    pair: Index
+    force: Array
+    status: NDArray[np.int8]
+    joints: Array
 
 
 class Instant(NamedTuple):

@@ -12,8 +12,7 @@ from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.solving import PASSES
 from nsdyn.collision.contacts import ContactSet, Looked, take, united
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.dynamics.tree_values import Flow
-from nsdyn.dynamics.values import Placement
+from nsdyn.dynamics.values import Flow, Placement
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.collisions import caught_impacts
 from nsdyn.stepping.encounter import Encounter, foresee

@@ -17,10 +17,9 @@ from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.half import Callbacks, Given, Loads
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.instant import Instant, System, among
+from nsdyn.stepping.instant import Instant, System, Warm, among
 from nsdyn.stepping.mover import Mover
 from nsdyn.stepping.state import State
-from nsdyn.stepping.warm import Warm
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Part", "driven", "merged"]

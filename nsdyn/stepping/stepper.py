@@ -35,9 +35,8 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
-from nsdyn.stepping.names import Names
 from nsdyn.stepping.quiet import Quiet
-from nsdyn.stepping.state import OnBodies, Pieces, State, Step
+from nsdyn.stepping.state import Names, OnBodies, Pieces, State, Step
 from nsdyn.stepping.system import check_options, system_of
 from nsdyn.stepping.untold import Untold
 from nsdyn.tools import callbacks

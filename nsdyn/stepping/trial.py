@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn.dynamics.tree_values import Flow
+from nsdyn.dynamics.values import Flow
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.encounter import Encounter
