@@ -124,16 +124,14 @@ class System(NamedTuple):
         """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
         return self.detector.touches(begin, end, memory, known, FAST * self.inscribed, together, foreseen)
 
-    def unmoved(self, looked: Looked, now: Placement, reach: Array) -> bool:
-        """Whether the contacts found somewhere are those of now, up to the gaps that `reach` (frames,) allows, m."""
-        same: bool = _touching.unmoved(tuple(looked), (now.x, now.R, reach), self.arm, STILL * self.closed)
-        return same
+    def look(self, looked: Looked, now: Poses, reach: Array) -> Looked | None:
+        """Where to look for contacts now: where they were looked for, but for frames of which that is no longer so.
 
-    def look(self, looked: Looked, x: Array, R: Array, reach: Array) -> Looked:
-        """Where to look for contacts now: where they were looked for, but for frames of which that is no longer so."""
-        out = Looked(np.empty_like(x), np.empty_like(R), np.empty_like(reach))
-        _touching.look(tuple(looked), (x, R, reach), self.arm, STILL * self.closed, tuple(out))
-        return out
+        None if there are none: then the contacts found are those of now, up to the gaps that `reach` (frames,) allows.
+        """
+        out = Looked(np.empty_like(now.x), np.empty_like(now.R), np.empty_like(reach))
+        there = now.x, now.R, reach
+        return None if _touching.look(tuple(looked), there, self.arm, STILL * self.closed, tuple(out)) else out
 
     def deep(self, contacts: ContactSet) -> Array:
         """Overlaps, m, that a move may catch: deeper ones are impacts to be located; of joint limits depth JOINT."""

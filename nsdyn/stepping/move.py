@@ -169,8 +169,7 @@ def attempt(
 def _reachable(s: System, begin: Instant, half: Half, barred: Index | None) -> tuple[Instant, Needs]:
     """Where a move begins with what is found where its impulses act, and what it needs, unless that is left alone."""
     middle, v, there = half.middle, half.forces.foreseen, begin
-    if not s.unmoved(begin.looked, middle.placement, half.reach):
-        looked = s.look(begin.looked, *middle.placement[:2], half.reach)
+    if (looked := s.look(begin.looked, middle.placement, half.reach)) is not None:
         found = s.detector.find(*looked, begin.memory)
         there = begin._replace(contacts=found, memory=found, looked=looked)
     contacts, joints = there.contacts, s.dynamics.joint_rows(middle.placement, middle.v, v, half.h)
@@ -279,9 +278,9 @@ def _arrive(
     moved = at._replace(
         position=position, v=v_end, placement=there, limits=NOTHING, twists=d.twists(there, v_end), energies=()
     )
-    if s.unmoved(at.looked, there, near):
+    if (looked := s.look(at.looked, there, near)) is None:
         return trees, moved._replace(limits=d.limits(there))
-    return trees, found_at(s, moved, s.look(at.looked, there.x, there.R, near))
+    return trees, found_at(s, moved, looked)
 
 
 def _encounter(

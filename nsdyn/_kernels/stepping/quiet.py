@@ -44,12 +44,12 @@ from nsdyn._kernels.stepping.solving import PASSES
 
 @kernel(inline="always")
 def depart(s, old, f, w):
-    """The first half of a move: how far it reaches, and whether contacts are those where it begins.
+    """The first half of a move: how far it reaches.
 
     It may be given: Python makes its motion where there are trees, and under the forces of the user. s as of
     `columns.opened`, as in all that follows.
     """
-    (num, size), (arm, _, _), _, bodies, (gravity, load), _, (free, trees), _ = s
+    (num, size), _, _, bodies, (gravity, load), _, (free, trees), _ = s
     n, h, theta, (moments, axes, inverse_mass, inverse_J, radius) = size[0], num[col.STEP], num[col.THETA], bodies
     x, R, reach = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), col.column(w, col.REACH, n)
     v, v_free, rate = (
@@ -68,7 +68,7 @@ def depart(s, old, f, w):
     motion.reach(v_free, ahead, fallen, radius[:free], reach)
     if free < n:
         links.reach(trees, x, v_free, ahead, radius[free:], fallen, reach[free:])
-    return most(reach), touching.unmoved(col.placed(old, col.LOOKED, n), (x, R, reach), arm, num[col.STILL])
+    return most(reach)
 
 
 @kernel(inline="always")
@@ -82,16 +82,17 @@ def set_out(s, first, warm, next_key, barred, asks, step, room):
     (b_old, out, b, w, head), n = room, size[0]
     if step and strikes_at_once(num, first, warm, b_old, n):
         return OTHERWISE
-    far, same = depart(s, b_old, b, w)
+    far = depart(s, b_old, b, w)
     if step and num[col.ELASTIC] > 0.0 and rebounds(s[0], movers_begun, first, b_old, w):
         return OTHERWISE
-    out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
     head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]
     reach, near = col.column(w, col.REACH, n), col.column(w, col.NEAR, n)
     for k in range(n):
         near[k] = 2.0 * reach[k] if barred.size else nowhere[k]
     there = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), reach
-    touching.look(col.placed(b_old, col.LOOKED, n), there, arm, num[col.STILL], col.placed(w, col.LOOKED_THERE, n))
+    looked = col.placed(b_old, col.LOOKED, n)
+    same = touching.look(looked, there, arm, num[col.STILL], col.placed(w, col.LOOKED_THERE, n))
+    out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
     return LOOK if asks and not same else DONE
 
 
@@ -231,8 +232,8 @@ def goes(s, b, w, out):
     n = size[0]
     there = col.vectors(b, col.X, n), col.rotations(b, col.R, n), col.column(w, col.NEAR, n)
     looked = col.placed(w, col.LOOKED_THERE, n)
-    out[col.GOES] = 0.0 if touching.unmoved(looked, there, arm, num[col.STILL]) else 1.0
-    touching.look(looked, there, arm, num[col.STILL], col.placed(b, col.LOOKED, n))
+    same = touching.look(looked, there, arm, num[col.STILL], col.placed(b, col.LOOKED, n))
+    out[col.GOES] = 0.0 if same else 1.0
     return out[col.GOES] > 0.0
 
 

@@ -67,9 +67,10 @@ def unmoved(looked, now, arm, tol):
 def look(looked, now, arm, tol, out):
     """Where contacts are looked for: each frame where it was until it moves by tol, or must see farther.
 
-    What is found of a pair so depends on its two frames alone. As in `unmoved`, into out = (x, R, reach).
+    What is found of a pair so depends on its two frames alone. As in `unmoved`, into out = (x, R, reach); whether all
+    frames are where they were.
     """
-    (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out) = looked, now, out
+    (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out), every = looked, now, out, True
     for f in range(arm.size):
         own = slice(f, f + 1)
         there, here = (x[own], R[own], reach[own]), (x_now[own], R_now[own], reach_now[own])
@@ -78,7 +79,8 @@ def look(looked, now, arm, tol, out):
             x_out[f, i] = x[f, i] if same else x_now[f, i]
             for j in range(3):
                 R_out[f, i, j] = R[f, i, j] if same else R_now[f, i, j]
-        reach_out[f] = reach[f] if same else reach_now[f]
+        reach_out[f], every = reach[f] if same else reach_now[f], every and same
+    return every
 
 
 @in_place
