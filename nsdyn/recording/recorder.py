@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -121,7 +121,13 @@ class Recorder:
 
     @classmethod
     def resumed(
-        cls, path: str | Path, meta: Mapping[str, Any], scene: Mapping[str, Any], first: Any, duration: float
+        cls,
+        path: str | Path,
+        meta: Mapping[str, Any],
+        scene: Mapping[str, Any],
+        first: Any,
+        state: Collection[str],
+        duration: float,
     ) -> tuple[Recorder, Columns]:
         """Go on with a recording whose run ended or was killed, from the last state in it.
 
@@ -129,6 +135,8 @@ class Recorder:
         ----------
         path, meta, scene, first
             As of the recorder that began it.
+        state : collection of str
+            Names of the arrays that a state has.
         duration : float
             Of the whole run, s.
 
@@ -156,6 +164,8 @@ class Recorder:
         _refuse(path, old, json.loads(json.dumps(new)), "scene")
         if absent := sorted(rows.none(scene, _left_out(given), _pushed(given, scene)).keys() - columns.keys()):
             raise ValueError(f"{path} cannot be resumed: it has no /{absent[0]}, being of an older nsdyn")
+        if lacking := sorted(set(state) - saved[1].keys()):
+            raise ValueError(f"{path} cannot be resumed: its state has no {lacking[0]}, being of an older nsdyn")
         for name in ("q", "v"):
             if columns[name][0].tobytes() != begun[name][0].tobytes():
                 raise ValueError(f"{path} cannot be resumed: its initial {name} is another")

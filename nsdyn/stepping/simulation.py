@@ -206,6 +206,7 @@ def _recorder(
     begin = stepper.get_state()
     if resume is None:
         return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin), rows)
-    recorder, arrays = Recorder.resumed(resume, meta, scene.describe(), stepper.start(), duration)
+    names = checkpoint.pack(begin).keys()
+    recorder, arrays = Recorder.resumed(resume, meta, scene.describe(), stepper.start(), names, duration)
     stepper.set_state(checkpoint.unpack(arrays, begin, stepper.dynamics))
     return recorder

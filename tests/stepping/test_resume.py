@@ -130,6 +130,19 @@ def test_run_that_ended_goes_on(tmp_path):
     assert_same(whole, part)
 
 
+def test_a_state_of_an_older_version_is_refused_and_stays(tmp_path):
+    """Which has other arrays: nothing goes on from it, and the file keeps all of its rows."""
+    path, s = tmp_path / "run.h5", setup("stack")
+    nd.simulate(s.scene, 0.1, dt=0.01, record=path)
+    meta, scene, columns, (row, arrays) = recording.read_state(path)
+    del arrays["state.instant.contacts.names"]
+    recording.create(path, meta, scene, columns, grow=False, state=(row, arrays))
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match=r"its state has no state\.instant\.contacts\.names, being of an older nsdyn"):
+        nd.simulate(s.scene, 0.2, dt=0.01, resume=path)
+    assert path.read_bytes() == before
+
+
 def test_what_rests_goes_on_bit_for_bit():
     """Rows are those of where contacts were looked for, which a state tells: made anew they are equal."""
     s = setup("stack")
