@@ -80,7 +80,7 @@ def trial(
 
 
 def _moved(s: System, begin: Instant, half: Half, barred: Index | None) -> Trial:
-    """The move from its first half, stage by stage; one that is `caught` with what its motion shows instead."""
+    """The move from its first half, stage by stage; where all is caught, with the contacts that its motion shows."""
     there, needs = _reachable(s, begin, half, barred)
     m = _respond(s, begin, half, there, needs, barred, None)
     kept = NO_SLOTS
