@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from nsdyn.scene import assembly, checks, description, robot_files, shapes
+from nsdyn.scene import assembly, checks, couplings, description, robot_files, shapes
 from nsdyn.scene.articulations import Articulation, ArticulationOptions, Description
 from nsdyn.scene.bodies import Body, BodyOptions, Geom, make_body
 from nsdyn.scene.exclusions import carriers
@@ -359,7 +359,7 @@ class Scene:
             Hold the points together, or points and axes.
         """
         choice(articulation, self.articulations, "articulation")
-        self.articulations[articulation] = assembly.close_loop(
+        self.articulations[articulation] = couplings.close_loop(
             self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
         )
 
@@ -378,7 +378,7 @@ class Scene:
             In rad or m; by default that of the initial configuration.
         """
         choice(articulation, self.articulations, "articulation")
-        self.articulations[articulation] = assembly.put_gear(
+        self.articulations[articulation] = couplings.put_gear(
             self.articulations[articulation], (joint1, joint2), ratio, offset
         )
 

@@ -135,21 +135,8 @@ def simulate(
 
     check_seconds(duration=duration)
     check_flags(contacts=contacts, progress=progress)
-    stepper = Stepper(
-        scene,
-        dt,
-        theta,
-        solver,
-        controller,
-        external_force,
-        on_fail,
-        max_points,
-        dump_on_fail,
-        impact,
-        overlap,
-        lift,
-        polish,
-    )
+    own = theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift, polish
+    stepper = Stepper(scene, dt, *own)
     if duration < 0.5 * stepper.dt:
         raise ValueError(f"duration must be at least half a step of dt = {stepper.dt:g} s, got {duration:g} s")
     if not duration / stepper.dt < MOST_STEPS:

@@ -1,0 +1,59 @@
+"""What couples the joints of an articulation beside its tree: loops that are closed, and gears."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from nsdyn.scene import checks, exclusions
+from nsdyn.scene.articulations import Articulation, Loop
+from nsdyn.scene.gears import GearGaps, gear
+from nsdyn.tools.naming import choice
+
+__all__ = ["close_loop", "put_gear"]
+
+
+def close_loop(
+    articulation: Articulation,
+    name: str,
+    frame1: str,
+    frame2: str,
+    position: ArrayLike,
+    quaternion: ArrayLike,
+    kind: str,
+) -> Articulation:
+    """Articulation with one more loop, closed in its initial configuration; see `nsdyn.Scene.add_loop`."""
+    model = articulation.model
+    if kind not in ("point", "frame"):
+        raise ValueError(f"kind of {name!r} must be 'point' or 'frame', got {kind!r}")
+    if any(loop.name == name for loop in articulation.loops):
+        raise ValueError(f"name must be unique among the loops of {articulation.name!r}, {name!r} is taken")
+    known = {f.name: f for f in model.frames}
+    for what, frame in (("frame1", frame1), ("frame2", frame2)):
+        choice(frame, known, f"{what} of {name!r}, a frame of {articulation.name!r},")
+    first, second = known[frame1], known[frame2]
+    placement1 = first.placement * pin.SE3(
+        checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
+        checks.vector(position, 3, f"position of {name!r}"),
+    )
+    data = model.createData()
+    pin.forwardKinematics(model, data, articulation.q)
+    joint1, joint2 = int(first.parentJoint), int(second.parentJoint)
+    loop = Loop(name, joint1, placement1, joint2, data.oMi[joint2].actInv(data.oMi[joint1] * placement1), kind)
+    return replace(
+        articulation,
+        loops=(*articulation.loops, loop),
+        excluded=articulation.excluded | exclusions.joined(articulation.links, {frozenset((joint1, joint2))}),
+    )
+
+
+def put_gear(articulation: Articulation, joints: tuple[str, str], ratio: float, offset: float | None) -> Articulation:
+    """Articulation with one more gear; see `nsdyn.Scene.add_gear`."""
+    name = f"gear '{articulation.name}/{joints[1]}'"
+    model, q = articulation.model, articulation.q
+    added = gear(model, name, joints, ratio, 0.0 if offset is None else offset)
+    if offset is None:
+        added = replace(added, offset=float(GearGaps(model, [added]).at(q)[0]))
+    return replace(articulation, gears=(*articulation.gears, added))
