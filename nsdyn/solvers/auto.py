@@ -143,8 +143,8 @@ class Search:
             self._sweeps = Sweeps(self.problem, self._x)
         for tol in sorted({max(self.loose, self.tol), self.tol}, reverse=True):
             if self.best > tol:
-                most = TUNING.sweeps[tol >= MARGIN * TUNING.polish]
-                before, most = self._sweeps.count, int(TUNING.cost * self._most(most))
+                wanted = TUNING.sweeps[tol >= MARGIN * TUNING.polish]
+                before, most = self._sweeps.count, int(TUNING.cost * self._most(wanted))
                 self._sweeps.run(tol, before + most, patience)
                 used = self._sweeps.count - before
                 self._note(self._sweeps.best, used, used / TUNING.cost, self._x)
@@ -328,8 +328,8 @@ class Auto(Options):
                     i, own = part(problem, label, k)
                     x = r[i]
                     small = own.blocks is not None and own.blocks.n <= DENSE
-                    aims = (self.tol, None) if small else (large, bound)
-                    search = Search(own, x, aims[0], *(aims[1] or (self.loose, self.effort)))
+                    limits = (self.loose, self.effort) if small or bound is None else bound
+                    search = Search(own, x, self.tol if small else large, *limits)
                     search.run(r0 is not None and bool(x.any()))
                     r[i], count = x, count + search.count
             _, error, residual, u = problem.solved(r, self.tol)
