@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import count
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.islands import EVENT, WORK
 from nsdyn._kernels.stepping.law import TURNS
 from nsdyn._kernels.stepping.quiet_checks import GAIN
-from nsdyn.dynamics.values import Placement
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import collide
@@ -33,7 +31,7 @@ SOON, AGAIN = 1e-6, 0.1
 round-off, and where slip has just been cut, which is located to second order, what is left of it."""
 
 SHALLOWER = 0.125
-"""By what fraction bodies may run less far into each other in halves of a step in which they sank, were lifted far, or
+"""By what fraction bodies may run less far into each other in halves of a move in which they sank, were lifted far, or
 gained energy: impulses and projections at more configurations err less. It is halved as long as that is affordable: if
 all pieces as short have no more than `WORK` contacts."""
 
@@ -70,108 +68,93 @@ def _contacts(begin: Instant) -> int:
 
 
 def through(system: System, state: State, loads: Loads, begun: Known = None, meets: bool = False) -> Passage:
-    """Moves and impacts of a step, in one piece, or in several where that is too coarse (`_pass`).
+    """Moves and impacts of a step: every move to its end or the first event, in halves where that is too coarse.
 
     What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.half` does. `begun` is what is known
     of the step in one move, `meets` whether that is known to meet an event.
     """
-    begin = state.instant
-    system = system.during(state.next_t - state.dt, state.dt, begin.position)
-    effort = Effort()
-    whole, coarse = _pass(system, loads, begin, state.next_t, system.dt, state.rate, effort, begun, meets)
-    return _in_pieces(system, state, loads, effort) if coarse and _contacts(begin) <= WORK else whole
-
-
-def _in_pieces(system: System, state: State, loads: Loads, effort: Effort) -> Passage:
-    """The way through a step that is too coarse in one piece."""
-    now, rate, clear = state.instant, state.rate, True
+    now, rate, clear, at, cut = state.instant, state.rate, True, 0.0, False
+    s = system.during(state.next_t - state.dt, state.dt, now.position)
+    effort, pieces = Effort(), [(s.dt, 0)]
     done: list[Impulses] = []
-    path: list[Placement] = []
-    left, pieces = system.dt, [1, 1]
+    path = [now.placement]
     while pieces:
-        halvings = pieces.pop()
-        h = system.dt * 0.5**halvings
-        # Here bodies run less far into each other before they are stopped.
-        s = system._replace(depth=DEEP * SHALLOWER**halvings)
-        p, coarse = _pass(s, loads, now, state.next_t - (left - h), h, rate, effort)
+        end, halvings = pieces[-1]
+        # In halves bodies run less far into each other before they are stopped.
+        own, span = s._replace(depth=DEEP * SHALLOWER**halvings), (state.next_t - (s.dt - at), end - at)
+        move, length, coarse = _move(own, loads, now, span, rate, effort, cut, begun, meets)
+        begun, meets = None, False
         if coarse and _contacts(now) << halvings <= WORK:
-            pieces += [halvings + 1, halvings + 1]
+            pieces[-1:] = [(end, halvings + 1), (at + 0.5 * length, halvings + 1)]
             continue
-        begun = system.dt - left
-        now, rate, clear, left = p.end, p.rate, p.clear, left - h
-        done += [_later(a, begun) for a in p.done]
-        path += p.path
+        done += [_later(acted, at) for acted in move.done]
+        path += move.path
+        now, rate, clear, at = move.end, move.rate, move.clear, at + length
+        cut = end - at > 1e-12 * s.dt
+        if not cut:
+            pieces.pop()
     return Passage(now, rate, clear, done, path)
 
 
-def _pass(
+def _move(
     s: System,
     loads: Loads,
     begin: Instant,
-    end: float,
-    h: float,
+    span: tuple[float, float],
     rate: Array,
     effort: Effort,
-    begun: Known = None,
-    meets: bool = False,
-) -> tuple[Passage, bool]:
-    """Moves and impacts of h seconds until the time `end`, and whether pieces would do better.
+    cut: bool,
+    begun: Known,
+    meets: bool,
+) -> tuple[Passage, float, bool]:
+    """What strikes at once, and a move to the first event on its way; its length, s, and whether it is too coarse.
 
-    They would where bodies sink into each other so far, or in such wedges, that the projection would move them visibly,
-    and where energy is gained. What strikes where no event is located is struck first only if it would become deeper
-    than what a move catches.
+    What strikes where no event is located is struck first only if it would become deeper than what a move catches.
 
     Parameters
     ----------
     s : System
     loads : callable
     begin : Instant
-    end, h : float
-        s.
+    span : (float, float)
+        When it begins and how long it lasts at most, s.
     rate : ndarray, shape (n,)
         Free acceleration at the beginning, m/s² and rad/s².
     effort : Effort
+    cut : bool
+        Whether the move before ended at an event.
     begun : Half or Trial, optional
         As of `through`, of a move all the way.
     meets : bool
         As of `through`.
     """
-    now, left, clear, sunk, path = begin, h, True, False, [begin.placement]
-    done: list[Impulses] = []
-    for cut in count():
-        t = end - left
-        located = effort.affords(now, EVENT)
-        meets = meets or (not located and s.striking_speed(now) < -s.slow / left)
-        if (struck := collide(s if located else s.capturing, now, t, left, rate)) is not None:
-            (now, impulses), begun = struck, None
-            done.append(_later(impulses, h - left))
-        soon = left * (AGAIN if cut and struck is None else SOON)
-        length, tried = _until_event(s, loads, now, t, left, soon, effort, begun, meets or struck is not None)
-        begun, meets = None, False
-        m = finish(s, now, tried)
-        path += [tried.half.middle.placement, tried.moved.placement, m.end.placement]
-        done.append(_later(m.done[0], h - left))
-        moved = tried.moved
-        sunk = sunk or s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
-        now, rate, left, clear = m.end, m.rate, left - length, m.clear
-        if left <= 1e-12 * h:
-            break
-    sunk = sunk or any(turns_far(s, h, a, begin, now).any() for a in done) or _gains(s, begin, h * rate, done)
-    return Passage(now, rate, clear, done, path), sunk and not any(_jammed(a.solved[1]) for a in done)
+    (t, h), located, now, done = span, effort.affords(begin, EVENT), begin, []
+    meets = meets or (not located and s.striking_speed(begin) < -s.slow / h)
+    if (struck := collide(s if located else s.capturing, begin, t, h, rate)) is not None:
+        now, begun, done = struck[0], None, [struck[1]]
+    soon = h * (AGAIN if cut and struck is None else SOON)
+    length, tried = _until_event(s, loads, now, t, h, soon, effort, begun, meets or struck is not None)
+    m, moved = finish(s, now, tried), tried.moved
+    path = [tried.half.middle.placement, moved.placement, m.end.placement]
+    m = m._replace(done=done + m.done, path=path)
+    sinks = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
+    return m, length, (sinks or _strains(s, begin, m, length)) and not any(_jammed(a.solved[1]) for a in m.done)
 
 
-def _gains(s: System, begin: Instant, fallen: Array, done: list[Impulses]) -> bool:
-    """Whether contacts that persist, or what is lifted, add energy; free accelerations alone give `fallen` (n,)."""
-    d, works = s.dynamics, [a.works for a in done]
+def _strains(s: System, begin: Instant, m: Passage, h: float) -> bool:
+    """Whether bodies that touch turn far in a move of h s, or what persists in it, or is lifted, adds energy."""
+    d, works = s.dynamics, [a.works for a in m.done]
+    if any(turns_far(s, h, a, begin, m.end).any() for a in m.done):
+        return True
     gained = sum(w.integration for w in works)
-    if not any(d.surfaces.carry(a.contacts).any() for a in done):  # of what is driven the work is its own
+    if not any(d.surfaces.carry(a.contacts).any() for a in m.done):  # of what is driven the work is its own
         gained += sum(w.projection for w in works)
-        if not any((a.contacts.restitution > 0.0).any() for a in done):  # contacts then only take energy
+        if not any((a.contacts.restitution > 0.0).any() for a in m.done):  # contacts then only take energy
             gained += sum(max(0.0, w.normal + w.friction) for w in works)
     if gained <= 0.0 or d.trees:  # which keep their own errors small
         return False
-    # Where all is at rest, what gravity gives in a step is the scale.
-    return gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, fallen))
+    # Where all is at rest, what gravity gives in a move is the scale.
+    return gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
 
 
 def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:

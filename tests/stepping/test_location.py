@@ -156,3 +156,31 @@ def test_a_contact_that_only_a_motion_without_others_closes_is_not_caught():
     run = nd.simulate(scene, 0.016, dt=8e-3)
     assert -1e-4 < run.energy.normal[-1] <= 0.0  # J: what strikes takes a thousandth
     assert nd.check(run).passed, nd.check(run)
+
+
+def test_a_move_that_is_halved_leaves_what_was_located_before_it(monkeypatch):
+    """A ball bounces within a step, of which the flight afterwards is said to be too coarse, but not its half."""
+
+    def bounced():
+        scene = nd.Scene()
+        scene.add_halfspace("floor", material=nd.Material(0.3, 0.8))
+        drop = 0.1 + 0.3 * 2e-2 + 0.5 * 9.81 * (0.3 * 2e-2) ** 2
+        scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, drop), linear_velocity=(0.1, 0, -1))
+        return nd.Stepper(scene, dt=2e-2).step()
+
+    whole, rest = bounced(), 0.7 * 2e-2
+    lengths = []
+
+    def strains(s, begin, move, length):
+        lengths.append(length)
+        return len(lengths) == 2
+
+    monkeypatch.setattr(passage, "_strains", strains)
+    halved = bounced()
+    # To the impact; what is left, which is halved; its halves.
+    np.testing.assert_allclose(lengths, [6e-3, rest, rest / 2, rest / 2], rtol=0, atol=1e-4)
+    struck = whole.contact_status > 0
+    assert struck.sum() == 1
+    np.testing.assert_array_equal(halved.contact_time[halved.contact_status > 0], whole.contact_time[struck])
+    np.testing.assert_array_equal(halved.r[halved.contact_status > 0], whole.r[struck])
+    np.testing.assert_allclose(halved.q, whole.q, rtol=0, atol=1e-14)  # flight is exact, whatever it is made of
