@@ -75,7 +75,7 @@ def through(system: System, state: State, loads: Loads, begun: Known = None, mee
     """
     now, rate, clear, at, cut = state.instant, state.rate, True, 0.0, False
     s = system.during(state.next_t - state.dt, state.dt, now.position)
-    effort, pieces = Effort(), [(s.dt, 0)]
+    effort, pieces, least = Effort(), [(s.dt, 0)], 1e-12 * s.dt
     done: list[Impulses] = []
     path = [now.placement]
     while pieces:
@@ -84,13 +84,13 @@ def through(system: System, state: State, loads: Loads, begun: Known = None, mee
         own, span = s._replace(depth=DEEP * SHALLOWER**halvings), (state.next_t - (s.dt - at), end - at)
         move, length, coarse = _move(own, loads, now, span, rate, effort, cut, begun, meets)
         begun, meets = None, False
-        if coarse and _contacts(now) << halvings <= WORK:
+        if coarse and length > least and _contacts(now) << halvings <= WORK:
             pieces[-1:] = [(end, halvings + 1), (at + 0.5 * length, halvings + 1)]
             continue
         done += [_later(acted, at) for acted in move.done]
         path += move.path
         now, rate, clear, at = move.end, move.rate, move.clear, at + length
-        cut = end - at > 1e-12 * s.dt
+        cut = end - at > least
         if not cut:
             pieces.pop()
     return Passage(now, rate, clear, done, path)
