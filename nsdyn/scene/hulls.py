@@ -20,7 +20,7 @@ def faces(vertices: Array) -> list[Index]:
     Raises
     ------
     ValueError
-        For points in one plane.
+        For points in one plane, or as close to one as those of a face are to theirs.
     """
     from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that boxes and spheres do not need
 
@@ -37,7 +37,11 @@ def faces(vertices: Array) -> list[Index]:
         np.cross(points[simplices[:, 1]] - points[simplices[:, 0]], points[simplices[:, 2]] - points[simplices[:, 0]]),
         axis=1,
     )
-    for seed in np.argsort(-area, kind="stable"):
+    order = np.argsort(-area, kind="stable")
+    thickness = np.abs(points @ planes[order[0], :3] + planes[order[0], 3]).max()
+    if thickness <= tol:
+        raise ValueError(f"vertices must span a volume: all of them lie within {thickness:.1g} m of one plane")
+    for seed in order:
         if group[seed] >= 0:
             continue
         group[seed] = seed

@@ -186,6 +186,7 @@ def test_describe_is_plain_data():
         (lambda: shapes.halfspace((0, 0, 1), 0).inertia(1.0), "no inertia"),
         (lambda: shapes.convex(np.zeros((3, 3))), r"shape \(n, 3\) with n ≥ 4, got \(3, 3\)"),
         (lambda: shapes.convex(np.eye(5)[:, :3] * [1, 1, 0]), "span a volume"),
+        (lambda: shapes.convex(np.array(list(np.ndindex(2, 2, 2))) * [1, 1, 1e-7]), "span a volume.* 1e-07 m of one"),
         (lambda: shapes.convex(np.full((4, 3), np.nan)), "finite"),
         (lambda: shapes.mesh("nowhere.stl"), "path must be a mesh file, got 'nowhere.stl'"),
         (lambda: shapes.mesh("nowhere.stl", scale=0), "scale must be positive"),
