@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,7 @@ from nsdyn.recording.shares import distinct
 from nsdyn.recording.tables import body_names, contact_frames, contact_rows, impulses, impulses_world
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice, unknown
-from nsdyn.tools.table import Table, matching
+from nsdyn.tools.table import Table, matches, matching
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -133,9 +132,7 @@ def _touching(trajectory: Trajectory, pattern: str) -> tuple[Index, Index, Index
     found, pair = distinct(np.sort(sides, axis=1))
     labels = {k: f"{names[a]} | {names[b]}" for k, (a, b) in enumerate(found)}
     wanted = [
-        k
-        for k, (a, b) in enumerate(found)
-        if any(fnmatchcase(name, pattern) for name in (names[a], names[b], labels[k]))
+        k for k, (a, b) in enumerate(found) if any(matches(name, pattern) for name in (names[a], names[b], labels[k]))
     ]
     if not wanted and pattern != "*":  # which may find that nothing touches
         raise ValueError(unknown(pattern, [*labels.values(), *names], "pairs that touch, or bodies,"))

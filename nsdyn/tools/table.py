@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nsdyn.tools import files, notebook
 from nsdyn.tools.naming import choice, counted, unknown
 
-__all__ = ["Table", "matching"]
+__all__ = ["Table", "matches", "matching"]
 
 SHOWN = 40
 """Rows that are printed."""
@@ -145,9 +145,14 @@ def matching(known: list[str], pattern: str, what: str) -> list[str]:
     if not known:
         raise ValueError(f"the recording has no {what}")
     for name_of in (str, lambda name: name.partition("/")[2]):
-        if out := [name for name in known if fnmatchcase(name_of(name), pattern)]:
+        if out := [name for name in known if matches(name_of(name), pattern)]:
             return out
     raise ValueError(unknown(pattern, known, what))
+
+
+def matches(name: str, pattern: str) -> bool:
+    """Whether a pattern stands for a name, as every name does for itself: "box[0]" has brackets of its own."""
+    return name == pattern or fnmatchcase(name, pattern)
 
 
 def _needed(name: str) -> Any:

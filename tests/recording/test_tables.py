@@ -90,6 +90,18 @@ def test_table_of_pairs(trajectory):
         trajectory.table("pairs", "above | far")
 
 
+def test_names_stand_for_themselves():
+    """A name that would mean something else as a pattern is found all the same, with what it means as one."""
+    scene = nd.Scene()
+    scene.add_halfspace("ground")
+    for k, name in enumerate(("box[0]", "box[1]", "box0")):
+        scene.add_box(name, (0.1, 0.1, 0.1), 1.0, position=(k, 0, 0.05))
+    run = nd.simulate(scene, 0.02, dt=0.01)
+    assert set(run.table("bodies", "box[1]")["body"]) == {"box[1]"}
+    assert set(run.table("pairs", "ground | box[1]")["body2"]) == {"box[1]"}
+    assert set(run.table("contacts", "box[0]")["body2"]) == {"box[0]", "box0"}
+
+
 def test_table_of_energies(trajectory):
     table = trajectory.table("energy", "*ti*")
     assert list(table) == ["step", "t", "kinetic", "potential", "friction", "integration", "projection"]
