@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Unpack
 
@@ -14,6 +14,7 @@ from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import RunOptions, simulate
+from nsdyn.stepping.system import check_seconds
 from nsdyn.study.comparison import differences
 from nsdyn.tools import notebook
 from nsdyn.tools.arrays import numbers
@@ -160,6 +161,9 @@ def refine(
     2.0
     """
     check_known(options, RunOptions.__optional_keys__)
+    check_seconds(duration=duration)
+    if not isinstance(parameters, Mapping | None):
+        raise ValueError(f"parameters must be a mapping of names to values, got {parameters!r}")
     given = numbers(dts, words := "at least two different positive numbers of seconds", "dts")
     chosen = sorted(set(given.ravel().tolist()), reverse=True)
     if len(chosen) < 2 or not chosen[-1] > 0.0 or not math.isfinite(chosen[0]):

@@ -101,10 +101,13 @@ def sweep(
     [({'mu': 0.25}, 1.5095), ({'mu': 0.5}, 1.019)]
     """
     check_known(options, Options.__optional_keys__)
+    if not isinstance(parameters, Mapping):
+        raise ValueError(f"parameters must be a mapping of names to lists of values, got {parameters!r}")
     for name, values in parameters.items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
             raise ValueError(f"{name} must have a list of at least one value, got {values!r}")
-    if isinstance(executor, int) and (isinstance(executor, bool) or executor < 1):
+    few = isinstance(executor, int) and (isinstance(executor, bool) or executor < 1)
+    if few or not isinstance(executor, Executor | int | None):
         raise ValueError(f"executor must be a number of processes, at least 1, or an executor, got {executor!r}")
     if store is not None and keep is None:
         raise ValueError("keep must say what of a run is stored: whole trajectories are not")

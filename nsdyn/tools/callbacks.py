@@ -23,7 +23,7 @@ def called(function: Callable[..., Any], what: str, fit: Callable[[Any], T], *gi
     ------
     ValueError
         As `fit`, which names what was returned, and for a function that takes other arguments; the place of the
-        function first.
+        function first. For what is no function.
     Exception
         As the function, with a note of the line in its file and of `what` it is.
     """
@@ -31,6 +31,8 @@ def called(function: Callable[..., Any], what: str, fit: Callable[[Any], T], *gi
         returned = function(*given, **keywords)
     except Exception as error:
         where = line(error)
+        if not callable(function):
+            raise ValueError(f"{what} must be a function, got {function!r}") from None
         if not where and isinstance(error, TypeError):  # it takes other arguments
             own, count = misfit(function, *given, **keywords), counted(len(given) + len(keywords), "argument")
             told = f"{what} must be a function of {count}, got one of {own}" if own else error

@@ -146,6 +146,19 @@ def test_bad_arguments():
         nd.sweep("sleigh", {"mu": [0.3]}, 0.1)
     with pytest.raises(ValueError, match="mu"), ThreadPoolExecutor(1) as pool:
         nd.sweep("slide", {"mu": [-1.0]}, 0.1, executor=pool)
+    for executor in (0, True, 1.5, "two"):
+        with pytest.raises(ValueError, match=f"executor must be a number of processes, .*, got {executor!r}"):
+            nd.sweep("slide", {"mu": [0.3]}, 0.1, executor=executor)
+    with pytest.raises(ValueError, match=r"^keep must be a function, got 5$"):
+        nd.sweep("slide", {"mu": [0.3]}, 0.02, dt=0.01, keep=5)
+    for call in (nd.sweep, lambda **given: nd.refine(**given, dts=[0.02, 0.01])):
+        with pytest.raises(ValueError, match=r"^scene must be a function, got <Scene 'scene'"):
+            call(scene=nd.Scene(), parameters={}, duration=0.1)
+        with pytest.raises(ValueError, match=r"^parameters must be a mapping of names to .*values, got \[0.3\]"):
+            call(scene="slide", parameters=[0.3], duration=0.1)
+        for duration in ("0.1", np.inf, np.nan, None):
+            with pytest.raises(ValueError, match=f"^duration must be a positive number of seconds, got {duration!r}"):
+                call(scene="slide", parameters={}, duration=duration)
 
 
 def test_a_run_that_is_refused_loses_only_itself():
