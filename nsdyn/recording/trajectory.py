@@ -21,6 +21,7 @@ from nsdyn.recording.tabulated import tabulated
 from nsdyn.tools import files, notebook
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import counted
+from nsdyn.tools.options import is_number
 from nsdyn.tools.table import Table
 from nsdyn.tools.units import with_unit
 
@@ -171,7 +172,7 @@ class Trajectory:
         ValueError if k is no whole number or the recording has no contacts.
         """
         tables.need_contacts(self)
-        if not isinstance(k, (int, np.integer)):
+        if not is_number(k, np.integer):
             raise ValueError(f"step must be a whole number, got {k!r}")
         step = k + self.steps + 1 if k < 0 else k
         if not 1 <= step <= self.steps:
@@ -261,6 +262,8 @@ class Trajectory:
 
         Works that never exceed a billionth of the largest energy are left out, the defect is not.
         """
+        if not (is_number(rows, np.integer) and rows >= 1):
+            raise ValueError(f"rows must be a whole number, at least 1, got {rows!r}")
         k = np.unique(np.linspace(0, self.steps, rows + 1).round().astype(int))
         out = {"t": self.t[k], "kinetic": self.energy.kinetic[k], "potential": self.energy.potential[k]}
         return out | {name: self._cumulative(name)[k] for name in [*self._active_works(), "defect"]}

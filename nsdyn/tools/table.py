@@ -152,6 +152,8 @@ def matching(known: list[str], pattern: str, what: str) -> list[str]:
 
 def matches(name: str, pattern: str) -> bool:
     """Whether a pattern stands for a name, as every name does for itself: "box[0]" has brackets of its own."""
+    if not isinstance(pattern, str):
+        raise ValueError(f"a pattern of names must be a text, as '*knee*', got {pattern!r}")
     return name == pattern or fnmatchcase(name, pattern)
 
 

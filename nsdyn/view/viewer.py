@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 import numpy as np
 
 from nsdyn.tools import files
-from nsdyn.tools.naming import choice
+from nsdyn.tools.naming import check_known, choice
 from nsdyn.view import titles
 from nsdyn.view.contents import packed
 from nsdyn.view.stage import View
@@ -59,6 +59,7 @@ def write_html(trajectory: Trajectory, path: str | Path, **options: Unpack[PageO
     ValueError
         If an option is out of range or the file cannot be written.
     """
+    check_known(options, PageOptions.__optional_keys__)
     page = html(trajectory, **options).encode()
     with files.writing(path, files.PAGE) as part:
         part.write_bytes(page)

@@ -102,6 +102,16 @@ def test_names_stand_for_themselves():
     assert set(run.table("contacts", "box[0]")["body2"]) == {"box[0]", "box0"}
 
 
+def test_misuse(trajectory):
+    for pattern in (5, ["above"], None):
+        for kind in ("bodies", "pairs", "contacts", "energy"):
+            with pytest.raises(ValueError, match=r"a pattern of names must be a text, as .*, got"):
+                trajectory.table(kind, pattern)
+    for rows in (0, -1, 2.5, True, "all"):
+        with pytest.raises(ValueError, match=f"rows must be a whole number, at least 1, got {rows!r}"):
+            trajectory.energy_table(rows)
+
+
 def test_table_of_energies(trajectory):
     table = trajectory.table("energy", "*ti*")
     assert list(table) == ["step", "t", "kinetic", "potential", "friction", "integration", "projection"]

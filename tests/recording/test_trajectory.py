@@ -542,7 +542,7 @@ def test_contact_table():
     for outside in (0, 11, -11):
         with pytest.raises(IndexError, match="steps 1 to 10"):
             trajectory.contacts(outside)
-    for none in ("a", 1.5, None):
+    for none in ("a", 1.5, None, True):
         with pytest.raises(ValueError, match=f"step must be a whole number, got {none!r}"):
             trajectory.contacts(none)
 

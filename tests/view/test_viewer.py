@@ -111,6 +111,7 @@ def test_one_moment(falling):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"fsp": 20}, r"did you mean 'fps'\? keyword must be one of at, beside, .*; got 'fsp'"),
         ({"fps": 0}, "fps must be positive"),
         ({"fps": math.nan}, "fps must be positive"),
         ({"max_frames": 1}, "max_frames must be at least 2"),
