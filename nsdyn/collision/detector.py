@@ -13,7 +13,7 @@ import coal
 import numpy as np
 
 from nsdyn._kernels import sorting
-from nsdyn._kernels.collision import advancement, geometry, keys, manifold, search
+from nsdyn._kernels.collision import advancement, faces, geometry, keys, manifold, search
 from nsdyn.collision.candidates import MARGIN, TOLERANCE, Candidates
 from nsdyn.collision.contacts import ContactSet, Poses, Touches, carry, take, united
 from nsdyn.collision.distances import distance_request
@@ -73,6 +73,17 @@ class Detector(Candidates):
         pose, room = (poses.x, poses.R), (self._R, self._t)
         keys.gaps(self.fields, pose, room, c[:3], found[:3], out)
         return out
+
+    def ways(self, contacts: ContactSet, poses: Poses, closed: float) -> tuple[Index, Array]:
+        """Normals of faces along which geoms of contacts are in each other by no more than `closed`, m.
+
+        Which contact each is of, shape (n,), and the normals, shape (n, 3): of edges that meet there are several.
+        """
+        most = int((np.diff(self._geometry.face_ptr)[contacts.names[:2]] + 2).sum())
+        which, normal = np.empty(most, np.int64), np.empty((most, 3))
+        pose, room = (poses.x, poses.R), (self._R, self._t)
+        count = faces.ways(self.fields, pose, room, contacts.names, closed, which, normal)
+        return which[:count], normal[:count]
 
     def carry(self, contacts: ContactSet, begin: Poses, end: Poses) -> tuple[ContactSet, Array]:
         """Contacts at poses `begin` as they are at poses `end`, and how far apart geoms are along their normals, m.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _few
-from nsdyn.collision.contacts import take
+from nsdyn.collision.contacts import ContactSet, ordered, take
 from nsdyn.dynamics.values import Middle, Placement
 from nsdyn.stepping.encounter import Encounter
 from nsdyn.stepping.half import SILENT, Half
@@ -14,6 +14,7 @@ from nsdyn.stepping.impulses import Impulses, account
 from nsdyn.stepping.instant import DEEP, JOINT, Instant, System, among
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
+from nsdyn.stepping.sight import parting
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["caught_impacts", "collide", "limits_struck", "striking"]
@@ -69,12 +70,12 @@ def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[In
     restitution. The free acceleration there is `rate` (n,).
     """
     d, c = s.dynamics, at.contacts
-    if not (d.surfaces.count or limits_struck(s, at, h).size):
-        limit = s.solver.tol if s.elastic and _few.most(c.restitution) > 0.0 else s.slow / h
-        if s.striking_speed(at) >= -limit:
-            return None
-    contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
+    limit = s.solver.tol if s.elastic and _few.most(c.restitution) > 0.0 else s.slow / h
+    if not (d.surfaces.count or limits_struck(s, at, h).size) and s.striking_speed(at) >= -limit:
+        return None
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
+    contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
+    contacts = take(contacts, ~_passing(s, at, contacts, twist, limit))
     half = Half(s, 0.0, t, Middle(at.position, at.v, at.placement, ()), forces, at.v, (twist, twist, twist), SILENT)
     met = Encounter.of(half, at.placement, contacts, joints, at._replace(contacts=contacts))
     resting = s.resting(met, at.placement, rate)
@@ -102,6 +103,22 @@ def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[In
     warm = at.warm._replace(force=np.where(struck[:, None], 0.0, at.warm.force))
     after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm, energies=d.tree_energies(at.position, v))
     return after, impulses
+
+
+def _passing(s: System, at: Instant, closed: ContactSet, surfaces: Array, limit: float) -> Bools:
+    """Which closed contacts (nc,) approach, but not along the normal of some face that separates their bodies.
+
+    Where edges or corners meet, all normals between those of their faces do. What slides along one of these does not
+    strike the other: as from one plate onto the next.
+    """
+    out, here = np.zeros(closed.gap.size, np.bool_), (at.placement, at.v, at.position.driven_x, surfaces)
+    approach = np.flatnonzero(parting(s.dynamics, closed, *here) < -limit)
+    if approach.size:
+        which, normal = s.detector.ways(ordered(closed, approach), at.placement, s.closed)
+        along = ordered(closed, approach[which])
+        along.points[1] = normal
+        out[approach[which[parting(s.dynamics, along, *here) >= -limit]]] = True
+    return out
 
 
 def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:

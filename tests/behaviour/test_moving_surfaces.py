@@ -91,3 +91,29 @@ def test_a_robot_stands_on_a_lift_that_speeds_up_as_under_more_gravity():
         joints.append(run.q[-1, 7:])
     # Both are of second order, and 2.5e-7 rad at 1 ms from a fine run.
     np.testing.assert_allclose(*joints, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.8])
+@pytest.mark.parametrize("speeds", [(0.0, 0.0), (1.0, 1.0), (1.0, 2.0), (2.0, 1.0)])
+@pytest.mark.parametrize("shape", ["box", "cylinder"])
+def test_what_slides_onto_the_next_plate_does_not_meet_its_edge(shape, speeds, restitution):
+    """Where its front was right above the seam where a step began it was struck there, at 45°, and thrown up."""
+    mu = 0.0 if speeds == (0.0, 0.0) else 0.5
+    material, scene = nd.Material(mu, restitution), nd.Scene()
+    for k, speed in enumerate(speeds):
+        plate = f"plate{k}"
+        scene.add_box(plate, (2, 1, 0.2), fixed=True, position=(2 * k - 1, 0, -0.1), material=material)
+        scene.set_motion(plate, surface_velocity=(speed, 0, 0))
+    speed = speeds[0] or 1.0
+    given = {"position": (-0.1 - 5e-3 * speed, 0, 0.05), "linear_velocity": (speed, 0, 0), "material": material}
+    if shape == "box":
+        scene.add_box("thing", (0.2, 0.2, 0.1), 1.0, **given)
+    else:
+        scene.add_cylinder("thing", 0.1, 0.1, 1.0, **given)
+    run = nd.simulate(scene, 0.3, dt=5e-3)
+    thing = run.body("thing")
+    assert np.abs(thing.position[:, 2] - 0.05).max() < 1e-9
+    assert np.abs(thing.angular_velocity[:, :2]).max() < 1e-9
+    if speeds[0] == speeds[1]:
+        np.testing.assert_allclose(thing.linear_velocity[:, 0], speed, rtol=1e-12)
+    assert nd.check(run)

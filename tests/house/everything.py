@@ -57,6 +57,7 @@ def shapes() -> None:
     touches = detector.touches(Placement(x, R, ()), Placement(near, R, ()), memory)
     detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none), Placement(near, R, ()))
     detector.carry(touches.contacts, Placement(near, R, ()), Placement(x, R, ()))
+    detector.ways(memory, Placement(near, R, ()), 1e-3)
     # A ball beside the border of a face of a box, deep in that.
     k = next(b for b, g in enumerate(geoms) if g.name == "1-0")
     near[k + 1], R[k] = near[k] + (0.1 + 1e-5, 0.0, 0.14 + 0.05), np.eye(3)

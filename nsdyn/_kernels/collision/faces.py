@@ -2,11 +2,11 @@
 
 import math
 
-from nsdyn._kernels.collision.geometry import smaller
-from nsdyn._kernels.collision.kinds import face_count, face_normal, has_corner
+from nsdyn._kernels.collision.geometry import Placed, place, smaller
+from nsdyn._kernels.collision.kinds import HALFSPACE, face_count, face_normal, has_corner
 from nsdyn._kernels.collision.separation import INSIDE, SHARP, separation
-from nsdyn._kernels.compiled import in_place
-from nsdyn._kernels.vectors import dot, minus, row, times, to_local, to_world, unit
+from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.vectors import dot, minus, put, row, times, to_local, to_world, unit
 
 BIAS = 1e-6  # a face of geom 2 is the reference only if it fits better than that of geom 1 by more than noise
 
@@ -71,3 +71,36 @@ def next_feature(geometry, g, face, main, m, low):
                     return face
         face += 1
     return last
+
+
+@kernel
+def ways(fields, frames, room, names, closed, which, normal):
+    """Normals of faces, from geom 1 to geom 2, that separate the geoms of contacts; returns their number.
+
+    Parameters
+    ----------
+    fields : tuple
+        Of `Geometry`.
+    frames, room : tuple
+        (x, R), poses of the frames, and room for (R, t) of the geoms.
+    names : ndarray of int
+        Of the contacts.
+    closed : float
+        How far the geoms may be in each other all the same, m.
+    which, normal : ndarray, shapes (n,), (n, 3)
+        Room for all faces of the geoms of each contact: the contacts that have such normals, and these.
+    """
+    place(fields, frames[0], frames[1], room[0], room[1])
+    geometry, count = Placed(*fields, room[0], room[1]), 0
+    for c in range(names.shape[1]):
+        i, j = names[0, c], names[1, c]
+        if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:  # which have no edges
+            continue
+        for g, sign in ((i, 1.0), (j, -1.0)):
+            for f in range(face_count(geometry, g)):
+                n = times(sign, to_world(geometry.R, g, face_normal(geometry, g, f)))
+                if separation(geometry, i, j, n)[0] >= -closed:
+                    which[count] = c
+                    put(normal, count, n)
+                    count += 1
+    return count
