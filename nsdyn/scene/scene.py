@@ -232,8 +232,9 @@ class Scene:
         name : str
             Unique in the scene.
         model : pinocchio.Model
-            Copied, so that several articulations may share it. A mimic joint gets a coordinate of its own, which q, v
-            and the other sequences count, and a gear as of `add_gear`.
+            Copied, so that several articulations may share it. Its joints are depth first: right after each come all
+            that it carries. A mimic joint gets a coordinate of its own, which q, v and the other sequences count, and a
+            gear as of `add_gear`.
         geometry_model : pinocchio.GeometryModel, optional
             Its collision shapes; of the pairs of them only those that it lists may touch, if it lists any.
         position, quaternion : sequences

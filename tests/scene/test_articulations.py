@@ -148,6 +148,29 @@ def test_model_made_by_hand():
     np.testing.assert_array_equal(a.model.gravity.linear, (0, 0, -9.81))
 
 
+@pytest.mark.parametrize(("parents", "taken"), [((0, 1, 2, 1, 4, 0), True), ((0, 1, 1, 2), False), ((0, 0, 1), False)])
+def test_joints_are_depth_first(parents, taken):
+    """Pinocchio's mass matrix lacks the elements of what a joint carries that does not come right after it."""
+    model = pin.Model()
+    for k, parent in enumerate(parents, start=1):
+        model.addJoint(parent, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.1])), f"j{k}")
+        model.appendBodyToJoint(k, pin.Inertia(1.0, np.array([0.1, 0.0, 0.0]), 0.1 * np.eye(3)), pin.SE3.Identity())
+    q, zero = np.linspace(0.1, 0.5, model.nv), np.zeros(model.nv)
+    data = model.createData()
+    upper = np.triu(pin.crba(model, data, q))
+    gravity = pin.computeGeneralizedGravity(model, data, q)
+    columns = [pin.rnea(model, data, q, zero, one) - gravity for one in np.eye(model.nv)]
+    assert (np.abs(upper - np.triu(columns)).max() < 1e-12) == taken
+    scene = nd.Scene()
+    if taken:
+        scene.add_model("r", model)
+    else:
+        last = len(parents)
+        words = f"model of 'r' must have all joints .* right after it, got 'j{last}', which .* after 'j{last - 1}'"
+        with pytest.raises(ValueError, match=words):
+            scene.add_model("r", model)
+
+
 def test_loop():
     model, _ = pendulum()
     scene = nd.Scene()

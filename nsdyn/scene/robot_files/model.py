@@ -29,6 +29,7 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
         raise ValueError(
             f"geometry_model of {name!r} must be a pinocchio.GeometryModel or None, got {type(geometry).__name__}"
         )
+    _check_order(name, model)
     model, gears = unfolded(name, model)
     dropped = Notes()
     speeds = np.array(model.upperVelocityLimit)
@@ -57,6 +58,21 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     q = following(model, gears, pin.neutral(model))
     more = {"q": q, "gears": gears, "dropped": tuple(dropped), "filtered": _filtered(geometry)}
     return describe_model(model, links, bodies, **more)
+
+
+def _check_order(name: str, model: Any) -> None:
+    """ValueError where joints are not depth first, as Pinocchio's mass matrix has them without a word."""
+    path = [0]
+    for joint in range(1, model.njoints):
+        while path and path[-1] != model.parents[joint]:
+            path.pop()
+        if not path:
+            late, parent = model.names[joint], model.names[model.parents[joint]]
+            raise ValueError(
+                f"model of {name!r} must have all joints that a joint carries right after it, got {late!r}, which "
+                f"{parent!r} carries, after {model.names[joint - 1]!r}, which it does not"
+            )
+        path.append(joint)
 
 
 def _filtered(geometry: Any | None) -> frozenset[frozenset[str]]:
