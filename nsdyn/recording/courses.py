@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,9 @@ __all__ = ["Course", "close", "move", "respond"]
 
 TURN, PARTS = 0.1, 64
 """Most that a part of a motion turns, rad, and most parts that it is begun with."""
+
+ROUNDING = 1e-9
+"""Of a number of parts."""
 
 FINE, DOUBLINGS, HALVINGS = 1e-11, 7, 12
 """Error by step doubling at which a motion is fine enough, as a fraction of the velocity, or of what joint forces by
@@ -76,7 +80,8 @@ def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, d
 
 def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: Array | float, halvings: int) -> Course:
     """Without loops: in parts that are doubled, in halves where that many would not do."""
-    parts = min(PARTS, 1 + int(h * float(np.max(np.abs(v) * (m.turns > 0.0))) / TURN))
+    # No more than the step may take, or less were in doubt than it errs: what is driven often turns by `TURN` itself.
+    parts = min(PARTS, max(1, math.ceil(h * float(np.max(np.abs(v) * (m.turns > 0.0))) / TURN - ROUNDING)))
     speed = np.abs([v, v if tau is None else h * np.linalg.solve(m.mass(q), tau)]).max()
     coarse = _in_parts(m, q, v, h, tau, drive, parts)
     doubted, there = _doubt(coarse[4], float(np.abs(v).max()), parts), coarse[0]

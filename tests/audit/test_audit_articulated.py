@@ -52,6 +52,21 @@ def test_a_link_that_spins_fast_passes(v, dt, how):
     assert audit.passed, audit
 
 
+@pytest.mark.parametrize(("speed", "dt"), [(10.0, 0.02), (2.0, 0.1)])
+def test_what_is_driven_by_a_round_number_passes(speed, dt):
+    """It turns by a tenth of a rad in half a step, which the step takes in one part: in two its doubt was too small."""
+    model = pin.Model()
+    spin = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "spin")
+    model.appendBodyToJoint(spin, pin.Inertia(5.0, np.zeros(3), np.diag([1.0, 1.0, 2.0])), pin.SE3.Identity())
+    arm = model.addJoint(spin, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0])), "arm")
+    model.appendBodyToJoint(arm, pin.Inertia(1.0, np.array([0.2, 0.0, -0.3]), 0.01 * np.eye(3)), pin.SE3.Identity())
+    scene = nd.Scene()
+    scene.add_model("robot", model, v=(speed, 0.0), friction=(0.0, 100.0))
+    scene.set_motion("robot/spin", velocity=speed)
+    audit = nd.check(nd.simulate(scene, 1.0, dt))
+    assert audit.passed, audit
+
+
 UNSEEN = "certificates", "provenance"
 """What no motion shows."""
 
