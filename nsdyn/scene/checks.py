@@ -19,6 +19,7 @@ __all__ = [
     "folders",
     "inertia",
     "lengths",
+    "name",
     "number",
     "positive",
     "quaternion",
@@ -63,6 +64,13 @@ def text(value: Any, what: str) -> str:
     if not isinstance(value, str) or "\0" in value or value.encode(errors="ignore").decode() != value:
         raise ValueError(f"{what} must be a text of Unicode without NUL, got {value!r}")
     return value
+
+
+def name(value: Any, what: str = "name") -> str:
+    """What something of a scene is called, alone or after its owner and a slash."""
+    if not text(value, what) or "/" in value:
+        raise ValueError(f"{what} must be a non-empty string without '/', got {value!r}")
+    return str(value)
 
 
 def folders(value: Any, what: str) -> list[Path]:

@@ -28,6 +28,7 @@ def close_loop(
     model = articulation.model
     if kind not in ("point", "frame"):
         raise ValueError(f"kind of {name!r} must be 'point' or 'frame', got {kind!r}")
+    checks.name(name, f"name of a loop of {articulation.name!r}")
     if any(loop.name == name for loop in articulation.loops):
         raise ValueError(f"name must be unique among the loops of {articulation.name!r}, {name!r} is taken")
     known = {f.name: f for f in model.frames}
@@ -41,6 +42,8 @@ def close_loop(
     data = model.createData()
     pin.forwardKinematics(model, data, articulation.q)
     joint1, joint2 = int(first.parentJoint), int(second.parentJoint)
+    if joint1 == joint2:
+        raise ValueError(f"frame2 of {name!r} must be on another link than frame1, {frame1!r}, got {frame2!r}")
     loop = Loop(name, joint1, placement1, joint2, data.oMi[joint2].actInv(data.oMi[joint1] * placement1), kind)
     return replace(
         articulation,

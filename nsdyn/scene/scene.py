@@ -215,8 +215,7 @@ class Scene:
         self.bodies[name] = make_body(name, shape, mass, keywords)
 
     def _check_name(self, name: str) -> None:
-        if not checks.text(name, "name") or "/" in name:
-            raise ValueError(f"name must be a non-empty string without '/', got {name!r}")
+        checks.name(name)
         if name in self.bodies or name in self.articulations:
             raise ValueError(f"name must be unique in the scene, {name!r} is taken")
 
@@ -353,7 +352,7 @@ class Scene:
         ----------
         articulation, name : str
         frame1, frame2 : str
-            Frames of its Pinocchio model, for instance bodies; "universe" is the world.
+            Frames of its Pinocchio model, for instance bodies, on two links; "universe" is the world.
         position, quaternion : sequences
             Of the closure in `frame1`; in `frame2` it is where it lies in the initial configuration.
         kind : {"point", "frame"}

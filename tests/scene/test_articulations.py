@@ -187,6 +187,9 @@ def test_loop():
         ({"frame1": "x"}, "frame1 of 'other', a frame of 'p', must be one of"),
         ({"kind": "x"}, "kind of 'other' must be"),
         ({"name": "pin"}, "name must be unique among the loops"),
+        ({"name": 3}, "name of a loop of 'p' must be a text of Unicode without NUL, got 3"),
+        ({"name": "a/b"}, "name of a loop of 'p' must be a non-empty string without '/', got 'a/b'"),
+        ({"frame2": "bob"}, "frame2 of 'other' must be on another link than frame1, 'bob', got 'bob'"),
     ):
         with pytest.raises(ValueError, match=words):
             scene.add_loop(**{"articulation": "p", "name": "other", "frame1": "bob"} | change)
