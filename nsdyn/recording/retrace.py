@@ -237,7 +237,9 @@ class Trees:
         known = given[:4].sum(axis=0) + pushed - h * m.weight(at.q)
         momentum = M @ v + known - h * (begin @ v + m.stiffness * bend)
         B = m.constraints(at.q)[1] if m.bound else np.empty((0, m.nv))
-        goal = np.concatenate((np.zeros(len(B) - speeds.size), speeds))
+        # Forces close what a motion leaves open of the velocity of loops; an impact in no time keeps it.
+        goal = np.zeros(len(B)) if h else B @ v
+        goal[len(B) - speeds.size :] = speeds
 
         def left_by(momentum: Array) -> Array:
             if m.bound:

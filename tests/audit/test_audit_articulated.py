@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import DATA, write_stl
-from mechanisms import at
+from mechanisms import at, pendulum
 
 import nsdyn as nd
 from nsdyn.audit.findings import TOLERANCES
@@ -399,6 +399,20 @@ def test_limits_and_contacts_that_rebound_in_turn():
             off[name][63 if name.startswith("energy") else row] += sign * add
         audit = nd.check(replace(run, columns=off))
         assert not audit[where].passed and audit["balance"].passed
+
+
+@pytest.mark.parametrize(("speed", "dt", "theta"), [(3.0, 1e-2, 0.5), (20.0, 5e-3, 0.5), (5.0, 5e-3, 1.0)])
+def test_a_linkage_that_strikes_a_limit_passes(speed, dt, theta):
+    """Its motion leaves a little of the speed at which its loop opens, which no impact takes, only forces do."""
+    model = pendulum(3)
+    model.lowerPositionLimit, model.upperPositionLimit = np.array([0.0, -9.0, -9.0]), np.array([1.3, 9.0, 9.0])
+    scene = nd.Scene()
+    scene.add_model("linkage", model, q=(0.6, -1.2, -1.1), v=(speed, 0.0, 0.0), restitution=1.0)
+    scene.add_loop("linkage", "closure", "j2", position=(0.0, 0.0, -1.0))
+    run = nd.simulate(scene, 0.8, dt, theta=theta)
+    assert (run.columns["joints/limit"] != 0.0).any(), "it strikes"
+    audit = nd.check(run)
+    assert audit.passed, audit
 
 
 def test_limits_and_bodies_that_strike_in_turn_with_theta_above_half():
