@@ -146,6 +146,9 @@ def account(
     slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n) if d.trees else d.no_impulses
     if met.joints is not None and h > 0.0:
         slots = slots / h
+        # Actuators act all along the move, those at their limits as others: at the mean velocity of all of it.
+        along = 0.5 * float(on_joints[0] @ (velocities[0] - velocities[1]))
+        works = works._replace(external=works.external + along, integration=works.integration - along)
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))

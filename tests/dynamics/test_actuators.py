@@ -305,3 +305,17 @@ def test_a_run_goes_on_bit_for_bit_at_a_limit():
         end = second.step()
     assert end.q.tobytes() == last.q.tobytes() and end.v.tobytes() == last.v.tobytes()
     assert end.joints.tobytes() == last.joints.tobytes() and end.joints[0, 0] > 0.7e-3
+
+
+def test_work_at_the_limit_is_the_force_along_the_way():
+    """A cart between walls 4 mm apart strikes them with 70 points, and so often that a move catches the impacts."""
+    scene, points = nd.Scene(gravity=(0, 0, 0)), [at((0, 0.03 * (k % 10), 0.03 * (k // 10))) for k in range(70)]
+    bumpers, bouncy = [(shapes.sphere(0.01), place) for place in points], nd.Material(mu=0.0, restitution=0.9)
+    scene.add_model("a", slider(), v=(1.0,), collisions={"rail": bumpers}, material=bouncy)
+    for k, x in enumerate((0.112, -0.112)):
+        scene.add_box(f"wall{k}", (0.2, 2, 2), fixed=True, position=(x, 0, 0), material=bouncy)
+    held = run(scene, nd.PD(kp=1e4, kd=10.0, target=1.0, limit=7.0), 0.1, 1e-2)
+    np.testing.assert_allclose(held.energy.external, 7.0 * np.diff(held.q[:, 0]), rtol=0, atol=1e-12)
+    given = run(scene, [7.0], 0.1, 1e-2)
+    np.testing.assert_allclose(held.q, given.q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(held.energy.external, given.energy.external, rtol=0, atol=1e-12)
