@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from nsdyn.audit.meetings import Side
@@ -15,7 +14,7 @@ from nsdyn.recording.courses import close
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Kick, Trees, Way, trees
 from nsdyn.tools.arrays import Array, Bools
-from nsdyn.tools.displacements import displacement
+from nsdyn.tools.displacements import displacement, integrate
 
 __all__ = ["Retraced", "retraced"]
 
@@ -101,7 +100,7 @@ def retraced(poses: Poses) -> Retraced | str:
                 begin = found.state(i, k)
                 for kick, doubted, last in zip(way.kicks, _book(out, i, m, k, way), way.flows[1::2], strict=True):
                     _meet(out, m, kick, doubted, begin)
-                    begin = np.array(pin.integrate(m.model, last.q, kick.shift)), last.v
+                    begin = np.array(integrate(m.model, last.q, kick.shift)), last.v
             except (np.linalg.LinAlgError, ValueError):  # numbers that are none, masses that no body has
                 way, out.momentum[0][k, i] = Way([], [], *found.state(i, k + 1)), np.nan
             out.ways[i].append(way)
@@ -176,7 +175,7 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
         doubt += float(acted @ doubted)  # dampers are in doubt as velocities are, and so is what they work along
         late = late + last.doubted[1]
         if kick.shift.any():
-            lifted = np.array(pin.integrate(m.model, last.q, kick.shift))
+            lifted = np.array(integrate(m.model, last.q, kick.shift))
             out.energy[k] += sum(m.energies(lifted, last.v)) - sum(m.energies(last.q, last.v))
     for name, work in works.items():
         out.works[name][k, i] = work

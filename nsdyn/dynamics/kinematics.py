@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from nsdyn._kernels import reductions as _few
 from nsdyn._kernels.dynamics import links as _links
@@ -12,6 +11,7 @@ from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn.dynamics.layout import Layout
 from nsdyn.dynamics.values import Flow, Forces, Links, Middle, Placement, Position
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import integrate
 
 __all__ = ["Kinematics"]
 
@@ -77,7 +77,7 @@ class Kinematics(Layout):
         x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
         _motion.integrate(position.x, position.quaternion, step, 1.0, x, quaternion)
         moved = zip(self.trees, position.trees, strict=True)
-        trees = tuple([t.close(pin.integrate(t.model, q, step[t.coordinates])) for t, q in moved])
+        trees = tuple([t.close(integrate(t.model, q, step[t.coordinates])) for t, q in moved])
         return Position(x, quaternion, trees, position.driven_x, position.driven_quaternion)
 
     def place(self, position: Position) -> Placement:

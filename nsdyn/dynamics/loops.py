@@ -15,6 +15,7 @@ from nsdyn.collision.distances import pose_views
 from nsdyn.scene.articulations import Loop
 from nsdyn.scene.gears import Gear, GearGaps
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import integrate
 
 __all__ = ["Closures", "admissible", "factored", "indefinite", "supports"]
 
@@ -149,5 +150,5 @@ class Closures:
             step = np.zeros(self._model.nv)
             if not _trees.closing(G, N, phi, min(gap, 1.0), step):
                 break
-            q = np.array(pin.integrate(self._model, q, step))
+            q = np.array(integrate(self._model, q, step))
         raise ValueError(f"loops or gears {self._names} do not close: they are apart by {gap:.3g} m or rad")

@@ -11,6 +11,7 @@ import pinocchio as pin
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.values import Flow
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import integrate
 
 __all__ = ["COARSER", "TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
 
@@ -95,15 +96,15 @@ def runge_kutta(
     """
     (a1, p1), x = first, np.empty((7, v.size))
     if _trees.outset(v, a1, h, SLOW, x):
-        return Flow(pin.integrate(model, q, x[3]), x[5], x[6], h * p1), 0.0
-    q2 = pin.integrate(model, q, x[3])
+        return Flow(integrate(model, q, x[3]), x[5], x[6], h * p1), 0.0
+    q2 = integrate(model, q, x[3])
     a2, p2 = rate(q2, x[0])
     if p1 == p2 and _trees.midpoint(v, a1, a2, h, TOLERANCE, ROUNDED / whole, x):
-        return Flow(pin.integrate(model, q, x[3]), x[5], x[0], h * p2), 0.0
+        return Flow(integrate(model, q, x[3]), x[5], x[0], h * p2), 0.0
     _trees.stage(3, v, a2, h, x)
-    a3, p3 = rate(pin.integrate(model, q, x[3]), x[1])
+    a3, p3 = rate(integrate(model, q, x[3]), x[1])
     _trees.stage(4, v, a3, h, x)
-    a4, p4 = rate(pin.integrate(model, q2, x[3]), x[2])
+    a4, p4 = rate(integrate(model, q2, x[3]), x[2])
     error = _trees.combine(v, (a1, a2, a3, a4), h, TOLERANCE, TOLERANCE / whole, x)
     work = h / 6.0 * (p1 + 2.0 * (p2 + p3) + p4)
-    return Flow(pin.integrate(model, pin.integrate(model, q, x[3]), x[4]), x[5], x[6], work), error
+    return Flow(integrate(model, integrate(model, q, x[3]), x[4]), x[5], x[6], work), error

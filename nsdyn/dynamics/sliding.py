@@ -11,6 +11,7 @@ from nsdyn.dynamics.loops import Closures, admissible, factored
 from nsdyn.dynamics.runge_kutta import fastest
 from nsdyn.dynamics.values import Flow
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import integrate
 
 __all__ = ["slide"]
 
@@ -84,7 +85,7 @@ def _midpoint(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v:
     The velocity at the end is one that the loops admit there. ValueError or ArithmeticError where that is not found.
     """
     n, size = v.size, closures.size
-    middle = closures.close(pin.integrate(model, q, 0.5 * h * v))
+    middle = closures.close(integrate(model, q, 0.5 * h * v))
     M, F, _ = factored(model, data, middle)
     B = np.concatenate((closures.at(middle)[1], closures.driven))
     Z, P = admissible(B, F)
@@ -99,7 +100,7 @@ def _midpoint(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v:
         bias = pin.nonLinearEffects(model, data, middle, mean)
         if k < 2:
             # Later passes would diverge where a step is longer than the way to a singular configuration.
-            end = pin.integrate(model, q, h * mean)
+            end = integrate(model, q, h * mean)
             b[:size] = (B[:size] - closures.at(end)[1]) @ new
             start = rest + P @ b
         last, change = change, _trees.settle(start, minv, bias, h, newton, left, new)
@@ -114,4 +115,4 @@ def _midpoint(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v:
     mean = 0.5 * (v + new)
     reaction = P.T @ (M @ (new - v) + h * bias)
     work = float((B[size:] @ mean) @ reaction[size:])
-    return Flow(closures.close(pin.integrate(model, q, h * mean)), new, mean, work)
+    return Flow(closures.close(integrate(model, q, h * mean)), new, mean, work)

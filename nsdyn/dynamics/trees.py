@@ -16,6 +16,7 @@ from nsdyn.dynamics.values import Flow, FreeMotion, Halfway, TreeLoads
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.displacements import integrate
 
 __all__ = ["Tree"]
 
@@ -56,7 +57,7 @@ class Tree(Linkage):
         """
         speed, turn = _trees.fastest(v, self.turns)
         if h * turn <= TOLERANCE:
-            return Flow(q if speed == 0.0 else self.close(pin.integrate(self.model, q, h * v)), v, v, 0.0)
+            return Flow(q if speed == 0.0 else self.close(integrate(self.model, q, h * v)), v, v, 0.0)
         if not speed < np.inf:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self.closures is not None:

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from nsdyn.recording.mechanism import RANK, Mechanism
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.displacements import displacement
+from nsdyn.tools.displacements import displacement, integrate
 
 __all__ = ["Course", "close", "move", "respond"]
 
@@ -72,7 +72,7 @@ def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, d
     Driven joints accelerate by `drive`; beside loops they keep their speed.
     """
     if tau is None and h * np.abs(v).max(initial=0.0) <= SLOW:
-        return Course(np.array(pin.integrate(m.model, q, h * v)), v, v, np.zeros((2, m.nv)), 0.0)
+        return Course(np.array(integrate(m.model, q, h * v)), v, v, np.zeros((2, m.nv)), 0.0)
     if m.loops:
         return _slide(m, q, v, h)
     return _fly(m, q, v, h, tau, drive, HALVINGS)
@@ -103,7 +103,7 @@ def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: A
             mean, doubted = 0.5 * (one.mean + two.mean), one.doubted + two.doubted
             return Course(two.q, two.v, mean, doubted, one.work + two.work)
     gone, new, mean, work = np.split(row[-1], [m.nv, 2 * m.nv, 3 * m.nv])
-    return Course(np.array(pin.integrate(m.model, there, gone)), new, mean, doubted, float(work[0]))
+    return Course(np.array(integrate(m.model, there, gone)), new, mean, doubted, float(work[0]))
 
 
 def _extrapolated(row: list[Array], last: Array) -> list[Array]:
@@ -137,7 +137,7 @@ def _in_parts(
     mean, work, h, apart = np.zeros(m.nv), 0.0, h / parts, np.zeros((2, m.nv))
 
     def rate(x: Array, v: Array) -> tuple[Array, Array, float]:
-        there, power = pin.integrate(model, q, x), 0.0
+        there, power = integrate(model, q, x), 0.0
         if m.driven.size:
             M, left = m.mass(there), force - np.array(pin.nonLinearEffects(model, m.data, there, v))
             a, free = np.zeros(m.nv), np.setdiff1d(np.arange(m.nv), m.driven)
@@ -158,7 +158,7 @@ def _in_parts(
         x4, a4, p4 = rate(h * x3, v4)
         x, a = (x1 + 2.0 * (x2 + x3) + x4) / 6.0, (a1 + 2.0 * (a2 + a3) + a4) / 6.0
         apart += h * np.abs([x2 - x, a2 - a])
-        q = pin.integrate(model, q, h * x)
+        q = integrate(model, q, h * x)
         mean += (v + 2.0 * (v2 + v3) + v4) / (6.0 * parts)
         work += h / 6.0 * (p1 + 2.0 * (p2 + p3) + p4)
         v = v + h * a
@@ -193,7 +193,7 @@ def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array,
     The end is where the same rule leads that is linear about v, whose velocity is v₁, and whose own end is that of v.
     c is of second degree: c(v + d) - c(d) is linear in d.
     """
-    middle = close(m, pin.integrate(m.model, q, 0.5 * h * v))
+    middle = close(m, integrate(m.model, q, 0.5 * h * v))
     M, B = m.mass(middle), m.constraints(middle)[1]
 
     def bias(v: Array) -> Array:
@@ -201,7 +201,7 @@ def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array,
 
     new: Array = v
     for linear in (True, False):
-        at_end = m.constraints(pin.integrate(m.model, q, 0.5 * h * (v + new)))[1]
+        at_end = m.constraints(integrate(m.model, q, 0.5 * h * (v + new)))[1]
         goal = (B - at_end) @ new
         goal[len(B) - m.driven.size :] = v[m.driven]
         for _ in range(PASSES):
@@ -213,7 +213,7 @@ def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array,
     mean = 0.5 * (v + new)
     react = np.linalg.lstsq(B.T, M @ (new - v) + h * bias(mean), rcond=RANK)[0]
     work = float(react[len(B) - m.driven.size :] @ mean[m.driven])
-    return close(m, pin.integrate(m.model, q, h * mean)), new, mean, work
+    return close(m, integrate(m.model, q, h * mean)), new, mean, work
 
 
 def respond(M: Array, momentum: Array, B: Array, goal: Array) -> Array:
@@ -230,5 +230,5 @@ def close(m: Mechanism, q: Array) -> Array:
             break
         react = np.linalg.solve(m.mass(q), B.T)
         miss = np.concatenate((gap, np.zeros(m.driven.size)))
-        q = np.array(pin.integrate(m.model, q, -react @ np.linalg.lstsq(B @ react, miss, rcond=RANK)[0]))
+        q = np.array(integrate(m.model, q, -react @ np.linalg.lstsq(B @ react, miss, rcond=RANK)[0]))
     return q

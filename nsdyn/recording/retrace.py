@@ -18,14 +18,13 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from nsdyn.recording.columns import ON_JOINTS, PIECES
 from nsdyn.recording.courses import Course, move, respond
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.tables import impulses_world, left_out
 from nsdyn.tools.arrays import Array, Index
-from nsdyn.tools.displacements import displacement
+from nsdyn.tools.displacements import displacement, integrate
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -213,7 +212,7 @@ class Trees:
             flows += [first, last]
             q, v = last.q, last.v
             if kick.shift.any():
-                q = np.array(pin.integrate(m.model, q, kick.shift))
+                q = np.array(integrate(m.model, q, kick.shift))
         return Way(kicks, flows, q, v)
 
     def _kick(

@@ -17,6 +17,7 @@ from nsdyn.scene import checks, pairs
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.instant import JOINT
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.displacements import integrate
 
 __all__ = ["Prescribed"]
 
@@ -90,7 +91,7 @@ class Prescribed:
         reach = max(np.abs(tree.angle(q)[shifts]).sum() for q in (begin, end)) + self._span[k]
 
         def place(part: float, x: Array, R: Array) -> None:
-            links = tree.links(tree.close(pin.integrate(tree.model, begin, part * step)))
+            links = tree.links(tree.close(integrate(tree.model, begin, part * step)))
             x[tree.frames], R[tree.frames] = links.x, links.R
 
         return float(reach * moved[tree.turns].sum() + moved[shifts].sum()), place

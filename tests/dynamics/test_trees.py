@@ -394,3 +394,17 @@ def test_displacements_are_exact_however_small(size):
         np.testing.assert_allclose(
             displacement(model, q, pin.integrate(model, q, d)), d, rtol=0, atol=1e-14 + 1e-11 * size
         )
+
+
+@pytest.mark.parametrize("turning", [1e-13, 1e-11, 1e-9, 1e-5, 1.0])
+def test_a_disk_on_a_plane_goes_straight_however_slowly_it_turns(turning):
+    """Pinocchio's displacements of planar joints were off by 4 mm at 1e-11 rad/s."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "disk")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    scene = nd.Scene()
+    scene.add_model("disk", model, v=(1.0, 0.5, turning))
+    end = nd.simulate(scene, 10.0, 1e-2).q[-1]
+    angle = 10.0 * turning
+    expected = (10.0, 5.0, np.cos(angle), np.sin(angle))
+    np.testing.assert_allclose(end, expected, rtol=0, atol=1e-11 if turning < 1e-3 else 1e-6)
