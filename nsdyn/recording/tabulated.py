@@ -25,8 +25,6 @@ FORCES = "force_x", "force_y", "force_z"
 
 def tabulated(trajectory: Trajectory, kind: str, pattern: str, step: int | None = None) -> Table:
     """A table of a recording, or its rows of one step; see `nsdyn.Trajectory.table`."""
-    if not isinstance(pattern, str):
-        raise ValueError(f"pattern must be a name or a text such as 'robot/*', got {pattern!r}")
     if choice(kind, KINDS, "kind of table") == "joints":  # whose reactions take time
         columns, units = joint_tables.joint_columns(trajectory, pattern, step)
     else:

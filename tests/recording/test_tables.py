@@ -65,8 +65,6 @@ def test_table_of_bodies_is_their_motion(trajectory):
         trajectory.table("joints")
     with pytest.raises(ValueError, match=r"kind of table must be one of bodies, joints, .*; got 'body'"):
         trajectory.table("body")
-    with pytest.raises(ValueError, match=r"pattern must be a name or a text such as 'robot/\*', got 5"):
-        trajectory.table("pairs", 5)
 
 
 def test_table_of_pairs(trajectory):
