@@ -406,7 +406,8 @@ class Scene:
             Constant, or a function of the time in s. Of a body: linear (3,) [m/s] of its centre, or (linear, angular
             [rad/s]), world axes; the body moves with it and pushes what it meets. Of a joint: rad/s or m/s.
         surface_velocity : array or callable
-            The same for a surface that slides in itself while the body stays: a conveyor, a turning drum.
+            The same for a surface that slides in itself while the body stays: a conveyor, a turning drum. What of it
+            is along the normal of a contact does nothing.
 
         Raises
         ------

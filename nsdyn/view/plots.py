@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from nsdyn.dynamics.ledger import LAYERS
 from nsdyn.recording.columns import ENERGIES
 from nsdyn.recording.tabulated import tabulated
+from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice, counted
 from nsdyn.tools.table import Table
@@ -17,9 +18,6 @@ from nsdyn.tools.units import with_unit
 from nsdyn.view import panels
 from nsdyn.view.curves import ledger
 from nsdyn.view.panels import LEDGER, OTHERS, PALETTE, Curve, Panel
-
-if TYPE_CHECKING:
-    from nsdyn.recording.trajectory import Trajectory
 
 __all__ = ["KINDS", "draw", "usual"]
 
@@ -77,7 +75,7 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     Raises
     ------
     ValueError
-        For an unknown kind or name, and for what was not recorded.
+        For an unknown kind or name, for what was not recorded, and what is no recording or no figure.
 
     Examples
     --------
@@ -85,6 +83,10 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     >>> run = nd.simulate(nd.scenes.load("slide")(), 0.5, dt=0.01)
     >>> nd.plots.draw(run, "speed", "box").savefig("speed.pdf")  # doctest: +SKIP
     """
+    if not isinstance(trajectory, Trajectory):
+        raise ValueError(f"trajectory must be a Trajectory, as of nsdyn.simulate or load, got {trajectory!r}")
+    if figure is not None and not hasattr(figure, "subfigures"):
+        raise ValueError(f"figure must be a Figure or SubFigure of matplotlib, got {figure!r}")
     choice(kind, KINDS, "kind")
     missing = _missing(trajectory)
     for what, kinds in missing.items():
