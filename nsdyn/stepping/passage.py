@@ -44,6 +44,9 @@ LINEAR = 0.1
 JUMP = 1e-9
 """Fraction of a move in which a gap changes its sign so abruptly that it jumps."""
 
+LEAST = 1e-12
+"""Fraction of a step that is no time."""
+
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
@@ -75,7 +78,7 @@ def through(system: System, state: State, loads: Loads, begun: Known = None, mee
     """
     now, rate, clear, at, cut = state.instant, state.rate, True, 0.0, False
     s = system.during(state.next_t - state.dt, state.dt, now.position)
-    effort, pieces, least = Effort(), [(s.dt, 0)], 1e-12 * s.dt
+    effort, pieces = Effort(), [(s.dt, 0)]
     done: list[Impulses] = []
     path = [now.placement]
     while pieces:
@@ -84,13 +87,13 @@ def through(system: System, state: State, loads: Loads, begun: Known = None, mee
         own, span = s._replace(depth=DEEP * SHALLOWER**halvings), (state.next_t - (s.dt - at), end - at)
         move, length, coarse = _move(own, loads, now, span, rate, effort, cut, begun, meets)
         begun, meets = None, False
-        if coarse and length > least and _contacts(now) << halvings <= WORK:
+        if coarse and _contacts(now) << halvings <= WORK:
             pieces[-1:] = [(end, halvings + 1), (at + 0.5 * length, halvings + 1)]
             continue
         done += [_later(acted, at) for acted in move.done]
         path += move.path
         now, rate, clear, at = move.end, move.rate, move.clear, at + length
-        cut = end - at > least
+        cut = end - at > LEAST * s.dt
         if not cut:
             pieces.pop()
     return Passage(now, rate, clear, done, path)
@@ -137,8 +140,10 @@ def _move(
     m, moved = finish(s, now, tried), tried.moved
     path = [tried.half.middle.placement, moved.placement, m.end.placement]
     m = m._replace(done=done + m.done, path=path)
-    sinks = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
-    return m, length, (sinks or _strains(s, begin, m, length)) and not any(_jammed(a.solved[1]) for a in m.done)
+    coarse = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
+    if length > LEAST * s.dt and not any(_jammed(acted.solved[1]) for acted in m.done):
+        return m, length, coarse or _strains(s, begin, m, length)
+    return m, length, False
 
 
 def _strains(s: System, begin: Instant, m: Passage, h: float) -> bool:
