@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from nsdyn.collision.contacts import ContactSet, ordered
 from nsdyn.collision.detector import Detector
@@ -22,6 +21,7 @@ from nsdyn.scene import pairs
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.displacements import integrate
 
 __all__ = ["Acceleration", "Existence", "LeastConstraint", "accelerations", "least_constraint"]
 
@@ -173,7 +173,7 @@ def constraint_acceleration(tree: Linkage, q: Array, v: Array, t: float) -> Arra
         loops = np.zeros(tree.closures.size)
         if fastest > 0.0:
             step = DIFFERENCE / fastest
-            ends = (tree.close(pin.integrate(tree.model, q, s * v)) for s in (step, -step))
+            ends = (tree.close(integrate(tree.model, q, s * v)) for s in (step, -step))
             ahead, behind = (tree.closures.at(end)[1] for end in ends)
             loops = -(ahead - behind) @ v / (2.0 * step)
     rates = [(m.rate(t + DIFFERENCE) - m.rate(t - DIFFERENCE)) / (2.0 * DIFFERENCE) for m in tree.driven]
