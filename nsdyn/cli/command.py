@@ -7,17 +7,19 @@ one line before anything is written.
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import logging
 import os
 import re
 import shlex
 import sys
+import threading
 import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
 from nsdyn.cli.doctor import diagnose, version_of
 from nsdyn.cli.figures import add_plot, draw
@@ -69,6 +71,9 @@ TABLES = {
 OPTIONS = {"duration": "--time", "dts": "--dt", "package_dirs": "--package-dir"}
 """Arguments in Python that errors begin with, and the options that they have come from."""
 
+AGAIN = 0.05
+"""When an interrupt that Python has dropped comes once more, s."""
+
 SCENE = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn new' begins"
 
 
@@ -78,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments.typed = shlex.join(["nsdyn", *(sys.argv[1:] if argv is None else argv)])
     logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)
     with warnings.catch_warnings():
-        warnings.showwarning = _show_warning
+        warnings.showwarning, sys.unraisablehook = _show_warning, _tell
         try:
             return int(arguments.run(arguments))
         except BrokenPipeError:  # the reader of our output is gone
@@ -96,6 +101,18 @@ def main(argv: list[str] | None = None) -> int:
         except KeyboardInterrupt as stop:
             print("nsdyn: interrupted" + (f": {stop}" if stop.args else ""), file=sys.stderr)
             return 130
+        finally:
+            sys.unraisablehook = sys.__unraisablehook__
+
+
+def _tell(dropped: Any) -> None:
+    """Tell what is raised where Python drops it, as where an object is freed; an interrupt comes once more, later."""
+    if issubclass(dropped.exc_type, KeyboardInterrupt):
+        later = threading.Timer(AGAIN, _thread.interrupt_main)  # here it would be dropped as well
+        later.daemon = True
+        later.start()
+    else:
+        sys.__unraisablehook__(dropped)
 
 
 def _show_warning(

@@ -635,6 +635,19 @@ def test_interruption(run, monkeypatch):
     assert run("run", "slide") == (130, "", "nsdyn: interrupted\n")
 
 
+def test_an_interrupt_where_an_object_is_freed_is_not_lost(tmp_path):
+    """Python drops what is raised there, and tells a traceback."""
+    (tmp_path / "mine.py").write_text(
+        "import nsdyn as nd\n\n\n"
+        "class Freed:\n    def __del__(self):\n        raise KeyboardInterrupt\n\n\n"
+        "def scene():\n    Freed()\n    return nd.scenes.load('slide')()\n"
+    )
+    command = [sys.executable, "-m", "nsdyn", "run", "mine.py", "--time", "30", "--dt", "1e-4"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130
+    assert done.stderr.splitlines()[-1].startswith("nsdyn: interrupted") and "Traceback" not in done.stderr
+
+
 def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
     real, count = nd.Stepper.step, [0]
 
