@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments.typed = shlex.join(["nsdyn", *(sys.argv[1:] if argv is None else argv)])
     logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)
     with warnings.catch_warnings():
-        warnings.showwarning, sys.unraisablehook = _show_warning, _tell
+        before, warnings.showwarning, sys.unraisablehook = sys.unraisablehook, _show_warning, _tell
         try:
             return int(arguments.run(arguments))
         except BrokenPipeError:  # the reader of our output is gone
@@ -102,7 +102,7 @@ def main(argv: list[str] | None = None) -> int:
             print("nsdyn: interrupted" + (f": {stop}" if stop.args else ""), file=sys.stderr)
             return 130
         finally:
-            sys.unraisablehook = sys.__unraisablehook__
+            sys.unraisablehook = before
 
 
 def _tell(dropped: Any) -> None:

@@ -632,7 +632,9 @@ def test_interruption(run, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(nd, "simulate", simulate)
+    hook = sys.unraisablehook
     assert run("run", "slide") == (130, "", "nsdyn: interrupted\n")
+    assert sys.unraisablehook is hook
 
 
 def test_an_interrupt_where_an_object_is_freed_is_not_lost(tmp_path):

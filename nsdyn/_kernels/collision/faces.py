@@ -79,12 +79,10 @@ def ways(fields, frames, room, names, closed, which, normal):
 
     Parameters
     ----------
-    fields : tuple
-        Of `Geometry`.
-    frames, room : tuple
-        (x, R), poses of the frames, and room for (R, t) of the geoms.
-    names : ndarray of int
-        Of the contacts.
+    fields, frames, room : tuple
+        As of `keys.gaps`.
+    names : ndarray of int, shape (5, nc)
+        Of the contacts, as of `ContactSet`.
     closed : float
         How far the geoms may be in each other all the same, m.
     which, normal : ndarray, shapes (n,), (n, 3)
