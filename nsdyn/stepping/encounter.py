@@ -109,7 +109,7 @@ class Encounter(NamedTuple):
             full.arrays,
             (begin.v, middle.v, forces.v),
             (carried, *transport, rows.press),
-            (old[:3], begin.placement.x, begin.twists, half.reach),
+            (old[:3], begin.placement.x, begin.twists, (half.reach, half.s.closed)),
             (contacts[:3], frame, there.x),
             (warm.key, warm.force, half.h),
             half.ahead,

@@ -60,6 +60,16 @@ def test_disk_loses_only_what_the_step_takes():
     assert fall[2] <= 0.55 * fall[1]
 
 
+@pytest.mark.case(25)
+@pytest.mark.parametrize("tilt", [3.0, 0.3])
+def test_disk_that_lies_almost_flat_loses_nothing(tilt):
+    """Its contact runs round the rim 20 and 200 times as fast as any point of it moves, and rolls all the same."""
+    tilts, energy = disk(2.5e-4, tilt, 0.1)
+    flat = 0.44 * g * 0.0032
+    assert np.abs(energy - energy[0]).max() <= 1e-9 * (energy[0] - flat)
+    assert np.abs(tilts - tilt).max() <= 1e-3 * tilt
+
+
 # -- case 26: tippe-top ------------------------------------------------------------------------------------------------
 
 TOP = {"radius": 0.15, "mass": 15.0}

@@ -20,7 +20,7 @@ def test_a_normal_that_jumps_is_of_another_contact(angle, follows):
     """How fast bodies parted along the old normal counts where it turned into this one; else what does along this."""
     old, frame = np.array([[np.sin(angle), 0.0, np.cos(angle)]]), np.eye(3)[None, [2, 0, 1]].copy()
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
-    begin = contacts([-1], still, old), still, (np.array([[1.0, 0.0, 0.0]]), still), np.ones(1)
+    begin = contacts([-1], still, old), still, (np.array([[1.0, 0.0, 0.0]]), still), (np.ones(1), 0.0)
     here = contacts([-1], still, old), frame, still
     law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
     expected = (np.sin(angle), np.cos(angle), 0.0) if follows else (0.0, 1.0, 0.0)
@@ -28,23 +28,25 @@ def test_a_normal_that_jumps_is_of_another_contact(angle, follows):
 
 
 @pytest.mark.parametrize(
-    ("gone", "others", "follows"), [(0.9, 1, True), (5.0, 0, True), (5.0, 1, False), (13.0, 0, False)]
+    ("gone", "others", "follows"),
+    [(0.9, [0.0], True), (5.0, [], True), (5.0, [0.0], False), (5.0, [1.0], True), (500.0, [], True)],
 )
 def test_only_a_contact_that_is_alone_rolls_far(gone, others, follows):
     """Points of the bodies go 1 m; where an edge crosses another one of several may go farther, as nothing does there.
 
-    Body 0 turns at 1 rad/s about y, and moves at 1 m/s along x: where the contact was it goes otherwise than here.
+    Body 0 turns at 1 rad/s about y, and moves at 1 m/s along x: where the contact was it goes otherwise than here. The
+    others are of the same bodies, and open by so much where the move begins.
     """
-    nc = 1 + others
-    place = np.full(nc, -1)
-    place[0] = 0
-    still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3 * nc)
-    old, frame = np.array([[gone, 0.0, 0.0]]), np.tile(np.eye(3)[[2, 0, 1]], (nc, 1, 1))
+    still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
+    old, frame = np.array([[gone, 0.0, 0.0]]), np.eye(3)[None, [2, 0, 1]].copy()
     along, about = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]])
-    begin = contacts([-1], old, np.array([[0.0, 0.0, 1.0]])), still, (along, about), np.ones(1)
-    here = contacts(np.full(nc, -1), np.zeros((nc, 3)), np.zeros((nc, 3))), frame, still
-    law.begin_velocities(place, begin, here, np.empty((0, 3)), none, u)
-    np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15)
+    nc, up = 1 + len(others), np.array([[0.0, 0.0, 1.0]])
+    before = contacts(np.full(nc, -1), np.tile(old, (nc, 1)), np.tile(up, (nc, 1)))
+    before[2][0, 1:] = others
+    begin = before, still, (along, about), (np.ones(1), 1e-9)
+    here = contacts([-1], still, up), frame, still
+    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
+    np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15 * gone)
 
 
 def test_the_problem_of_a_move_is_that_of_the_slip_it_ends_with(monkeypatch):

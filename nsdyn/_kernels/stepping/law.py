@@ -14,11 +14,6 @@ from nsdyn._kernels.problem.blocks import diagonal_block, relative_velocity, wid
 from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
-ROLLS = 12.0
-"""How many times farther than any point of its bodies a contact may go that is alone between them: by the radius of
-curvature over the size, 10 for a rattleback. What jumps from corner to corner goes farther in all but large steps; so
-may one of several, where an edge crosses another, though the bodies only slide."""
-
 TILTS = math.cos(0.2)
 """Cosine of the angle by which the normal of a contact may turn in half a move: from one feature of corners to the next
 it jumps, and how fast what was there parted says nothing of what is here."""
@@ -46,11 +41,12 @@ def warm_start(place, force, h, frame, r):
 
 
 @in_place
-def alone(c, names):
-    """Whether contact c is the only one between its frames."""
-    for other in range(names.shape[1]):
-        if other != c and names[2, other] == names[2, c] and names[3, other] == names[3, c]:
-            return False
+def alone(k, names, gap, closed):
+    """Whether contact k is the only one between its frames, or all others are open by more than it."""
+    for other in range(gap.size):
+        if other != k and names[2, other] == names[2, k] and names[3, other] == names[3, k]:
+            if gap[other] <= max(gap[k], 0.0) + closed:
+                return False
     return True
 
 
@@ -60,11 +56,15 @@ def begin_velocities(place, begin, here, carried, transport, u):
 
     Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
     from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
-    turned by the least rotation from normal to normal; any other one has the arms and the frame of here. Surfaces that
+    turned by the least rotation from normal to normal; any other one has the arms and the frame of here. What rolls may
+    go any way: that of a disk which lies almost flat goes round its rim a hundred times as fast as its points, and what
+    is near enough to be met in a move is a contact of its own from the start. One of several goes as far as the bodies
+    do, for where an edge slides across another nothing rolls. Surfaces that
     move add `carried` (old contacts, 3) there, in world axes, and `transport` (3 nc,) here, in the frames; both are
     empty where none do. `begin` and `here` are those of `local_velocities`.
     """
-    ((_, old_points, _), x_old, (linear, angular), reach), ((names, points, _), frame, x) = begin, here
+    (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed) = begin
+    (names, points, _), frame, x = here
     for c in range(place.size):
         f1, f2, n = names[2, c], names[3, c], row(frame[c], 0)
         p, k = row(points[0], c), place[c]
@@ -73,8 +73,7 @@ def begin_velocities(place, begin, here, carried, transport, u):
             d, m = minus(p, row(old_points[0], k)), row(old_points[1], k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
             gone, far = dot(d, d), far * far
-            rolls = gone <= far or (gone <= ROLLS * ROLLS * far and alone(c, names))
-            there = rolls and dot(m, n) > TILTS
+            there = dot(m, n) > TILTS and (gone <= far or alone(k, old_names, old_scalars[0], closed))
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
@@ -110,8 +109,8 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         What surfaces that move add: carried and transport as in `begin_velocities`, all of these at the twists of the
         impulses; transport with those of the end; normal velocities of joint friction. Each is empty for none.
     begin : tuple
-        The contacts found where the step begins, places and twists of the frames there, and how far points of the
-        frames move in about half a step.
+        The contacts found where the step begins, places and twists of the frames there, and (how far points of the
+        frames move in about half a step, the largest gap that counts as closed).
     here : tuple
         The contacts where the impulses act, their directions, and the places of the frames.
     warm : tuple

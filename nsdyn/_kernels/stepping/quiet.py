@@ -172,7 +172,7 @@ def posed(s, first, last, met, rows, acted, flags, room):
         blocks,
         (col.velocity(b_old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
         (met[1][0][:0], none, none, none),
-        (first, col.vectors(b_old, col.X, n), twists, col.column(w, col.REACH, n)),
+        (first, col.vectors(b_old, col.X, n), twists, (col.column(w, col.REACH, n), num[col.CLOSED])),
         (met, frame, x),
         (warm[0], force, num[col.STEP]),
         closing[2],
