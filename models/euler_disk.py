@@ -3,6 +3,7 @@
 import numpy as np
 
 from nsdyn import Material, Scene
+from nsdyn.scene import shapes
 
 DURATION, DT = 1.0, 1e-3
 
@@ -26,17 +27,20 @@ def scene(
     out = Scene(gravity=(0, 0, -gravity), name="euler_disk")
     material = Material(mu=mu)
     out.add_halfspace("ground", material=material)
+    disk = shapes.cylinder(radius, thickness)
     alpha, a, b = np.radians(tilt), radius, thickness / 2
     s, c = np.sin(alpha), np.cos(alpha)
-    I3 = mass * a**2 / 2
-    I1 = mass * (3 * a**2 + thickness**2) / 12
-    precession = np.sqrt(mass * gravity * (a * c - b * s) / (s * (I1 * c - I3 * b / a * s)))
+    I3 = a**2 / 2  # both per mass
+    I1 = (3 * a**2 + thickness**2) / 12
+    steepest = np.degrees(np.arctan2(min(I1, I3) * a, I3 * b))
+    if not 0.0 < tilt < steepest:
+        raise ValueError(f"tilt must lie between 0 and {steepest:.4g} degrees, where such a disk rolls, got {tilt!r}")
+    precession = np.sqrt(gravity * (a * c - b * s) / (s * (I1 * c - I3 * b / a * s)))
     # In the plane of the tilt: e1 up the face of the disk, e3 its axis; the disk leans about the y axis.
     e1, e3 = np.array([c, 0, s]), np.array([-s, 0, c])
-    out.add_cylinder(
+    out.add_shape(
         "disk",
-        a,
-        thickness,
+        disk,
         mass,
         position=(0, 0, a * s + b * c),
         material=material,

@@ -70,6 +70,13 @@ def test_disk_that_lies_almost_flat_loses_nothing(tilt):
     assert np.abs(tilts - tilt).max() <= 1e-3 * tilt
 
 
+@pytest.mark.case(25)
+@pytest.mark.parametrize("tilt", [-1.0, 0.0, 81.0, 95.0, math.nan])
+def test_disk_without_a_steady_motion_is_refused(tilt):
+    with pytest.raises(ValueError, match=r"tilt must lie between 0 and 80\.\d+ degrees, .* got "):
+        nd.scenes.load("euler_disk")(tilt=tilt)
+
+
 # -- case 26: tippe-top ------------------------------------------------------------------------------------------------
 
 TOP = {"radius": 0.15, "mass": 15.0}
