@@ -70,7 +70,7 @@ class FC3D:
     --------
     >>> problem = FC3D([[2.0, 0, 0], [0, 1, 0], [0, 0, 1]], [-1.0, 3.0, 0.0], [0.5])
     >>> r = [0.5, -0.25, 0.0]  # slips: |r_T| = mu r_N against the slip, and u_N = 0
-    >>> problem.error(r) < 1e-15, problem.residual(r) < 1e-15, problem.velocity(np.array(r)).tolist()
+    >>> problem.error(r) < 1e-15, problem.residual(r) < 1e-15, problem.velocity(r).tolist()
     (True, True, [0.0, 2.75, 0.0])
     """
 
@@ -116,6 +116,8 @@ class FC3D:
         problem = FC3D.__new__(FC3D)
         problem.__dict__.update(self.__dict__)
         problem._set(q, self.mu if mu is None else mu)
+        if problem.nc != self.nc:
+            raise ValueError(f"q must have {3 * self.nc} entries, 3 per contact of W, got {problem.q.size}")
         return problem
 
     def _set(self, q: Any, mu: Any) -> None:
@@ -131,8 +133,8 @@ class FC3D:
             return
         if not np.isfinite(self.q).all():
             raise ValueError("q must be finite, got NaN or infinity")
-        if not (np.isfinite(self.mu).all() and (self.mu >= 0).all()):
-            raise ValueError("mu must be finite and not negative")
+        if (bad := ~(np.isfinite(self.mu) & (self.mu >= 0.0))).any():
+            raise ValueError(f"mu must be finite and not negative, got {self.mu[bad][0]:g}")
         raise ValueError(f"q must have a norm whose square is finite, got {np.abs(self.q).max():g} m/s")
 
     def _check_scales(self) -> None:
@@ -179,21 +181,21 @@ class FC3D:
         label: Index = connected_components(sp.csr_array((np.ones(len(data)), indices, indptr)))[1].astype(np.int64)
         return label
 
-    def velocity(self, r: Array) -> Array:
+    def velocity(self, r: Any) -> Array:
         """u = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
             u = np.empty_like(self.q)
-            _given.velocity(self.csr, self.q, r, u)
+            _given.velocity(self.csr, self.q, self.impulse(r), u)
             return u
         return self.product(r) + self.q
 
-    def product(self, r: Array) -> Array:
+    def product(self, r: Any) -> Array:
         """W r, shape (3 nc,), m/s: `velocity` less q would have the round-off of q."""
         if self.blocks is None:
             return self.with_velocity(np.zeros_like(self.q)).velocity(r)
-        return self.blocks.relative_velocity(self.blocks.velocity_change(r))
+        return self.blocks.relative_velocity(self.blocks.velocity_change(self.impulse(r)))
 
-    def error(self, r: Any, u: Array | None = None) -> float:
+    def error(self, r: Any) -> float:
         """Error of the literature, ‖r - P_K(r - û)‖₂ / ‖q‖₂ (ρ = 1 in the given units).
 
         Notes
@@ -205,14 +207,12 @@ class FC3D:
         V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 6.
         """
         r = self.impulse(r)
-        u = self.velocity(r) if u is None else u
-        return float(_cones.measures(self.scales, u, r, self.mu)[0]) / self.q_norm
+        return float(_cones.measures(self.scales, self.velocity(r), r, self.mu)[0]) / self.q_norm
 
-    def residual(self, r: Any, u: Array | None = None) -> float:
+    def residual(self, r: Any) -> float:
         """Unit-invariant residual in m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ with ρ = 1/λ_max(W_aa)."""
         r = self.impulse(r)
-        u = self.velocity(r) if u is None else u
-        return float(_cones.measures(self.scales, u, r, self.mu)[1])
+        return float(_cones.measures(self.scales, self.velocity(r), r, self.mu)[1])
 
     def round_off(self, r: Any) -> float:
         """What rounding leaves of the `residual` of r (3 nc,), N·s: about 4 ε max_c (|q_c| + λ_max(W_cc) |r_c|), m/s.
@@ -228,11 +228,11 @@ class FC3D:
         r = self.impulse(r)
         return float(_cones.duality_gap(self.velocity(r), r, self.mu)[0])
 
-    def impulse(self, r: Any) -> Array:
-        """The array r (3 nc,) that is meant; ValueError if its shape does not fit."""
-        out: Array = np.ascontiguousarray(numbers(r, "3 numbers per contact", "r"))
+    def impulse(self, r: Any, what: str = "r") -> Array:
+        """The array r (3 nc,) that is meant; ValueError naming `what` if its shape does not fit."""
+        out: Array = np.ascontiguousarray(numbers(r, "3 numbers per contact", what))
         if out.shape != self.q.shape:
-            raise ValueError(f"r must have shape {self.q.shape} like q, got {out.shape}")
+            raise ValueError(f"{what} must have shape {self.q.shape} like q, got {out.shape}")
         return out
 
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:

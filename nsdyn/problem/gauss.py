@@ -144,7 +144,7 @@ def certify(
     J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
     """
     impulse, d = np.empty(problem.q.size), opening.d if opening else NOTHING
-    if into_cones(r, problem.mu, impulse) or u is None:
+    if into_cones(problem.impulse(r), problem.mu, impulse) or u is None:
         u = problem.velocity(impulse)
     gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
     if not math.isfinite(gap + shift):

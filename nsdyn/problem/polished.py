@@ -56,6 +56,7 @@ def certify(
     Parameters and results are those of `gauss.certify`. It takes some Newton steps for each of two convex problems,
     about as long as the solve. Round-off of velocities is counted.
     """
+    r = problem.impulse(r)
     certificate, opening = gauss.certify(problem, r, u, opening)
     if not math.isfinite(certificate.gap + certificate.shift):
         return certificate, opening

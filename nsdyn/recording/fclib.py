@@ -31,8 +31,9 @@ import scipy.sparse as sp
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.recording.condensation import condensed, embedded, factors, is_symmetric, planar, solver_of
+from nsdyn.scene.checks import text
 from nsdyn.tools import files
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, numbers
 from nsdyn.tools.datasets import check_heaps, created, dataset
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
@@ -261,8 +262,8 @@ def write(
     Raises
     ------
     ValueError
-        If the path exists or cannot be written, for a guess of wrong length, or if spacedim is 2 and the problem is
-        not planar.
+        If the path exists or cannot be written, for what is no problem, no solution or no text, for a v_free, solution
+        or guess of wrong length or with values not finite, or if spacedim is 2 and the problem is not planar.
 
     Examples
     --------
@@ -273,13 +274,24 @@ def write(
     ...     nd.fclib.read(f"{folder}/drop.hdf5").q.tolist()
     [-1.0, 0.2, 0.0]
     """
+    if not isinstance(problem, FC3D):
+        raise ValueError(f"problem must be a nsdyn.FC3D, got {type(problem).__name__}")
     blocks = problem.blocks
     rows = slice(None) if spacedim == 3 else planar(problem.nc)
     if spacedim != 3:
         _check_planar(problem, spacedim)
-    for guess in guesses:
-        if np.shape(guess) != problem.q.shape:
-            raise ValueError(f"guesses must have shape {problem.q.shape} like q, got {np.shape(guess)}")
+    for words, value in {"title": title, "description": description}.items():
+        text(value, words)
+    if not isinstance(guesses, Sequence | np.ndarray):
+        raise ValueError(f"guesses must be a sequence of impulses, got {guesses!r}")
+    guesses = [problem.impulse(guess, "guesses") for guess in guesses]
+    if v_free is not None:
+        if blocks is None:
+            raise ValueError("v_free must be None for a problem without factors")
+        v_free = numbers(v_free, f"{blocks.n} numbers", "v_free")
+        if v_free.shape != (blocks.n,) or not np.isfinite(v_free).all():
+            got = "NaN or infinity" if v_free.shape == (blocks.n,) else f"shape {v_free.shape}"
+            raise ValueError(f"v_free must be {blocks.n} finite numbers, got {got}")
     with _created(path, overwrite) as file:
         group = file.create_group("fclib_local" if blocks is None else "fclib_global")
         _put(group, "spacedim", spacedim)
@@ -306,7 +318,7 @@ def write(
         for k, guess in enumerate(guesses):
             _put_answer(file, f"guesses/{k + 1}", guess, problem.velocity(guess))
         if solution is not None:
-            _put_answer(file, "solution", solution.r, solution.u)
+            _put_solution(file, solution)
 
 
 def write_solution(path: str | Path, source: str | Path, solution: Solution, *, overwrite: bool = False) -> None:
@@ -315,13 +327,14 @@ def write_solution(path: str | Path, source: str | Path, solution: Solution, *, 
     Raises
     ------
     ValueError
-        If the path exists or cannot be written, or as `read` for the source.
+        If the path exists or cannot be written, for a solution of wrong length or with values not finite, or as `read`
+        for the source.
     """
     with _open(source) as problem, _created(path, overwrite) as file:
         for name in problem:
             if name != "solution":
                 problem.copy(name, file)
-        _put_answer(file, "solution", solution.r, solution.u)
+        _put_solution(file, solution)
 
 
 @contextmanager
@@ -359,10 +372,21 @@ def _put_text(group: Any, name: str, text: str) -> None:
     item.write(h5py.h5s.ALL, h5py.h5s.ALL, np.array(data, f"S{len(data) + 1}"))
 
 
+def _put_solution(file: Any, solution: Solution) -> None:
+    if not isinstance(solution, Solution | Stored):
+        raise ValueError(f"solution must be a nsdyn.Solution, got {type(solution).__name__}")
+    _put_answer(file, "solution", solution.r, solution.u)
+
+
 def _put_answer(file: Any, name: str, r: Array, u: Array) -> None:
-    """Solution or guess of the problem that is already in the file, with its v and λ."""
+    """Solution or guess of the problem that is already in the file, with its v and λ; ValueError if of another."""
     group, dim = _group(file)
-    rows = slice(None) if dim == 3 else planar(_array(group, "vectors/mu").size)
+    nc = _array(group, "vectors/mu").size
+    rows = slice(None) if dim == 3 else planar(nc)
+    for letter, value in {"r": r, "u": u}.items():
+        if np.shape(value) != (3 * nc,) or not np.isfinite(value).all():
+            got = "NaN or infinity" if np.shape(value) == (3 * nc,) else f"shape {np.shape(value)}"
+            raise ValueError(f"{letter} of {name} must be {3 * nc} finite numbers, 3 per contact, got {got}")
     r, u = r[rows], u[rows]
     _put(file, f"{name}/u", u)
     _put(file, f"{name}/r", r)

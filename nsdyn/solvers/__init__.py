@@ -213,7 +213,7 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     """
     if not isinstance(problem, FC3D):
         raise ValueError(f"problem must be a nsdyn.FC3D, got {type(problem).__name__}")
-    if r0 is not None and not np.isfinite(problem.impulse(r0)).all():
+    if r0 is not None and not np.isfinite(problem.impulse(r0, "r0")).all():
         raise ValueError("r0 must be finite, got NaN or infinity")
     solver, before = as_solver(solver, tol), loading()
     waiting.append(problem)

@@ -62,7 +62,8 @@ class Failures:
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             path = self.folder / f"step-{step:06d}.hdf5"
-            fclib.write(path, problem, guesses=[solution.r], description=message, overwrite=True)
+            guesses = [solution.r] if np.isfinite(solution.r).all() else []
+            fclib.write(path, problem, guesses=guesses, description=message, overwrite=True)
             message += f"; its problem is in {path}"
         none = _is_none(solution)
         if self.on_fail == "raise" or (self.on_fail in ("warn", "dump") and none):

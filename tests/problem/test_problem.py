@@ -6,7 +6,7 @@ import scipy.sparse as sp
 from extended import project
 
 import nsdyn as nd
-from nsdyn.problem import gauss
+from nsdyn.problem import gauss, polished
 from nsdyn.problem.blocks import Blocks
 
 BOX = 4  # contacts of the four-corner box below
@@ -155,7 +155,7 @@ def test_blocks_against_dense(rng):
         ({"q": np.zeros(5)}, "q must have 3 entries"),
         ({"q": np.array([np.inf, 0, 0, 0, 0, 0])}, "q must be finite"),
         ({"q": np.array([-1e160, 0, 0, 0, 0, 0])}, "q must have a norm whose square is finite, got 1e"),
-        ({"mu": np.array([-0.1, 0.5])}, "mu must be finite and not negative"),
+        ({"mu": np.array([-0.1, 0.5])}, "mu must be finite and not negative, got -0.1"),
         ({"mu": np.array([np.nan, 0.5])}, "mu must be finite and not negative"),
     ],
 )
@@ -163,6 +163,35 @@ def test_bad_input(change, words):
     good = {"W": np.eye(6), "q": np.ones(6), "mu": np.array([0.5, 0.5])}
     with pytest.raises(ValueError, match=words):
         nd.FC3D(**good | change)
+
+
+@pytest.mark.parametrize("factors", [False, True])
+@pytest.mark.parametrize("r", [np.zeros(11), np.zeros(0), np.zeros((4, 3)), np.zeros(13)])
+def test_impulses_of_another_length_are_refused(factors, r):
+    """Kernels would read what lies beside them: a velocity of [1e80, -1e-138, ...] m/s, and no word of it."""
+    problem, M, H = corner_box()
+    if factors:
+        problem = nd.FC3D.from_blocks(one_block(np.linalg.solve(np.linalg.cholesky(M), H)), problem.q, problem.mu)
+    of = (
+        *(getattr(problem, name) for name in "velocity product error residual gap round_off".split()),
+        *(lambda r, certify=one.certify: certify(problem, r) for one in (gauss, polished)),
+    )
+    for measured in of:
+        with pytest.raises(ValueError, match=r"r must have shape \(12,\) like q, got"):
+            measured(r)
+
+
+def test_impulses_may_be_any_sequence_of_numbers():
+    problem, _, _ = corner_box()
+    r = [1.0, 0.0, 0.0] * BOX
+    assert (problem.velocity(r) == problem.W @ r + problem.q).all()
+    assert np.abs(problem.product(r) - problem.W @ r).max() <= 1e-15
+
+
+def test_other_velocities_are_of_the_same_contacts():
+    problem, _, _ = corner_box()
+    with pytest.raises(ValueError, match="q must have 12 entries, 3 per contact of W, got 15"):
+        problem.with_velocity(np.zeros(15), np.zeros(5))
 
 
 def test_empty_problem_is_solved():

@@ -276,6 +276,37 @@ def test_nothing_is_overwritten_unasked(tmp_path, local):
     assert [p.name for p in tmp_path.iterdir()] == ["p.hdf5"]
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"solution": nd.solve(corner_box()[0])}, r"r of solution must be 6 finite numbers.*got shape \(12,\)"),
+        ({"solution": nd.Solution(*np.full((2, 6), np.nan), nd.Status.NOT_FINITE, 1.0, 1.0, 0, 0.0)}, "got NaN"),
+        ({"solution": np.zeros(6)}, "solution must be a nsdyn.Solution, got ndarray"),
+        ({"guesses": [np.full(6, np.inf)]}, "guesses/1 must be 6 finite numbers, 3 per contact, got NaN or infinity"),
+        ({"guesses": 3}, "guesses must be a sequence of impulses, got 3"),
+        ({"guesses": ["abc"]}, "guesses must be 3 numbers per contact, got 'abc'"),
+        ({"v_free": np.zeros(6)}, "v_free must be None for a problem without factors"),
+        ({"title": 5}, "title must be a text"),
+        ({"description": None}, "description must be a text"),
+        ({"problem": np.eye(6)}, "problem must be a nsdyn.FC3D, got ndarray"),
+    ],
+)
+def test_what_does_not_belong_to_a_problem_is_not_written(tmp_path, local, change, words):
+    """A solution of another problem, and one that is not finite, made files that could not be read."""
+    with pytest.raises(ValueError, match=words):
+        nd.fclib.write(tmp_path / "p.hdf5", **{"problem": nd.FC3D(*local)} | change)
+    assert not any(tmp_path.iterdir())
+
+
+def test_solution_of_another_problem_is_not_written(tmp_path, local):
+    nd.fclib.write(tmp_path / "p.hdf5", nd.FC3D(*local))
+    with pytest.raises(ValueError, match=r"r of solution must be 6 finite numbers, 3 per contact, got shape \(12,\)"):
+        fclib.write_solution(tmp_path / "s.hdf5", tmp_path / "p.hdf5", nd.solve(corner_box()[0]))
+    with pytest.raises(ValueError, match=r"v_free must be 6 finite numbers, got shape \(5,\)"):
+        nd.fclib.write(tmp_path / "v.hdf5", corner_stepper_problem(), v_free=np.zeros(5))
+    assert [p.name for p in tmp_path.iterdir()] == ["p.hdf5"]
+
+
 def test_solution_replaces_the_sources_own(tmp_path, local):
     problem = nd.FC3D(*local)
     solution = nd.solve(problem)

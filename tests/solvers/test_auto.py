@@ -264,7 +264,7 @@ def test_one_contact_by_its_matrix(rng):
         assert solution.converged and problem.error(solution.r) <= 1e-13  # round-off of W r, W of order 10
         np.testing.assert_allclose(solution.u, problem.velocity(solution.r), rtol=0, atol=1e-14)  # sums may be fused
         np.testing.assert_array_equal(solution.r, nd.solve(problem).r)
-    with pytest.raises(ValueError, match="r must have shape"):
+    with pytest.raises(ValueError, match="r0 must have shape"):
         nd.solve(problem, r0=np.zeros(6))
 
 
