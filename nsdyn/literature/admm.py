@@ -57,6 +57,7 @@ class ADMM(Options):
     max_iter: Count = 100_000
     relaxation: Relaxation = 1.0
 
+    @np.errstate(over="ignore", invalid="ignore")  # what diverges is told by the status
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         run = Run(problem, r0, self.tol)

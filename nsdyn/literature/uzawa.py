@@ -62,6 +62,7 @@ class Uzawa(Options):
     max_iter: Count = 500
     step: Step = 1.8
 
+    @np.errstate(over="ignore", invalid="ignore")  # what diverges is told by the status
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         length: list[float] = []  # once per problem, not once per pass

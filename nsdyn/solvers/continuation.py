@@ -159,7 +159,7 @@ def _unit(direction: Array, metric: Array) -> Array:
     return out
 
 
-@np.errstate(over="ignore")  # a point too far is refused
+@np.errstate(all="ignore")  # a point too far is refused
 def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array, int]:
     """Newton's method to the path from x in a plane: the point, if it is reached, its tangent, and factorisations.
 

@@ -331,5 +331,16 @@ def test_convex_relaxation(case):
         np.testing.assert_allclose(u[:, 0], problem.mu * np.hypot(u[:, 1], u[:, 2]), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["admm", "uzawa"])
+def test_iterates_that_diverge_are_told_by_the_status_alone(name):
+    """A W so unsymmetric that impulses overflow within the iterations allowed; NumPy's warnings would be errors."""
+    rng = np.random.default_rng(20)
+    A = rng.normal(size=(6, 6))
+    W = A @ A.T + 3.0 * np.triu(rng.normal(size=A.shape), 1)
+    solver = nd.solvers.SOLVERS[name](max_iter=3000)
+    solution = nd.solve(nd.FC3D(W, rng.normal(size=6), [2.0, 2.0]), solver)
+    assert solution.status is nd.Status.MAX_ITERATIONS and np.isfinite(solution.r).all()
+
+
 def test_singular_matrix_has_no_solve():
     assert factor(np.zeros((3, 3))) is None

@@ -7,7 +7,7 @@ from test_auto import given, kicked_stack
 import nsdyn as nd
 from nsdyn._kernels.solvers import smoothing as smooth
 from nsdyn.problem.operators import operator
-from nsdyn.solvers.continuation import Following, continuation
+from nsdyn.solvers.continuation import Following, Path, _corrected, continuation
 from nsdyn.solvers.nesterov import Nesterov
 
 
@@ -43,6 +43,15 @@ def test_no_path_where_floating_point_has_none():
     """The smoothing at which it would begin, 1e-240 J, divides by zero."""
     problem = nd.FC3D(np.eye(3), [-1e-120, 1e-120, 0.0], [0.5])
     assert nd.solve(problem, solver="continuation").status is nd.Status.MAX_ITERATIONS
+
+
+@pytest.mark.parametrize("t", [-2000.0, 2000.0])
+def test_a_point_beyond_floating_point_is_refused_in_silence(t):
+    """Its smoothing is 0 or infinite: NumPy warned of a division by zero, or of a product with infinity."""
+    problem = nd.FC3D(np.eye(6), [-1.0, 0.2, 0.0] * 2, [0.5, 0.0])
+    path = Path(problem, operator(problem))
+    x = np.append(np.zeros_like(problem.q), t)
+    assert _corrected(path, x, np.append(np.zeros_like(problem.q), 1.0))[0] is None
 
 
 def test_a_path_goes_on_where_it_was():
