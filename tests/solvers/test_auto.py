@@ -143,6 +143,22 @@ def test_what_does_not_fall_is_not_worked_on():
     assert nd.solve(problem.with_velocity(q), r0=solution.r).iterations <= 4
 
 
+def test_what_rounding_leaves_of_heavy_bodies_is_not_worked_on(rng):
+    """Impulses of 1e12 N·s at 1 m/s are in their cones up to an error of 1e-4, which is told."""
+    told, most = [], 0
+    for _ in range(30):
+        nc = int(rng.integers(2, 12))
+        H, mu = rng.normal(size=(12, 3 * nc)), rng.uniform(0, 0.5, nc)
+        H[0, ::3] += 3.0
+        problem = nd.FC3D(H.T @ H * 1e-12, rng.normal(size=3 * nc), mu)
+        solution = nd.solve(problem)
+        told.append(solution.status)
+        most = max(most, solution.iterations)
+        assert solution.converged or 1e-8 < solution.error <= problem.round_off(solution.r)
+    assert set(told) == {nd.Status.CONVERGED, nd.Status.STALLED}
+    assert most < 5000  # 15 000 before it gave up
+
+
 @pytest.mark.parametrize(("nc", "rank"), [(10, 12), (30, 90), (60, 60)])
 def test_what_rounding_leaves_is_not_worked_on(nc, rank, rng):
     """Velocities of 1e5 m/s have no residual of 1e-12: what rounding allows is told, and soon."""
