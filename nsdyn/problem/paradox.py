@@ -3,8 +3,8 @@
 Where friction presses a contact on faster than its normal impulse opens it, W_NN < μ‖W_NT‖, the law of one contact
 may have several solutions: it opens, sticks and slips, all at once (Painlevé). Of these a solver returns one. `others`
 shows another velocity that obeys the law as well, which proves that the answer is one of several; where it finds none,
-nothing is proved. It takes each such contact through all solutions of its own law, the impulses of others given, and
-solves on from there.
+nothing is proved. It takes each such contact through all other solutions of its own law, the impulses of others given,
+and solves on from there; what comes back to the answer is none, however far the errors of both are apart.
 
 Where a contact slides, and only normal impulses that no force gives would hold it, the impulse does not fall with the
 step although nothing collides: a jam, which stops the slip at once. `jams` takes the loads on the normals away but for
@@ -67,13 +67,13 @@ def others(problem: FC3D, r: Array, solve: Solve, u: Array | None = None) -> Arr
             solution = Solution.judge(problem, guess, 1e-8, 0, 0.0)  # m/s, and of q
             if not solution.converged:
                 solution = solve(problem, guess)
-            if solution.converged and _apart(problem, r, solution.r):
+            if solution.converged and _nearer(solution.r, guess, r, int(c)) and _apart(problem, r, solution.r):
                 return solution.r
     return None
 
 
 def _instead(problem: FC3D, r: Array, u: Array, c: int) -> Iterator[Array]:
-    """Impulses with that of contact c replaced by all others that its own law admits."""
+    """Impulses with that of contact c replaced by all that its own law admits but the one r is, up to its error."""
     rows, one = slice(3 * c, 3 * c + 3), np.zeros_like(r)
     W = np.empty((3, 3))
     for k in range(3):
@@ -83,10 +83,17 @@ def _instead(problem: FC3D, r: Array, u: Array, c: int) -> Iterator[Array]:
     W = 0.5 * (W + W.T)
     if np.linalg.cond(W) > 1e12:  # moves in a plane only
         return
-    for own in all_of_one(W, u[rows] - W @ r[rows], float(problem.mu[c])):
+    admitted = all_of_one(W, u[rows] - W @ r[rows], float(problem.mu[c]))
+    for k in np.argsort(np.linalg.norm(admitted - r[rows], axis=1))[1:]:
         out = r.copy()
-        out[rows] = own
+        out[rows] = admitted[k]
         yield out
+
+
+def _nearer(x: Array, guess: Array, r: Array, c: int) -> bool:
+    """Whether the impulse of contact c is nearer to that guessed: else x may be r itself, up to the errors of both."""
+    rows = slice(3 * c, 3 * c + 3)
+    return bool(np.linalg.norm(x[rows] - guess[rows]) < np.linalg.norm(x[rows] - r[rows]))
 
 
 def _apart(problem: FC3D, r: Array, other: Array) -> bool:

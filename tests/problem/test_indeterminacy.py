@@ -47,6 +47,24 @@ def test_all_solutions_of_a_contact_are_found(rng):
     assert several > 30
 
 
+def test_an_answer_and_its_own_refinement_are_not_two(rng):
+    """What is solved to 1e-3 differs from its own solution by that: both, solved to round-off, have to be apart."""
+    loose, sharp, shown = nd.solvers.PGS(tol=1e-3, max_iter=300), nd.solvers.Auto(tol=1e-12, loose=1e-8), 0
+    for _ in range(2000):
+        nc = int(rng.integers(2, 4))
+        H, mu, q = rng.normal(size=(3 * nc + 1, 3 * nc)), rng.uniform(0.2, 4.0, nc), rng.normal(size=3 * nc)
+        H[:, ::3] *= 0.5
+        q[::3] = 0.3 * q[::3] + 0.4
+        problem = nd.FC3D(H.T @ H, q, mu)
+        solution = loose(problem)
+        other = paradox.others(problem, solution.r, loose) if solution.converged else None
+        if other is not None:
+            one, two = sharp(problem, solution.r), sharp(problem, other)
+            assert np.abs(one.u - two.u).max() > 1e-6
+            shown += one.converged and two.converged
+    assert shown > 30
+
+
 # -- impulses -----------------------------------------------------------------------------------------------------
 
 
