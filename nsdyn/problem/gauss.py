@@ -82,7 +82,7 @@ class Certificate(NamedTuple):
         that friction grips in a nip), or where the impulse is not finite.
     coulomb : float
         Defect in Coulomb's law, √J: how far v* moves when the shifts s are updated once more, to those of v*. It is no
-        bound. NaN where it was not asked for (`nsdyn.problem.polished`).
+        bound, and known to some hundredths of `bound`. NaN where it was not asked for (`nsdyn.problem.polished`).
     """
 
     gap: float
