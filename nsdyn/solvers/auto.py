@@ -28,8 +28,14 @@ class Tuning:
     """Sweeps that count as a factorisation, as they do in a wall."""
 
     length: int = 8
-    """What Newton takes in the first round, and in the next so many times what it took in the last, as does the path of
-    smoothed laws from the third on."""
+    """What Newton takes in the first round, and in the next so many times what it took in the last."""
+
+    path: int = 256
+    """What a path of smoothed laws takes in a round from the second on. A way that long is rather begun anew."""
+
+    wide: tuple[float, float] = (1e6, 1e2)
+    """How wide the first path begins, see `Following`, and how many times as wide each later one: from the best impulse
+    most ways are short, and some only from farther off."""
 
     rounds: int = 4
     """So many at most."""
@@ -108,7 +114,6 @@ class Search:
         self.best, self.count, self.spent, self.limit = np.inf, 0, 0.0, np.inf
         self._sweeps: Sweeps | None = None
         self._newton: Multipliers | None = None
-        self._path: Following | None = None
         _, error, residual, _ = problem.solved(r, tol)
         self._note(max(error, residual), 0, 0)
 
@@ -169,14 +174,11 @@ class Search:
         used = run.count - before
         self._note(run.best, used, used, run.r)
 
-    def follow(self, most: float) -> None:
-        """The path of smoothed laws, from nothing or on from the last."""
-        if self._path is None:
-            self._path = Following(self.problem, self.W, self.tol)
-        before = self._path.count
-        self._path.run(int(np.ceil(self._most(most))))
-        used = self._path.count - before
-        self._note(self._path.best, used, used, self._path.r)
+    def follow(self, wide: float) -> None:
+        """A path of smoothed laws from the best, see `Following`."""
+        path = Following(self.problem, self.W, self.tol, self.r, wide)
+        path.run(int(np.ceil(self._most(TUNING.path))))
+        self._note(path.best, path.count, path.count, path.r)
 
     def converge(self, tol: float) -> None:
         """Newton as long as it gains, at least to a tolerance."""
@@ -194,16 +196,14 @@ class Search:
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
         for k in range(TUNING.rounds):
-            last, length = TUNING.length**k, TUNING.length ** (k + 1)
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
                 near = k > 0 and self.best <= TUNING.polish
                 self.sweep(TUNING.patience if near else TUNING.cost * sum(TUNING.sweeps))
-            if not self.over and k > 1:  # what a few steps more solve needs no path
-                self.newton(last, self.tol)
-            if not self.over and k > 1:
-                self.follow(length)
+            if not self.over and k > 0:
+                first, wider = TUNING.wide
+                self.follow(first * wider ** (k - 1))
             if not self.over:
-                self.newton(length, self.tol)
+                self.newton(TUNING.length ** (k + 1), self.tol)
             if self.over:
                 break
         if self.best <= self.tol:
@@ -226,11 +226,11 @@ class Auto(Options):
 
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
-    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time. From the third on Newton
-    first gets as long as in the last, and then the path of smoothed laws is followed, for as long as Newton gets after
-    it. All go on where they were; sweeps and Newton begin anew where another has found better. A problem given by W
-    alone, which need not be symmetric, has the sweeps of the first round in one kernel call, with Newton in turn where
-    that costs no more, and the same means after.
+    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time, and from
+    the second on before it a path of smoothed laws from the best impulse, begun with more smoothing every time. Sweeps
+    and Newton go on where they were, and begin anew where another has found better. A problem given by W alone, which
+    need not be symmetric, has the sweeps of the first round in one kernel call, with Newton in turn where that costs no
+    more, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:

@@ -70,6 +70,8 @@ class Point(NamedTuple):
 class Path:
     """The curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws, which any z_0 is on at any τ_0.
 
+    It begins at z_0 = r, an impulse (3 nc,) in N·s, and a τ_0 in J.
+
     Attributes
     ----------
     problem : FC3D
@@ -85,18 +87,18 @@ class Path:
     t0 : float
         log τ_0.
     start : Point
-        Where the curve begins: z_0 = 0 and τ_0 = max |q|² / λ_max(W_cc).
+        Where the curve begins.
     """
 
-    def __init__(self, p: FC3D, W: Operator) -> None:
+    def __init__(self, p: FC3D, W: Operator, r: Array, tau: float) -> None:
         self.problem, self.W, self.q, self.mu, self.scales, self.q_norm = p, W, p.q, p.mu, p.scales, p.q_norm
         self.kappa = STRETCH / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.obeyed = np.repeat(p.mu > 0.0, 3)
         self.obeyed[0::3] = True
         self.G0 = np.zeros_like(p.q)
-        self.t0 = float(np.log((np.abs(p.q).max() or 1.0) ** 2 / p.scales.mean()))
-        begin = np.append(np.zeros_like(p.q), self.t0)
+        self.t0 = float(np.log(tau))
+        begin = np.append(r, self.t0)
         self.G0 = self.at(begin).defect
         self.start = self.at(begin)
 
@@ -188,17 +190,28 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
 
 
 class Following:
-    """The way along the path from nothing, which may be interrupted; the best impulse is in r.
+    """The way along the path from an impulse, which may be interrupted; the best one found is in r.
 
     The smoothed law of `_kernels.smoothing` has a solution for every z, and with τ from large to 0 it describes a path
     to a solution of Coulomb's law, which turns back in τ where much slides: there the methods stall that lower τ. Here
     steps go along the tangent, in z and t = log τ alike, and Newton's method leads back to the path in the plane normal
     to it (pseudo-arclength). On the way, where τ is small, Newton's method for Coulomb's law itself is tried.
 
+    Parameters
+    ----------
+    problem : FC3D
+    W : Operator
+    tol : float
+        Measure of r at which the way ends.
+    r : ndarray, shape (3 nc,)
+        Where it begins, N·s.
+    wide : float
+        τ_0 λ_max(W_cc) over the square of the residual of r.
+
     Attributes
     ----------
     r : ndarray, shape (3 nc,)
-        N·s; 0 until a point has a finite measure.
+        N·s.
     count : int
         Factorisations so far.
     best : float
@@ -211,10 +224,12 @@ class Following:
     Math. Oper. Res. 17, 1992.
     """
 
-    def __init__(self, problem: FC3D, W: Operator, tol: float) -> None:
+    def __init__(self, problem: FC3D, W: Operator, tol: float, r: Array, wide: float) -> None:
         self.problem, self.W, self.tol = problem, W, tol
-        self.r, self.count, self.best = np.zeros_like(problem.q), 0, np.inf
-        self._steps = self._taken()
+        _, error, residual, _ = problem.solved(r, tol)
+        self.r, self.count, self.best = r.copy(), 0, max(error, residual)
+        tau = max(wide * residual**2 / problem.scales.mean(), np.finfo(float).tiny)
+        self._steps = self._taken(r.copy(), tau)
 
     def run(self, most: int) -> None:
         """Go on to the tolerance or for so many factorisations, and what the last step takes."""
@@ -237,12 +252,12 @@ class Following:
             self._keep(run.r, run.best)
             yield True
 
-    def _taken(self) -> Iterator[bool]:
-        """The steps of the path, then those of Newton's method from its end."""
+    def _taken(self, r: Array, tau: float) -> Iterator[bool]:
+        """The steps of the path from r at τ = tau, then those of Newton's method from its end."""
         length, attempt = 1.0, ATTEMPT
         self.count += 1
         try:
-            path = Path(self.problem, self.W)
+            path = Path(self.problem, self.W, r, tau)
             here, scale = path.start, float(path.scales.mean())
             direction = -_unit(Linear(path, here).tangent(path.rate(here)), path.metric(here.x[-1]))
         except (ZeroDivisionError, RuntimeError):  # no point of floating point, no inverse
@@ -276,14 +291,10 @@ class Following:
 
 
 def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
-    """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure).
-
-    Where no point has a finite measure r stays what it is.
-    """
-    way = Following(problem, W, tol)
+    """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure)."""
+    way = Following(problem, W, tol, np.zeros_like(r), 1.0)
     way.run(most)
-    if way.best < np.inf:
-        r[:] = way.r
+    r[:] = way.r
     return way.count, way.best
 
 

@@ -49,7 +49,7 @@ def test_no_path_where_floating_point_has_none():
 def test_a_point_beyond_floating_point_is_refused_in_silence(t):
     """Its smoothing is 0 or infinite: NumPy warned of a division by zero, or of a product with infinity."""
     problem = nd.FC3D(np.eye(6), [-1.0, 0.2, 0.0] * 2, [0.5, 0.0])
-    path = Path(problem, operator(problem))
+    path = Path(problem, operator(problem), np.zeros(6), 1.0)
     x = np.append(np.zeros_like(problem.q), t)
     assert _corrected(path, x, np.append(np.zeros_like(problem.q), 1.0))[0] is None
 
@@ -57,7 +57,7 @@ def test_a_point_beyond_floating_point_is_refused_in_silence(t):
 def test_a_path_goes_on_where_it_was():
     """Ten factorisations at a time end where one run ends, to the last bit, and so does Newton's method after it."""
     problem = kicked_stack(height=8, ratio=30.0)
-    once, often = (Following(problem, operator(problem), 1e-8) for _ in range(2))
+    once, often = (Following(problem, operator(problem), 1e-8, np.zeros_like(problem.q), 1.0) for _ in range(2))
     once.run(400)
     while often.best > 1e-8 and often.count < 400:
         before = often.count
