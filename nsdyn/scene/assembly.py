@@ -246,6 +246,7 @@ def _collisions(
             shape, placement = item if isinstance(item, tuple) else (item, pin.SE3.Identity())
             if not isinstance(shape, Shape) or not isinstance(placement, pin.SE3):
                 raise ValueError(f"collisions of {name!r} must be shapes or (Shape, SE3) for {body!r}, got {item!r}")
+            placement = checks.pose(placement, f"placement of collisions of {name!r} for {body!r}")
             frame = known[body]
             kept.append((body, Link(f"{body}_{k}", int(frame.parentJoint), frame.placement * placement, shape)))
     kept.sort(key=lambda each: description.trees.get(each[0]) == WORLD)

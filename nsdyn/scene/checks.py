@@ -21,6 +21,7 @@ __all__ = [
     "lengths",
     "name",
     "number",
+    "pose",
     "positive",
     "quaternion",
     "rotation",
@@ -100,6 +101,15 @@ def quaternion(value: ArrayLike, what: str) -> Array:
     if abs(norm - 1.0) > NORMALISED:
         raise ValueError(f"{what} must be a unit quaternion x y z w, got norm {norm:.9g}")
     return out / norm
+
+
+def pose(value: Any, what: str) -> Any:
+    """An SE3 whose rotation is one to round-off; Pinocchio takes any matrix for it, and any numbers."""
+    turn, place = np.array(value.rotation), np.array(value.translation)
+    near: Array = np.array(pin.Quaternion(turn).normalized().toRotationMatrix())
+    if not np.abs(near - turn).max() <= NORMALISED:
+        raise ValueError(f"{what} must have a rotation matrix, got {turn.tolist()}")
+    return pin.SE3(near, vector(place, 3, f"translation of {what}"))
 
 
 def rotation(quaternion: Array) -> Array:

@@ -2,6 +2,7 @@
 
 import re
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -486,3 +487,64 @@ def test_forces_act_on_fixed_links(hand):
     assert abs(turned(**{"r/tip": up})) > 1e-3
     with pytest.raises(ValueError, match=r"did you mean 'r/tip'\? body of external_force must be .*; got 'r/tipp'"):
         turned(**{"r/tipp": up})
+
+
+def rod(axis=(0.0, 1.0, 0.0), placement=None):
+    """A rod on a hinge at the end of it, with its shape."""
+    model, shape = pin.Model(), pin.GeometryModel()
+    place = pin.SE3.Identity() if placement is None else placement
+    joint = model.addJoint(0, pin.JointModelRevoluteUnaligned(np.array(axis)), place, "hinge")
+    inertia = pin.Inertia(1.0, np.array([0.3, 0.0, 0.0]), 0.1 * np.eye(3))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("rod", joint, pin.SE3.Identity(), 0)
+    shape.addGeometryObject(pin.GeometryObject("end", joint, 0, pin.SE3.Identity(), coal.Sphere(0.1)))
+    return model, shape
+
+
+@pytest.mark.parametrize(
+    ("turn", "place", "words"),
+    [
+        (1.1 * np.eye(3), (0, 0, 0), "placement of .* must have a rotation matrix, got"),
+        (np.diag([1.0, 1.0, -1.0]), (0, 0, 0), "placement of .* must have a rotation matrix, got"),
+        (np.full((3, 3), np.nan), (0, 0, 0), "placement of .* must have a rotation matrix, got"),
+        (np.eye(3), (np.nan, 0, 0), "translation of placement of .* must be finite, got"),
+    ],
+)
+def test_placements_that_are_none(turn, place, words):
+    """Pinocchio takes them: a link went on without its shape, or stretched and out of its place, without a word."""
+    wrong, scene = pin.SE3(turn, np.array(place, dtype=float)), nd.Scene()
+    model, shape = rod()
+    with pytest.raises(ValueError, match=words.replace(".*", "collisions of 'r' for 'rod'")):
+        scene.add_model("r", model, collisions={"rod": [(shapes.sphere(0.1), wrong)]})
+    shape.geometryObjects[0].placement = wrong
+    with pytest.raises(ValueError, match=words.replace(".*", "shape 'end'")):
+        scene.add_model("r", model, shape)
+    with pytest.raises(ValueError, match=words.replace(".*", "joint 'hinge' of 'r'")):
+        scene.add_model("r", rod(placement=wrong)[0])
+    assert not scene.articulations
+
+
+def test_rounded_placements():
+    """Rotations typed with eight digits are those next to them."""
+    a = np.round(pin.utils.rotate("z", 0.3), 8)
+    scene = nd.Scene()
+    model, _ = rod(placement=pin.SE3(a, np.zeros(3)))
+    scene.add_model("r", model, collisions={"rod": [(shapes.sphere(0.1), pin.SE3(a, np.zeros(3)))]})
+    assert nd.check(nd.simulate(scene, 0.02, dt=1e-2)).passed
+
+
+@pytest.mark.parametrize(
+    "joint",
+    [
+        pin.JointModelRevoluteUnaligned(np.array([1.0, 1.0, 0.0])),
+        pin.JointModelPrismaticUnaligned(np.array([0.0, 2.0, 0.0])),
+        pin.JointModelHelicalUnaligned(np.array([0.0, 0.5, 0.0]), 0.1),
+        pin.JointModelUniversal(np.array([0.0, 1.0, 0.0]), np.array([2.0, 0.0, 0.0])),
+    ],
+)
+def test_axes_that_are_no_unit_vectors(joint):
+    """Pinocchio turns by other angles about them."""
+    model = pin.Model()
+    model.appendBodyToJoint(model.addJoint(0, joint, pin.SE3.Identity(), "j"), pin.Inertia.Random(), pin.SE3.Identity())
+    with pytest.raises(ValueError, match="axis of joint 'j' of 'r' must be of length 1, got"):
+        nd.Scene().add_model("r", model)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.scene import shapes
+from nsdyn.scene import checks, shapes
 from nsdyn.scene.articulations import Description, Link, describe_model
 from nsdyn.scene.gears import following
 from nsdyn.scene.robot_files.inertias import check_mass
@@ -19,6 +19,9 @@ from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 
 __all__ = ["from_coal", "links_of", "read_model"]
+
+UNIT = 1e-12
+"""Round-off of the length of an axis: no joint can be given another one."""
 
 
 def read_model(name: str, model: Any, geometry: Any | None) -> Description:
@@ -30,7 +33,8 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
             f"geometry_model of {name!r} must be a pinocchio.GeometryModel or None, got {type(geometry).__name__}"
         )
     _check_order(name, model)
-    model, gears = unfolded(name, model)
+    model, gears = unfolded(name, _placed(name, model))
+    _check_axes(name, model)
     dropped = Notes()
     speeds = np.array(model.upperVelocityLimit)
     fast = [
@@ -58,6 +62,29 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     q = following(model, gears, pin.neutral(model))
     more = {"q": q, "gears": gears, "dropped": tuple(dropped), "filtered": _filtered(geometry)}
     return describe_model(model, links, bodies, **more)
+
+
+def _placed(name: str, model: Any) -> Any:
+    """A copy of a model whose placements are rigid; ValueError where they are far from it."""
+    model = model.copy()
+    for k in range(1, model.njoints):
+        what = f"placement of joint {model.names[k]!r} of {name!r}"
+        model.jointPlacements[k] = checks.pose(model.jointPlacements[k], what)
+    for frame in model.frames:
+        frame.placement = checks.pose(frame.placement, f"placement of frame {frame.name!r} of {name!r}")
+    return model
+
+
+def _check_axes(name: str, model: Any) -> None:
+    """ValueError for axes that are not of length 1: Pinocchio turns about them by another angle than q."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    for k in range(1, model.njoints):
+        along, about = np.split(np.reshape(data.joints[k].S, (6, -1)), 2)
+        turning, sliding = np.linalg.norm(about, axis=0), np.linalg.norm(along, axis=0)
+        length = np.where(turning > 0.0, turning, sliding)
+        if off := [float(x) for x in length if abs(x - 1.0) > UNIT]:
+            raise ValueError(f"axis of joint {model.names[k]!r} of {name!r} must be of length 1, got {off[0]!r}")
 
 
 def _check_order(name: str, model: Any) -> None:
@@ -91,7 +118,8 @@ def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> tuple[list[L
         joint = int(g.parentJoint)
         with dropped.of_warnings(g.name):
             shape, shift = from_coal(g.geometry)
-        links.append(Link(g.name, joint, g.placement * pin.SE3(np.eye(3), shift), shape))
+        placement = checks.pose(g.placement, f"placement of shape {g.name!r}")
+        links.append(Link(g.name, joint, placement * pin.SE3(np.eye(3), shift), shape))
         # Objects made by hand often name no frame: then the joint stands for the body.
         bodies.append(model.frames[g.parentFrame].name if g.parentFrame < model.nframes else model.names[joint])
     return links, bodies
