@@ -54,6 +54,25 @@ def test_ball_rolls_in_circles_on_a_turntable(kind):
     assert errors[0] < 1e-4 and errors[0] / errors[1] > 3.8
 
 
+def test_a_box_stands_on_a_turntable():
+    """What sticks gets ahead by (5/12)(ω dt)² of the table's way, and goes out by (ω dt)³ / 4 of it."""
+    rate, dt, half = 1.2, 4e-3, 0.4
+    scene, material = nd.Scene(), nd.Material(0.5)
+    scene.add_cylinder("table", 2.0, 0.1, fixed=True, material=material)
+    scene.set_motion("table", velocity=((0, 0, 0), (0, 0, rate)))
+    moves = {"linear_velocity": (0, 0.5 * rate, 0), "angular_velocity": (0, 0, rate)}
+    scene.add_box("box", (0.1, 0.1, 0.02), 1.0, position=(0.5, 0, 0.06), material=material, **moves)
+    run = nd.simulate(scene, 2 * half, dt)
+    x, y = run.body("box").position[:, :2].T
+    ahead = np.unwrap(np.arctan2(y, x)) - rate * run.t
+    middle = run.t.size // 2
+    gained = (ahead[-1] - ahead[middle]) / (rate * half)
+    assert gained == pytest.approx(5 / 12 * (rate * dt) ** 2, rel=1e-3)
+    out = (math.hypot(x[-1], y[-1]) - math.hypot(x[middle], y[middle])) / (0.5 * rate * half)
+    assert out == pytest.approx((rate * dt) ** 3 / 4, rel=1e-3)
+    assert nd.check(run).passed
+
+
 @pytest.mark.parametrize(
     ("theta", "velocity"),
     [
