@@ -199,7 +199,7 @@ class Search:
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
                 near = k > 0 and self.best <= TUNING.polish
                 self.sweep(TUNING.patience if near else TUNING.cost * sum(TUNING.sweeps))
-            if not self.over and k > 0:
+            if not self.over and k > (self.best <= self.loose):  # a tolerance that is near is mostly Newton's
                 first, wider = TUNING.wide
                 self.follow(first * wider ** (k - 1))
             if not self.over:
