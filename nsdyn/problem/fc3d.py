@@ -222,9 +222,7 @@ class FC3D:
         but for its rounding: 1e-8 where bodies have 1e8 kg. Solvers of random problems, redundant ones too, come to 0.2
         to 0.9 of it and no further.
         """
-        r, eps = self.impulse(r), float(np.finfo(float).eps)
-        sizes = np.abs(self.q).reshape(-1, 3) + self.scales[:, None] * np.abs(r).reshape(-1, 3)
-        return eps * max(4.0 * float(sizes.max(initial=0.0)), float(np.linalg.norm(r)) / self.q_norm)
+        return float(_cones.round_off(self.scales, self.q, self.impulse(r), self.q_norm))
 
     def gap(self, r: Any) -> float:
         """Duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N): see `gauss`."""

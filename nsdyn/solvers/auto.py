@@ -123,8 +123,10 @@ class Search:
         return operator(self.problem)
 
     def _note(self, best: float, count: int, spent: float, x: Array | None = None) -> None:
-        """Book what was done, and the impulse x it ended at where that is better than the best."""
+        """Book what was done, and the impulse x it ended at where that is better than the best, after rounding too."""
         before, self.count, self.spent = self.best, self.count + count, self.spent + spent
+        if x is not None and best < before:
+            best = max(best, self.problem.round_off(x))
         if best < before:
             self.best = best
             if x is not None:

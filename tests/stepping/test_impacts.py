@@ -195,9 +195,12 @@ def gains_on_operators(law, seeds):
 
 
 def test_no_energy_on_random_operators():
-    """Newton's law creates some, the default never, and nothing approaches after it."""
+    """Newton's law creates some, the default never, and nothing approaches after it.
+
+    Also where masses of 1 : 1e8 and redundant contacts take Newton's method to impulses of 1e15 N·s (170, 716).
+    """
     assert gains_on_operators("newton", [13])[0] > 0.1
-    gain, approach, loose = gains_on_operators("dissipative", range(40))
+    gain, approach, loose = gains_on_operators("dissipative", [*range(40), 170, 716])
     assert gain <= 1e-12 and approach <= 1e-7 and loose == 0  # ten times the solver's tolerance
 
 

@@ -94,6 +94,16 @@ def measure_at(W_diagonal, u, r, mu, q_norm):
 
 
 @in_place
+def round_off(W_diagonal, q, r, q_norm):
+    """What rounding leaves of the measures of an impulse r: see `FC3D.round_off`."""
+    most, total = 0.0, 0.0
+    for i in range(r.size):
+        most = max(most, abs(q[i]) + W_diagonal[i // 3] * abs(r[i]))
+        total += r[i] * r[i]
+    return ROUNDING * max(4.0 * most, math.sqrt(total) / q_norm)
+
+
+@in_place
 def duality_gap(u, r, mu):
     """(Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
     gap, shift = 0.0, 0.0

@@ -32,9 +32,10 @@ def small(problem, r, measure, aims, limits):
     """Solve one island of few coordinates by `newton.dense` in place of r, of that measure; (factorisations, measure).
 
     It is to be `enough` or at least `good`, the aims; where it is not, `MORE` times as many steps go to what is good
-    only, which redundant contacts may take. What nearly was `enough` only comes close to that. At rest it missed what
-    velocities an imbalance of the impulses, far smaller, has added up to in many steps; impulses that take these back
-    in one give the next as much of the other sign, and so its start misses.
+    only, which redundant contacts may take; what these make so large that rounding leaves nothing of it is no better
+    than the start. What nearly was `enough` only comes close to that. At rest it missed what velocities an imbalance of
+    the impulses, far smaller, has added up to in many steps; impulses that take these back in one give the next as much
+    of the other sign, and so its start misses.
     """
     (enough, good), (_, penalty, max_iter) = aims, limits
     start, missed = r.copy(), measure
@@ -43,6 +44,10 @@ def small(problem, r, measure, aims, limits):
     if measure > good:
         used, measure = newton.dense(problem, r, good, good, penalty, MORE * max_iter)
         count += used
+        _, q, _, scales, q_norm = problem
+        if good < measure <= cones.round_off(scales, q, r, q_norm):
+            copy(start, r)
+            measure = missed
     if measure <= enough < missed <= NEARLY * enough:
         blocks, q, mu, scales, q_norm = problem
         closer = start + (1.0 - CLOSE * enough / missed) * (r - start)
