@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -280,7 +281,9 @@ def test_ctrl_c_of_two_workers_loses_no_run_that_is_told(tmp_path):
     store = tmp_path / "s.jsonl"
     values = ["--set", "mu=" + ",".join(f"0.{k}" for k in range(2, 10)), "--time", "4", "--workers", "2"]
     command = [sys.executable, "-m", "nsdyn", "sweep", "slide", *values, "--store", str(store)]
-    sweep = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell ignores it in what runs in its background
+    pipes = {"stderr": subprocess.PIPE, "stdout": subprocess.PIPE}
+    sweep = subprocess.Popen(command, **pipes, start_new_session=True, preexec_fn=heard)
     deadline = time.monotonic() + 120.0  # kernels may have to be compiled
     while not store.exists() or store.read_bytes().count(b"\n") < 3:
         assert time.monotonic() < deadline and sweep.poll() is None
