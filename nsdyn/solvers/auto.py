@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -192,20 +192,24 @@ class Search:
     def run(self, warm: bool) -> None:
         """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits.
 
+        What is near is mostly Newton's, which stalls from farther off, where a path comes first.
         What has converged is mostly nearer in its cones. What is loose is left as one sweep leaves it: what slips has
         all the friction it can have then, and no impulse is outside its cone.
         """
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
+        first, wider = TUNING.wide
         for k in range(TUNING.rounds):
             if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
-                near = k > 0 and self.best <= TUNING.polish
-                self.sweep(TUNING.patience if near else TUNING.cost * sum(TUNING.sweeps))
-            if not self.over and k > (self.best <= self.loose):  # a tolerance that is near is mostly Newton's
-                first, wider = TUNING.wide
-                self.follow(first * wider ** (k - 1))
-            if not self.over:
-                self.newton(TUNING.length ** (k + 1), self.tol)
+                late = k > 0 and self.best <= TUNING.polish
+                self.sweep(TUNING.patience if late else TUNING.cost * sum(TUNING.sweeps))
+            means = [partial(self.newton, TUNING.length ** (k + 1), self.tol)]
+            near = self.best <= max(self.loose, TUNING.polish)
+            if k > near:
+                means.insert(near, partial(self.follow, first * wider ** (k - 1)))
+            for mean in means:
+                if not self.over:
+                    mean()
             if self.over:
                 break
         if self.best <= self.tol:
@@ -228,11 +232,11 @@ class Auto(Options):
 
     An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
     call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
-    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time, and from
-    the second on before it a path of smoothed laws from the best impulse, begun with more smoothing every time. Sweeps
-    and Newton go on where they were, and begin anew where another has found better. A problem given by W alone, which
-    need not be symmetric, has the sweeps of the first round in one kernel call, with Newton in turn where that costs no
-    more, and the same means after.
+    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time, and a path of smoothed
+    laws from the best impulse, begun with more smoothing every time: before Newton from far off, from the second round
+    on, after it where that is near, from the third on. Sweeps and Newton go on where they were, and begin anew where
+    another has found better. A problem given by W alone, which need not be symmetric, has the sweeps of the first round
+    in one kernel call, with Newton in turn where that costs no more, and the same means after.
 
     What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
     operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
