@@ -71,8 +71,6 @@ class Islands:
         callbacks, (half, made) = loads(t + (1.0 - s.theta) * h), parted(begun)
         half = half or first_half(s, begin, t, h, callbacks)
         label, count = self._foreseen(begin, half)
-        if count < 2:
-            return through(self.whole, state, loads, made or half)
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._struck(begin, half)]] = True
         large = _islands.EVENT * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > _islands.WORK
@@ -80,6 +78,8 @@ class Islands:
             # One whose events are not located is made roughly first, which shows whether it meets any.
             meets |= self._hit(attempt(s, begin, half, None, label, ~unseen[label], rough=True), label, unseen)
             opened |= meets
+        if count < 2:
+            return through(self.whole, state, loads, made or half, meets=bool(meets[0]))
         if not (skipped := opened.copy()).all():
             tried = attempt(s, begin, half, callbacks, label, opened[label], made)
             self._open(begin, tried, label, opened, large)

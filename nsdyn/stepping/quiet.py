@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 
 from nsdyn._kernels.stepping import columns as _col
+from nsdyn._kernels.stepping.islands import EVENT, WORK
 from nsdyn.collision.contacts import take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -66,10 +67,12 @@ class Quiet:
         if old is not None:
             if not (Mover.ready or self._is_ready(old)):
                 return None
-            new = self._next(old, certify)
-            if new is not None or self._tried[1] is not None:
+            if (new := self._next(old, certify)) is not None:
                 self._pause = 0
-                return None if new is None else (old, new)
+                return old, new
+            if self._tried[1] is not None and EVENT * old.found.nc <= WORK:  # in larger scenes little of it serves
+                self._pause = 0
+                return None
         self._left, self._pause = self._pause, min(2 * self._pause + 1, PAUSE)
         return None
 
