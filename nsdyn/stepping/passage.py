@@ -153,10 +153,9 @@ def _strains(s: System, begin: Instant, m: Passage, h: float) -> bool:
         return True
     gained = sum(w.integration for w in works)
     if not any(d.surfaces.carry(a.contacts).any() for a in m.done):  # of what is driven the work is its own
-        rebound = any((a.contacts.restitution > 0.0).any() for a in m.done)
-        for w in works:
-            # Where nothing rebounds contacts only take energy: with what is lifted what fell too far, as if in time.
-            gained += w.projection if rebound else max(0.0, w.normal + max(0.0, w.friction) + w.projection)
+        gained += sum(w.projection for w in works)
+        if not any((a.contacts.restitution > 0.0).any() for a in m.done):  # contacts then only take energy
+            gained += sum(max(0.0, w.normal + w.friction) for w in works)
     if gained <= 0.0 or d.trees:  # which keep their own errors small
         return False
     # Where all is at rest, what gravity gives in a move is the scale.
