@@ -200,7 +200,9 @@ class Search:
             self.converge(self.tol)
         first, wider = TUNING.wide
         for k in range(TUNING.rounds):
-            if not self.over and (k > 0 or self.problem.blocks is not None):  # a W given alone has had the first
+            if self.over:
+                break
+            if k > 0 or self.problem.blocks is not None:  # a W given alone has had the first
                 late = k > 0 and self.best <= TUNING.polish
                 self.sweep(TUNING.patience if late else TUNING.cost * sum(TUNING.sweeps))
             means = [partial(self.newton, TUNING.length ** (k + 1), self.tol)]
@@ -210,8 +212,6 @@ class Search:
             for mean in means:
                 if not self.over:
                     mean()
-            if self.over:
-                break
         if self.best <= self.tol:
             self.converge(self.sharp)
         if self.best > min(self.tol, TUNING.polish):

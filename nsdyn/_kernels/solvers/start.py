@@ -38,18 +38,17 @@ def small(problem, r, measure, aims, limits):
     of the other sign, and so its start misses.
     """
     (enough, good), (_, penalty, max_iter) = aims, limits
+    blocks, q, mu, scales, q_norm = problem
     start, missed = r.copy(), measure
     near = good if measure <= good else NEAR * enough
     count, measure = newton.dense(problem, r, enough, near, penalty, max_iter)
     if measure > good:
         used, measure = newton.dense(problem, r, good, good, penalty, MORE * max_iter)
         count += used
-        _, q, _, scales, q_norm = problem
         if good < measure <= cones.round_off(scales, q, r, q_norm):
             copy(start, r)
             measure = missed
     if measure <= enough < missed <= NEARLY * enough:
-        blocks, q, mu, scales, q_norm = problem
         closer = start + (1.0 - CLOSE * enough / missed) * (r - start)
         top, residual = _blocks.judged(blocks, q, mu, scales, closer, np.empty(r.size))
         now = max(residual, top / q_norm)
