@@ -107,7 +107,8 @@ class JointLaws:
                         balls.append(len(table))
                     table.append((start + j, block, 0.0, a.friction[j], 0.0, 0.0, other))
         self.passive = len(table)
-        self._actuators = self.passive - (trees[0].coordinates.start if trees else 0)
+        self._first = trees[0].coordinates.start if trees else 0
+        self._actuators = self.passive - self._first
         for block, t in enumerate(trees, start=first):
             start = t.coordinates.start
             table += [(start + j, block, 0.0, 0.0, 0.0, 0.0, -1) for j in range(t.model.nv)]
@@ -170,17 +171,17 @@ class JointLaws:
         out: Array = self.sign[slot] * v[self.coordinate[slot]]
         return out
 
-    def impulses(self, rows: JointRows | None, r: Array, n: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, (slots, 3); of actuators, limits and friction in rows 0, 1 and 2 of (7, n)."""
-        on_coordinates = np.zeros((7, n))
+    def impulses(self, rows: JointRows | None, r: Array, nv: int) -> tuple[Array, Array]:
+        """Impulses r (nj, 3) by slot, (slots, 3); of actuators, limits and friction in rows 0, 1 and 2 of (7, nv)."""
+        on_coordinates = np.zeros((7, nv))
         if rows is None:
             return self.no_impulses, on_coordinates
-        by_slot, j = np.zeros((self.size, 3)), self.coordinate[rows.slot]
+        by_slot, j = np.zeros((self.size, 3)), self.coordinate[rows.slot] - self._first
         by_slot[rows.slot] = r
         np.add.at(on_coordinates[1], j, self.sign[rows.slot] * r[:, 0])
         np.add.at(on_coordinates, (np.where(rows.actuated, 0, 2), j), rows.mu * r[:, 1])
         plane = self.other[rows.slot] >= 0
-        np.add.at(on_coordinates[2], self.other[rows.slot[plane]], r[plane, 2])
+        np.add.at(on_coordinates[2], self.other[rows.slot[plane]] - self._first, r[plane, 2])
         return by_slot, on_coordinates
 
     def append(self, rows: JointRows, full: Blocks) -> Blocks:

@@ -130,7 +130,7 @@ class Layout:
         mass, self.free, self.trees = self.mass, self.mass.size, []
         start, first = 6 * self.free, self.free
         for t in trees:
-            self.trees.append(t.at(start, first))
+            self.trees.append(t.at(start, start - 6 * self.free, first))
             start, first = start + t.model.nv, first + len(t.joints)
         self.frames = first + self._driven
         self.nowhere = np.zeros(self.frames)
@@ -154,7 +154,7 @@ class Layout:
         self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radii
-        self.no_impulses = NO_VECTORS, np.zeros((7, self.n))
+        self.no_impulses = NO_VECTORS, np.zeros((7, self.n - 6 * self.free))
         self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
         self.joints = JointLaws(self.trees, self.free)
         self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]

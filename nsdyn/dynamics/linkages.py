@@ -39,6 +39,8 @@ class Linkage:
     ----------
     coordinates, frames : slice
         In the scene's velocity and frames, as `at` has it.
+    columns : slice
+        Its coordinates among those of all trees.
     held : ndarray of bool, shape (nv,)
         Coordinates that nothing but prescribed motion moves: driven ones, and those that loops and gears then leave no
         freedom.
@@ -63,7 +65,8 @@ class Linkage:
         self.model.armature = a.armature
         self.data = self.model.createData()
         nv = self.model.nv
-        self.coordinates, self.joints, self.frames = slice(0, nv), joints, slice(0, len(joints))
+        self.coordinates = self.columns = slice(0, nv)
+        self.joints, self.frames = joints, slice(0, len(joints))
         self.support = supports(self.model)[joints]
         self.radius = _radii(a, joints)
         self._carriers = np.array(joints, dtype=np.int64)
@@ -90,10 +93,10 @@ class Linkage:
         )
         self.held, self.held_links = self._held(a.q, a.gears)
 
-    def at(self, start: int, first: int) -> Self:
-        """The same tree, whose first coordinate and frame are those in a scene."""
+    def at(self, start: int, column: int, first: int) -> Self:
+        """The same tree, whose first coordinate, of all and of those of trees, and frame are those in a scene."""
         out = copy(self)
-        out.coordinates = slice(start, start + self.model.nv)
+        out.coordinates, out.columns = (slice(k, k + self.model.nv) for k in (start, column))
         out.frames = slice(first, first + len(self.joints))
         return out
 

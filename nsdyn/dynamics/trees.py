@@ -214,7 +214,7 @@ class Tree(Linkage):
         """
         h, loads = halfway.h, free.loads
         limit = self._no_control.law[-1] if loads.limit is None else loads.limit
-        acting, velocities, start = (loads.laws, loads.push, limit), (halfway.v, v), self.coordinates.start
+        acting, velocities, start = (loads.laws, loads.push, limit), (halfway.v, v), self.columns.start
         actuation, damping, pushed = _trees.works(acting, velocities, end.mean, impulse, h, start, joints)
         constraint = 0.0
         if free.constraints is not None:

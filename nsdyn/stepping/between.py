@@ -101,7 +101,7 @@ class Motion:
         s, d, own = self._s, self._s.dynamics, self.half.booked(own, self.half.middle.v, self.v)
         if not d.trees:
             return own, d.no_impulses[1], d.no_push
-        joints, links = np.zeros((7, d.n)), np.zeros((d.links, 6))
+        joints, links = np.zeros((7, d.n - 6 * d.free)), np.zeros((d.links, 6))
         acted = self.v, self.ends, self.impulse
         own, self.energies = tree_works(s, before, self.half, *acted, self.position, (joints, links), own)
         return own, joints, links

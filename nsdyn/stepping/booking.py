@@ -65,7 +65,7 @@ def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Pa
         works.append(Works(projection=lifted))
         impulses = impulses._replace(lift=d.shifted(a.moved.position, end.position))
         for t, q, there in zip(d.trees, a.moved.position.trees, end.position.trees, strict=True):
-            impulses.joints[4, t.coordinates] = displacement(t.model, q, there)
+            impulses.joints[4, t.columns] = displacement(t.model, q, there)
         end = end._replace(v=v_end, twists=d.twists(end.placement, v_end))
     energies: Energies = ()
     if d.trees:
@@ -124,7 +124,7 @@ def tree_works(
         if free.loads.wrenches is not None:
             links[first:link] = half.h * free.loads.wrenches
         if t.driven:
-            joints[6, k] = t.speeding(there.begin_v, free.loads.rates)
+            joints[6, t.columns] = t.speeding(there.begin_v, free.loads.rates)
         energies.append(energy)
         works.append(work)
     return Works.total(works), tuple(energies)

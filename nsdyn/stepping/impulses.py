@@ -36,7 +36,7 @@ class Impulses(NamedTuple):
         On body 2, world axes, N·m·s: `nsdyn.stepping.persistence`.
     normal, friction : ndarray, shape (nc,)
         Works, J; that of the couple with the normal one.
-    joints : ndarray, shape (7, n)
+    joints : ndarray, shape (7, nv)
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
         wrenches, N m s or N s; displacement by the position projection, rad or m; the most that actuators may give,
         N m s or N s, infinite where they have no limit; and the change of velocity of driven joints, rad/s or m/s.
@@ -50,8 +50,8 @@ class Impulses(NamedTuple):
     solved : (FC3D, Solution)
         Its problem and the solution, of impacts the worst.
     works : Works
-    moves : ndarray of bool, shape (n,), or None
-        Coordinates of the island that it is of; None for all.
+    moves : ndarray of bool, shape (nv,), or None
+        Of these coordinates those of the island that it is of; None for all.
     wrench : ndarray, shape (free, 6), or None
         Impulses of external wrenches on the free bodies: force and moment about the centre of mass, world axes, N·s and
         N·m·s; None where there are none.
@@ -143,11 +143,12 @@ def account(
     constraint = -float(met.transport[0] @ total) if met.transport.size else 0.0
     works = Works(actuation, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
     u, impulse = u_end.reshape(-1, 3), total.reshape(-1, 3)
-    slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n) if d.trees else d.no_impulses
+    first = 6 * d.free
+    slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n - first) if d.trees else d.no_impulses
     if met.joints is not None and h > 0.0:
         slots = slots / h
         # Actuators act all along the move, those at their limits as others: at the mean velocity of all of it.
-        along = 0.5 * float(on_joints[0] @ (velocities[0] - velocities[1]))
+        along = 0.5 * float(on_joints[0] @ (velocities[0] - velocities[1])[first:])
         works = works._replace(external=works.external + along, integration=works.integration - along)
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]

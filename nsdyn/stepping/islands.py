@@ -137,10 +137,10 @@ class Islands:
             if opened.sum() > count:
                 return self._together(state, loads, half, label, opened, tried, meets)
             out = move
-            out.done[0] = out.done[0]._replace(moves=np.repeat(left, np.diff(d.offset)))
+            out.done[0] = out.done[0]._replace(moves=np.repeat(left[d.free :], np.diff(d.offset[d.free :])))
         for part, p in made:
             out.rate[part.coordinates] = p.rate
-            out.done.extend(part.impulses(a, d.n) for a in p.done)
+            out.done.extend(part.impulses(a) for a in p.done)
         end = merged(s, out.end, left, [(part, p.end) for part, p in made])
         return out._replace(end=end, clear=out.clear and all(p.clear for _, p in made))
 

@@ -53,7 +53,8 @@ class Part:
         self.coordinates = np.concatenate([np.empty(0, np.int64), *spans])
         first = np.cumsum([0, *(t.model.njoints - 1 for t in d.trees)])
         spans = [np.arange(first[k], first[k + 1]) for k in self._trees.tolist()]
-        self._links, self._count = np.concatenate([np.empty(0, np.int64), *spans]), (d.links, d.free)
+        self._links, self._count = np.concatenate([np.empty(0, np.int64), *spans]), (d.n - 6 * d.free, d.links, d.free)
+        self._columns = self.coordinates[6 * self._bodies.size :] - 6 * d.free
         block = d.joints.block
         self._slots = np.flatnonzero(among(block, nodes))
         self._limits = np.flatnonzero(among(block[d.joints.limits], nodes))
@@ -148,10 +149,11 @@ class Part:
         first, second = np.divmod(w.pair, self.geoms.size)
         return w._replace(pair=self.geoms[first] * self._geom.size + self.geoms[second])
 
-    def impulses(self, a: Impulses, n: int) -> Impulses:
-        """Impulses of the part as those of the whole, of n coordinates."""
-        joints, moves, links = np.zeros((7, n)), np.zeros(n, np.bool_), np.zeros((self._count[0], 6))
-        joints[:, self.coordinates], links[self._links], moves[self.coordinates] = a.joints, a.links, True
+    def impulses(self, a: Impulses) -> Impulses:
+        """Impulses of the part as those of the whole."""
+        nv, all_links, _ = self._count
+        joints, moves, links = np.zeros((7, nv)), np.zeros(nv, np.bool_), np.zeros((all_links, 6))
+        joints[:, self._columns], links[self._links], moves[self._columns] = a.joints, a.links, True
         a = a._replace(wrench=self._of_bodies(a.wrench), lift=self._of_bodies(a.lift))
         return a._replace(contacts=self.contacts(a.contacts), joints=joints, links=links, moves=moves)
 
@@ -159,7 +161,7 @@ class Part:
         """What acted on the free bodies of the part (free, 6), of those of the whole."""
         if own is None:
             return None
-        out = np.zeros((self._count[1], 6))
+        out = np.zeros((self._count[2], 6))
         out[self._bodies] = own
         return out
 

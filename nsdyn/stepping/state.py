@@ -99,12 +99,12 @@ class Pieces(NamedTuple):
     joints: Array
 
     @staticmethod
-    def of(done: list[Impulses], first: int) -> Pieces:
-        """The parts of a step with trees, whose coordinates begin at `first`."""
+    def of(done: list[Impulses]) -> Pieces:
+        """The parts of a step with trees."""
         begin, duration = np.array([(a.begin, a.duration) for a in done]).T
         contacts, every = np.array([a.contacts.gap.size for a in done]), np.ones(done[0].joints.shape[1], np.bool_)
-        moves = np.stack([(every if a.moves is None else a.moves)[first:] for a in done]).astype(np.int8)
-        return Pieces(begin, duration, contacts, moves, np.stack([a.joints[:, first:] for a in done], axis=1))
+        moves = np.stack([every if a.moves is None else a.moves for a in done]).astype(np.int8)
+        return Pieces(begin, duration, contacts, moves, np.stack([a.joints for a in done], axis=1))
 
 
 class OnBodies(NamedTuple):

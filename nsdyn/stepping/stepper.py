@@ -385,8 +385,8 @@ class Stepper:
             gap = self.detector.gaps(acted.contacts, end.contacts, end.placement)
         joints = pieces = None
         if d.trees:
-            joints = acted.joints[:, 6 * d.free :]
-            pieces = Pieces.of(done, 6 * d.free) if len(done) > 1 else None
+            joints = acted.joints
+            pieces = Pieces.of(done) if len(done) > 1 else None
         return Step(
             t=self.t,
             q=q,

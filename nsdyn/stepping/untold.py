@@ -96,8 +96,7 @@ class Untold(NamedTuple):
         own = Works(*flat.floats[_col.EXTERNAL : _col.NORM].tolist())
         if flat.motion is None:
             return own, d.no_impulses[1], d.no_push
-        works, joints, links = flat.motion.told(self.before.of_trees, own)
-        return works, joints[:, 6 * d.free :], links
+        return flat.motion.told(self.before.of_trees, own)
 
     def _wrenches(self) -> OnBodies | None:
         """What acted on free bodies besides contacts."""
