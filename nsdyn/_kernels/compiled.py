@@ -296,7 +296,7 @@ def kernel(function: Callable[..., Any] | None = None, rounds: int = 1, **option
     return out
 
 
-def in_place(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+def no_alloc(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Decorator of a kernel that makes no arrays, and calls none that returns them: it works in those it is given.
 
     It does not count references to these, which numba does for arrays in tuples and for parts of arrays, and which

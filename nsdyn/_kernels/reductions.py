@@ -5,10 +5,10 @@ A slice that is set to an array makes numba compile the text of an error message
 
 import math
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 
 
-@in_place
+@no_alloc
 def any_below(x, most):
     """Whether an entry is at most so large."""
     for i in range(x.size):
@@ -17,7 +17,7 @@ def any_below(x, most):
     return False
 
 
-@in_place
+@no_alloc
 def least(x):
     """The smallest entry, or 0 if none is negative."""
     out = 0.0
@@ -26,7 +26,7 @@ def least(x):
     return out
 
 
-@in_place
+@no_alloc
 def most(x):
     """The largest entry, or 0 if none is positive."""
     out = 0.0
@@ -35,7 +35,7 @@ def most(x):
     return out
 
 
-@in_place
+@no_alloc
 def largest(x):
     """The largest magnitude, or nan if there is one."""
     out = 0.0
@@ -47,7 +47,7 @@ def largest(x):
     return out
 
 
-@in_place
+@no_alloc
 def copy(x, out):
     """The entries of x (n,), into the first of out."""
     for i in range(x.size):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 
 
 @kernel
@@ -36,7 +36,7 @@ def among(x, some, out):
         out[k] = at < codes.size and codes[at] == x[k]
 
 
-@in_place
+@no_alloc
 def place_of(codes, code):
     """Number of entries of a sorted array that are less."""
     low, high = 0, codes.size

@@ -2,46 +2,46 @@
 
 import math
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 
 
-@in_place
+@no_alloc
 def square(x):
     """x x: Python's own x ** 2 rounds otherwise, once in a thousand times."""
     return x * x
 
 
-@in_place
+@no_alloc
 def dot(a, b):
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@in_place
+@no_alloc
 def cross(a, b):
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@in_place
+@no_alloc
 def along(a, s, b):
     """Point a + s b."""
     return a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
 
 
-@in_place
+@no_alloc
 def minus(a, b):
     """Difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@in_place
+@no_alloc
 def times(s, a):
     """Multiple s a."""
     return s * a[0], s * a[1], s * a[2]
 
 
-@in_place
+@no_alloc
 def unit(a):
     """Direction of a, and its length; a itself where the length is 0 or not finite."""
     length = math.sqrt(dot(a, a))
@@ -50,7 +50,7 @@ def unit(a):
     return a, length
 
 
-@in_place
+@no_alloc
 def perpendicular(d):
     """A unit vector perpendicular to the unit vector d, the same for the same d; z when d is 0."""
     k = 0
@@ -62,25 +62,25 @@ def perpendicular(d):
     return v if dot(d, d) > 0.0 else (0.0, 0.0, 1.0)
 
 
-@in_place
+@no_alloc
 def row(a, k):
     """Row k of an array as a vector."""
     return a[k, 0], a[k, 1], a[k, 2]
 
 
-@in_place
+@no_alloc
 def three(a, i):
     """Entries i, i + 1, i + 2 of a flat array as a vector."""
     return a[i], a[i + 1], a[i + 2]
 
 
-@in_place
+@no_alloc
 def put(a, k, v):
     """Write the vector v into row k of an array."""
     a[k, 0], a[k, 1], a[k, 2] = v
 
 
-@in_place
+@no_alloc
 def to_world(R, g, v):
     """Vector v of the shape frame of geom g, in the world frame."""
     return (
@@ -90,7 +90,7 @@ def to_world(R, g, v):
     )
 
 
-@in_place
+@no_alloc
 def to_local(R, g, v):
     """Vector v of the world frame, in the shape frame of geom g."""
     return (
@@ -100,7 +100,7 @@ def to_local(R, g, v):
     )
 
 
-@in_place
+@no_alloc
 def axis(R, g):
     """The z axis of geom g in the world frame."""
     return R[g, 0, 2], R[g, 1, 2], R[g, 2, 2]

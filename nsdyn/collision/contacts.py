@@ -11,7 +11,7 @@ from nsdyn._kernels.collision import advancement
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.naming import counted
 
-__all__ = ["ContactSet", "Looked", "Poses", "Touches", "carry", "joined", "ordered", "take", "united"]
+__all__ = ["ContactSet", "DetectionPose", "Poses", "Touches", "carry", "joined", "ordered", "take", "united"]
 
 
 class ContactSet(NamedTuple):
@@ -113,7 +113,7 @@ class Poses(Protocol):
         """Orientations, shape (nframes, 3, 3)."""
 
 
-class Looked(NamedTuple):
+class DetectionPose(NamedTuple):
     """Where contacts were looked for, and how far.
 
     Attributes

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _few
-from nsdyn.dynamics.values import Halfway, TreeLoads
+from nsdyn._kernels import reductions as _reductions
+from nsdyn.dynamics.values import TreeLoads, TreeMidpoint
 from nsdyn.scene.actuation import Actuation, Actuator
 from nsdyn.scene.control import PD, Axes
 from nsdyn.tools.arrays import Array, Bools
@@ -97,11 +97,16 @@ class Actuators:
         laws = [law] if len(self._trees) == 1 else [law[:, v].copy() for v in self._trees]
         gains = [own[:2].reshape(-1) for own in laws]
         return tuple(
-            [Control(x, _few.any_below(x[4], LARGEST), _few.most(g) > 0.0) for x, g in zip(laws, gains, strict=True)]
+            [
+                Control(x, _reductions.any_below(x[4], LARGEST), _reductions.most(g) > 0.0)
+                for x, g in zip(laws, gains, strict=True)
+            ]
         )
 
 
-def left_to_rows(halfway: Halfway, loads: TreeLoads, limit: Array, mobility: Array, v: Array, over: Bools) -> TreeLoads:
+def left_to_rows(
+    halfway: TreeMidpoint, loads: TreeLoads, limit: Array, mobility: Array, v: Array, over: Bools
+) -> TreeLoads:
     """The loads of a step without the control of the actuators `over` (nv,) their limits, which is left to rows.
 
     τ = clip(τ₀ - b v', ±L) is that of a clutch that slips at L, between the joint and a rotor of mass h b that turns at

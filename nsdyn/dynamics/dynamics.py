@@ -16,11 +16,11 @@ from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.actuators import Control
-from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
+from nsdyn.dynamics.joints import NO_CLUTCHES, ContactJacobian, JointRows
 from nsdyn.dynamics.kinematics import Kinematics
 from nsdyn.dynamics.layout import rotation
-from nsdyn.dynamics.values import Energies, Forces, FreeMotion, Middle, Placement, Position
-from nsdyn.problem.blocks import Blocks
+from nsdyn.dynamics.values import Energies, Forces, FreeMotion, MidpointState, Placement, Position
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import turns
 from nsdyn.tools.naming import choice, unknown
@@ -49,7 +49,7 @@ class Dynamics(Kinematics):
 
     def forces(
         self,
-        middle: Middle,
+        middle: MidpointState,
         t: float,
         h: float,
         wrenches: Wrenches | None = None,
@@ -74,7 +74,7 @@ class Dynamics(Kinematics):
             motions.append(tree.free_motion(middle.trees[k], t, control.get(k), applied.get(k), before))
         return self._with_trees(out, load, motions)
 
-    def within_limits(self, middle: Middle, forces: Forces, v: Array) -> Forces:
+    def within_limits(self, middle: MidpointState, forces: Forces, v: Array) -> Forces:
         """The same where actuators that the velocity v (n,) after the forces brings beyond their limits have rows.
 
         The forces themselves where none is beyond.
@@ -169,7 +169,7 @@ class Dynamics(Kinematics):
 
     def rows(
         self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None
-    ) -> tuple[Rows, Array]:
+    ) -> tuple[ContactJacobian, Array]:
         """Factors of contacts and joint rows where the frames are placed; frames (nc, 3, 3), rows (n, t1, t2)."""
         nc = contacts.gap.size
         frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
@@ -180,16 +180,16 @@ class Dynamics(Kinematics):
             _motion.free_rows(found, frame, place.x, place.R, self.free, start, H)
         if self.trees:
             _links.rows((*self.linkages, place.fields), found, frame, start, H)
-        full = Blocks(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
+        full = DelassusFactors(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
         bases = NOTHING
         if self.constrained:
             bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:
-            return Rows(full, bases, *NO_CLUTCHES), frame
+            return ContactJacobian(full, bases, *NO_CLUTCHES), frame
         pressed = np.flatnonzero(joints.clutch[0])
         slots = joints.slot[pressed]
         clutches = nc + pressed, joints.clutch[:, pressed], self.joints.other[slots] >= 0, self.joints.ball[slots]
-        return Rows(self.joints.append(joints, full), bases, *clutches), frame
+        return ContactJacobian(self.joints.append(joints, full), bases, *clutches), frame
 
     # -- energies ---------------------------------------------------------------------------------------------------
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.dynamics import joints as _joints
 from nsdyn.dynamics.trees import Tree
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["NO_CLUTCHES", "JointLaws", "JointRows", "Rows"]
+__all__ = ["NO_CLUTCHES", "JointLaws", "JointRows", "ContactJacobian"]
 
 NOTHING = np.empty(0)
 NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0)), np.empty(0, np.bool_), np.empty(0, np.bool_)
@@ -184,18 +184,18 @@ class JointLaws:
         np.add.at(on_coordinates[2], self.other[rows.slot[plane]] - self._first, r[plane, 2])
         return by_slot, on_coordinates
 
-    def append(self, rows: JointRows, full: Blocks) -> Blocks:
+    def append(self, rows: JointRows, full: DelassusFactors) -> DelassusFactors:
         """Contacts of `full` followed by the joint rows."""
         table = self.coordinate, self.other, self.block, self.sign
-        return Blocks(*_joints.append_rows(rows.slot, *table, full.arrays))
+        return DelassusFactors(*_joints.append_rows(rows.slot, *table, full.arrays))
 
 
-class Rows:
+class ContactJacobian:
     """The factors of a step in the velocities v, and in the coordinates y that constraints leave free, v = v_p + Z y.
 
     Parameters
     ----------
-    full : Blocks
+    full : DelassusFactors
         In the velocities v of the scene, M⁻¹ of a constrained block being Z Zᵀ.
     bases : mapping of int to ndarray, shape (n, ny)
         Z of the constrained blocks, with Zᵀ M Z = I.
@@ -211,17 +211,23 @@ class Rows:
 
     Attributes
     ----------
-    full, blocks : Blocks
+    full, blocks : DelassusFactors
         `blocks` is `full` itself where nothing restricts or presses.
-    press : ndarray, shape (3 nc,)
+    joint_load : ndarray, shape (3 nc,)
         Velocities without impulses of the coordinates of clutches, m/s; empty where nothing presses.
     """
 
     def __init__(
-        self, full: Blocks, bases: Mapping[int, Array], pressed: Index, clutch: Array, plane: Bools, ball: Bools
+        self,
+        full: DelassusFactors,
+        bases: Mapping[int, Array],
+        pressed: Index,
+        clutch: Array,
+        plane: Bools,
+        ball: Bools,
     ) -> None:
         self.full = self.blocks = full
-        self.press, self._pressed, self._impulse, self._plane = NOTHING, pressed, clutch[0], plane
+        self.joint_load, self._pressed, self._impulse, self._plane = NOTHING, pressed, clutch[0], plane
         self.balls = pressed
         if not bases and not pressed.size:
             return
@@ -230,9 +236,11 @@ class Rows:
         z_start = np.cumsum([0, *(Z.size for Z in bases.values())])
         self._z = np.concatenate([np.empty(0), *(Z.ravel() for Z in bases.values())])
         keys = np.fromiter(bases, np.int64, len(bases))
-        reduced, self._where, self.press = _joints.reduce_rows(full.arrays, keys, z_start, self._z, pressed, clutch)
-        self.blocks = Blocks(*reduced)
-        self._mobility = -self.press[3 * pressed] / clutch[0]
+        reduced, self._where, self.joint_load = _joints.reduce_rows(
+            full.arrays, keys, z_start, self._z, pressed, clutch
+        )
+        self.blocks = DelassusFactors(*reduced)
+        self._mobility = -self.joint_load[3 * pressed] / clutch[0]
 
     def ball_axes(self, x: Array) -> Array:
         """What x (3 nc,) says of the three axes of ball joints with dry friction, shape (balls, 3)."""
@@ -245,23 +253,23 @@ class Rows:
         """What presses both parts of the friction of ball joints, shape (balls, 2), N m s."""
         return np.column_stack((self._impulse[self._disks], self._impulse[self._disks + 1]))
 
-    def sharing(self, angle: Array) -> Rows:
+    def sharing(self, angle: Array) -> ContactJacobian:
         """The same with the friction of ball joints parted by the angles α (balls,), rad."""
         out, disks = copy(self), self._disks
-        out._impulse, out.press = self._impulse.copy(), self.press.copy()
+        out._impulse, out.joint_load = self._impulse.copy(), self.joint_load.copy()
         out._impulse[disks], out._impulse[disks + 1] = self._shared * np.cos(angle), self._shared * np.sin(angle)
         both = np.concatenate((disks, disks + 1))
-        out.press[3 * self._pressed[both]] = -out._impulse[both] * self._mobility[both]
+        out.joint_load[3 * self._pressed[both]] = -out._impulse[both] * self._mobility[both]
         return out
 
     def held(self, r: Array) -> Array:
         """The impulses r (3 nc,) with clutches pressed as they are and no more than slipping, beyond any tolerance."""
         if not self._pressed.size:
             return r
-        rows, press, out = self._pressed, self._impulse, r.copy()
+        rows, most, out = self._pressed, self._impulse, r.copy()
         first, second = r[3 * rows + 1], np.where(self._plane, r[3 * rows + 2], 0.0)
-        less = np.minimum(1.0, press / np.maximum(np.hypot(first, second), TINY))
-        out[3 * rows], out[3 * rows + 1], out[3 * rows + 2] = press, less * first, less * second
+        less = np.minimum(1.0, most / np.maximum(np.hypot(first, second), TINY))
+        out[3 * rows], out[3 * rows + 1], out[3 * rows + 2] = most, less * first, less * second
         return out
 
     def velocity_change(self, r: Array) -> Array:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _few
+from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn.dynamics.layout import Layout
-from nsdyn.dynamics.values import Flow, Forces, Links, Middle, Placement, Position
+from nsdyn.dynamics.values import Flow, Forces, Links, MidpointState, Placement, Position
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
@@ -19,7 +19,7 @@ __all__ = ["Kinematics"]
 class Kinematics(Layout):
     """Motion of a scene between the instants at which forces act."""
 
-    def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> Middle:
+    def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> MidpointState:
         """Where the forces of a step of h s act: after (1 - θ) h of motion without any, Φ.
 
         Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it, driven bodies at a
@@ -28,7 +28,7 @@ class Kinematics(Layout):
         ahead = (1.0 - theta) * h
         if self._lone:
             only = self.trees[0].halfway(position.trees[0], v, h, theta)
-            return Middle(position.bent((only.q,)), only.v, Placement.of(only.links), (only,))
+            return MidpointState(position.bent((only.q,)), only.v, Placement.of(only.links), (only,))
         x, quaternion, after, X, R = self._flow(position, v, ahead)
         halves = tuple(
             [t.halfway(q, v[t.coordinates], h, theta) for t, q in zip(self.trees, position.trees, strict=True)]
@@ -37,10 +37,10 @@ class Kinematics(Layout):
             after[t.coordinates] = half.v
         driven = self.surfaces.advance(position.driven_x, position.driven_quaternion, ahead * twist)
         there = Position(x, quaternion, tuple([half.q for half in halves]), *driven)
-        return Middle(there, after, self._with_others(there, X, R, [half.links for half in halves]), halves)
+        return MidpointState(there, after, self._with_others(there, X, R, [half.links for half in halves]), halves)
 
     def end(
-        self, middle: Middle, forces: Forces, v: Array, impulse: Array, h: float, driven: tuple[Array, Array]
+        self, middle: MidpointState, forces: Forces, v: Array, impulse: Array, h: float, driven: tuple[Array, Array]
     ) -> tuple[Position, Array, Placement, tuple[Flow, ...]]:
         """(position, velocity, frames, trees) after a step's second part of h s, without forces.
 
@@ -50,14 +50,14 @@ class Kinematics(Layout):
         position = middle.position
         if self._lone:
             free = forces.trees[0]
-            pushed = free.loads.implicit or _few.largest(impulse) > 0.0
+            pushed = free.loads.implicit or _reductions.largest(impulse) > 0.0
             only = self.trees[0].end(middle.trees[0], free, v, pushed)
             there = position.bent((only.q,))
             return there, only.v, Placement.of(self.trees[0].links(only.q)), (only,)
         x, quaternion, after, X, R = self._flow(position, v, h)
         ends = []
         for t, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            pushed = free.loads.implicit or _few.largest(impulse[t.coordinates]) > 0.0
+            pushed = free.loads.implicit or _reductions.largest(impulse[t.coordinates]) > 0.0
             ends.append(t.end(half, free, v[t.coordinates], pushed))
             after[t.coordinates] = ends[-1].v
         there = Position(x, quaternion, tuple([e.q for e in ends]), *driven)

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from nsdyn._kernels import reductions as _few
+from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.dynamics import links as _links
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
@@ -139,7 +139,7 @@ class Closures:
         N: Array | None = None
         for _ in range(STEPS):
             phi, G = self.at(q)
-            gap = _few.largest(phi)
+            gap = _reductions.largest(phi)
             if gap <= CLOSED:
                 return q
             if N is None:

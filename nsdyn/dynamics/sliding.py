@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from nsdyn._kernels import reductions as _few
+from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.loops import Closures, admissible, factored
 from nsdyn.dynamics.runge_kutta import fastest
@@ -58,8 +58,8 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Arr
             new = _midpoint(model, data, closures, q, v, piece)
         except (ValueError, ArithmeticError) as failure:
             if piece <= h * 0.5**HALVINGS:
-                opening = _few.largest(closures.at(q)[1] @ v)
-                if closures.driven.size and opening > APART * _few.largest(v):
+                opening = _reductions.largest(closures.at(q)[1] @ v)
+                if closures.driven.size and opening > APART * _reductions.largest(v):
                     raise ValueError(
                         f"prescribed motions contradict: in {model.name!r} they open loops or gears by {opening:.3g} "
                         f"rad/s or m/s: {failure}"
@@ -110,7 +110,7 @@ def _midpoint(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v:
             break
     else:
         raise ArithmeticError("Newton's method does not settle")
-    if not _few.largest(new - foreseen) <= RESOLVED * _few.largest(new):
+    if not _reductions.largest(new - foreseen) <= RESOLVED * _reductions.largest(new):
         raise ArithmeticError("the motion is not resolved")
     mean = 0.5 * (v + new)
     reaction = P.T @ (M @ (new - v) + h * bias)

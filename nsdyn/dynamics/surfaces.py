@@ -91,7 +91,7 @@ class Surfaces:
             length = np.linalg.norm(step[: self._driven], axis=2)
             out[-self._driven :] = length[:, 0] + length[:, 1] * self._radius
 
-    def transport(
+    def surface_velocity(
         self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, begun: Array, ended: Array
     ) -> Array:
         """What the surfaces add to the relative velocities of the contacts at the beginning and the end of a step.

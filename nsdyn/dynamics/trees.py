@@ -12,7 +12,7 @@ from nsdyn.dynamics.linkages import Linkage
 from nsdyn.dynamics.loops import factored, indefinite
 from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
-from nsdyn.dynamics.values import Flow, FreeMotion, Halfway, TreeLoads
+from nsdyn.dynamics.values import Flow, FreeMotion, TreeLoads, TreeMidpoint
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools
@@ -76,15 +76,15 @@ class Tree(Linkage):
 
         return rate
 
-    def halfway(self, q: Array, v: Array, h: float, theta: float) -> Halfway:
+    def halfway(self, q: Array, v: Array, h: float, theta: float) -> TreeMidpoint:
         """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
         middle, v0, _, work, _ = self.flow(q, v, (1.0 - theta) * h)
         M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD), ndmin=2)
-        return Halfway(q, v, middle, v0, work, M, self._links(middle), h, theta)
+        return TreeMidpoint(q, v, middle, v0, work, M, self._links(middle), h, theta)
 
     def free_motion(
         self,
-        halfway: Halfway,
+        halfway: TreeMidpoint,
         t: float,
         control: Control | None,
         applied: tuple[Array, Array] | None,
@@ -102,7 +102,7 @@ class Tree(Linkage):
 
         Parameters
         ----------
-        halfway : Halfway
+        halfway : TreeMidpoint
         t : float
             Time at the end of the step, s.
         control : Control, optional
@@ -129,7 +129,7 @@ class Tree(Linkage):
         free = self._respond(halfway, loads)
         return self.within_limits(halfway, free, free.v, last)
 
-    def within_limits(self, halfway: Halfway, free: FreeMotion, v: Array, last: Array | None = None) -> FreeMotion:
+    def within_limits(self, halfway: TreeMidpoint, free: FreeMotion, v: Array, last: Array | None = None) -> FreeMotion:
         """The same with rows for actuators that the velocity v after the forces brings beyond their limits.
 
         And for those that were at their limits in the `last` impulses of their rows, (nv, 3). `free` itself if none.
@@ -144,7 +144,7 @@ class Tree(Linkage):
         out = self._respond(halfway, loads)
         return out._replace(foreseen=out.v + halfway.h * (out.minv @ loads.held))
 
-    def _respond(self, halfway: Halfway, loads: TreeLoads) -> FreeMotion:
+    def _respond(self, halfway: TreeMidpoint, loads: TreeLoads) -> FreeMotion:
         """What loads do in a step; ValueError where a joint moves no mass."""
         v0, h, acting, constraints = halfway.v, halfway.h, (loads.laws, loads.push, loads.weight), None
         n = v0.size
@@ -168,7 +168,7 @@ class Tree(Linkage):
         loads = TreeLoads(np.zeros((2, 5, v.size)), zero, None, zero, rates, None, None, zero, False)
         return FreeMotion(v, v, loads, M, minv, constraints)
 
-    def end(self, halfway: Halfway, free: FreeMotion, v: Array, pushed: bool) -> Flow:
+    def end(self, halfway: TreeMidpoint, free: FreeMotion, v: Array, pushed: bool) -> Flow:
         """Where a step ends whose forces leave the velocity v.
 
         It goes on without forces for θ h. But a tree without constraints that nothing has `pushed`, no contact and
@@ -188,7 +188,7 @@ class Tree(Linkage):
         q, v1, _, work, _ = self.flow(halfway.q, v, theta * h)
         return Flow(q, v1, 0.5 * (halfway.v + v), halfway.work + work)
 
-    def forces(self, halfway: Halfway, free: FreeMotion, v: Array) -> Array:
+    def forces(self, halfway: TreeMidpoint, free: FreeMotion, v: Array) -> Array:
         """Actuation, damping and springs of a step whose forces leave the velocity v, shape (3, nv), N m or N."""
         out = np.empty((3, v.size))
         _trees.forces(free.loads.laws, free.loads.push, halfway.v, v, halfway.h, out)
@@ -196,7 +196,7 @@ class Tree(Linkage):
 
     def works(
         self,
-        halfway: Halfway,
+        halfway: TreeMidpoint,
         free: FreeMotion,
         v: Array,
         end: Flow,

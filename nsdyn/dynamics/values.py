@@ -14,9 +14,9 @@ __all__ = [
     "Flow",
     "Forces",
     "FreeMotion",
-    "Halfway",
+    "TreeMidpoint",
     "Links",
-    "Middle",
+    "MidpointState",
     "Placement",
     "Position",
     "TreeLoads",
@@ -70,7 +70,7 @@ class Flow(NamedTuple):
     whole: bool = False
 
 
-class Halfway(NamedTuple):
+class TreeMidpoint(NamedTuple):
     """Where the forces of a step act, after (1 - θ) h of motion without forces.
 
     Attributes
@@ -231,7 +231,7 @@ class Placement(NamedTuple):
         return fields[0] if len(fields) == 1 else np.concatenate(fields)
 
 
-class Middle(NamedTuple):
+class MidpointState(NamedTuple):
     """Where the forces and impulses of a step act, after a part of it without them.
 
     Attributes
@@ -240,13 +240,13 @@ class Middle(NamedTuple):
     v : ndarray, shape (n,)
         v⁻, the velocity there before they act.
     placement : Placement
-    trees : tuple of Halfway
+    trees : tuple of TreeMidpoint
     """
 
     position: Position
     v: Array
     placement: Placement
-    trees: tuple[Halfway, ...]
+    trees: tuple[TreeMidpoint, ...]
 
 
 class Forces(NamedTuple):
@@ -261,7 +261,7 @@ class Forces(NamedTuple):
     load : ndarray, shape (2, nf, 3)
         On free bodies: forces in world axes [N], torques about the centres of mass in body axes [N m].
     m, minv : ndarray
-        M̃ and its inverse in the layout of `Blocks`.
+        M̃ and its inverse in the layout of `DelassusFactors`.
     trees : tuple of FreeMotion
     """
 

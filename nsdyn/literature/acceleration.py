@@ -15,7 +15,7 @@ from nsdyn.collision.contacts import ContactSet, ordered
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.linkages import Linkage
-from nsdyn.dynamics.values import Forces, Middle, Position
+from nsdyn.dynamics.values import Forces, MidpointState, Position
 from nsdyn.literature.least_constraint import Acceleration, Existence, JointTerms, LeastConstraint, accelerations
 from nsdyn.scene import pairs
 from nsdyn.scene.scene import Scene
@@ -116,7 +116,7 @@ def _drift(along: Callable[[float], Array], step: float, frame: Array, keep: Ind
     return np.column_stack([change[:, 3], tangential])
 
 
-def _applied(d: Dynamics, middle: Middle, forces: Forces, v: Array) -> Array:
+def _applied(d: Dynamics, middle: MidpointState, forces: Forces, v: Array) -> Array:
     """Forces on all coordinates, gravity and gyroscopic terms with them, shape (n,)."""
     omega, (force, torque) = v[: 6 * d.free].reshape(-1, 6)[:, 3:], forces.load
     torque = torque - np.cross(omega, np.einsum("bij,bj->bi", d.J, omega))

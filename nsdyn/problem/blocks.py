@@ -10,10 +10,10 @@ import scipy.sparse as sp
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Blocks"]
+__all__ = ["DelassusFactors"]
 
 
-class Blocks(NamedTuple):
+class DelassusFactors(NamedTuple):
     """Factors of W = Hᵀ M⁻¹ H in blocks of coordinates.
 
     Attributes
@@ -55,7 +55,7 @@ class Blocks(NamedTuple):
         """Number of contacts."""
         return len(self.block)
 
-    def of(self, some: Bools) -> Blocks:
+    def of(self, some: Bools) -> DelassusFactors:
         """The factors of some contacts."""
         return self._replace(block=self.block[some], start=self.start[some])
 

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.problem import given as _given
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.tools.arrays import Array, Index, numbers
 
 __all__ = ["FC3D"]
@@ -76,7 +76,7 @@ class FC3D:
 
     def __init__(self, W: Any, q: Any, mu: Any) -> None:
         self._set(q, mu)
-        self.blocks: Blocks | None = None
+        self.blocks: DelassusFactors | None = None
         self.csr = _as_blocks3(W)
         rows = 3 * (self.csr[0].size - 1)
         if rows != self.q.size:
@@ -90,7 +90,7 @@ class FC3D:
         return f"<FC3D, nc = {self.nc}: {mu}‖q‖ = {np.linalg.norm(self.q):.3g} m/s>"
 
     @classmethod
-    def from_blocks(cls, blocks: Blocks, q: Any, mu: Any, scales: Array | None = None) -> FC3D:
+    def from_blocks(cls, blocks: DelassusFactors, q: Any, mu: Any, scales: Array | None = None) -> FC3D:
         """Problem with W = Hᵀ M⁻¹ H given by its factors, and the `scales` if known; W is assembled when asked for."""
         problem = cls.__new__(cls)
         problem._set(q, mu)
@@ -105,7 +105,7 @@ class FC3D:
         return problem
 
     @classmethod
-    def prepared(cls, blocks: Blocks, q: Array, mu: Array, scales: Array, q_norm: float) -> FC3D:
+    def prepared(cls, blocks: DelassusFactors, q: Array, mu: Array, scales: Array, q_norm: float) -> FC3D:
         """Problem as of `from_blocks`, of what has been looked at, with ‖q‖₂, m/s."""
         problem = cls.__new__(cls)
         problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm = blocks, q, mu, scales, q_norm or 1.0
@@ -174,7 +174,7 @@ class FC3D:
         return len(self.mu)
 
     def islands(self) -> Index:
-        """Island of each contact, as of `Blocks.islands`."""
+        """Island of each contact, as of `DelassusFactors.islands`."""
         if self.blocks is not None:
             return self.blocks.islands()
         indptr, indices, data = self.csr

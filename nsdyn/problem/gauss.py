@@ -37,7 +37,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Certificate", "Opening", "along", "certify", "least_direction", "of_all", "of_own"]
+__all__ = ["Certificate", "SlaterDirection", "along", "certify", "least_direction", "of_all", "of_own"]
 
 NOTHING = np.empty(0)
 
@@ -91,7 +91,7 @@ class Certificate(NamedTuple):
     coulomb: float = math.nan
 
 
-class Opening(NamedTuple):
+class SlaterDirection(NamedTuple):
     """A direction that opens contacts, kept from one certificate to the next.
 
     Attributes
@@ -118,8 +118,8 @@ class Opening(NamedTuple):
 
 
 def certify(
-    problem: FC3D, r: Array, u: Array | None = None, opening: Opening | None = None
-) -> tuple[Certificate, Opening | None]:
+    problem: FC3D, r: Array, u: Array | None = None, slater: SlaterDirection | None = None
+) -> tuple[Certificate, SlaterDirection | None]:
     """Certificate of the impulse r, and the direction it rests on, for the certificate of the next step.
 
     Parameters
@@ -130,27 +130,27 @@ def certify(
         Impulse, N·s; outside K it stands for P_K(r).
     u : ndarray, shape (3 nc,), optional
         Relative velocity W r + q, m/s; computed where it is not given, or r is outside K.
-    opening : Opening, optional
+    slater : SlaterDirection, optional
         What the last certificate returned. Any gives a valid bound, and the same one the same bound.
 
     Returns
     -------
     certificate : Certificate
-    opening : Opening or None
+    slater : SlaterDirection or None
         That given, unless it had to be replaced.
 
     References
     ----------
     J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
     """
-    impulse, d = np.empty(problem.q.size), opening.d if opening else NOTHING
+    impulse, d = np.empty(problem.q.size), slater.d if slater else NOTHING
     if into_cones(problem.impulse(r), problem.mu, impulse) or u is None:
         u = problem.velocity(impulse)
     gap, shift, speed, step, total, square = _along_direction(problem, u, impulse, d)
     if not math.isfinite(gap + shift):
-        return Certificate(gap, shift, math.inf), opening
-    if step > WEAK * speed and not (opening and opening.hopeless(problem.nc, speed)):
-        last = opening or Opening(NOTHING, problem.nc, 0.0)
+        return Certificate(gap, shift, math.inf), slater
+    if step > WEAK * speed and not (slater and slater.hopeless(problem.nc, speed)):
+        last = slater or SlaterDirection(NOTHING, problem.nc, 0.0)
         d, wedged = NOTHING, last.wedged if problem.nc > FEWER * last.wedged else 0
         # What lasts is worth its cost where contacts do: where there are as many as at the last search.
         if not wedged and problem.nc == last.nc:
@@ -161,20 +161,20 @@ def certify(
             hat[0::3] += problem.mu * np.hypot(u[1::3], u[2::3])
             d = of_own(problem, hat, speed)
         if d.size or step == math.inf:
-            opening = Opening(d, problem.nc, speed, wedged)
+            slater = SlaterDirection(d, problem.nc, speed, wedged)
             step, total, square = _along_direction(problem, u, impulse, d)[3:]
     half = 0.5 * step * math.sqrt(square) if step < math.inf else math.inf
-    return Certificate(gap, shift, half + math.sqrt(half * half + total)), opening
+    return Certificate(gap, shift, half + math.sqrt(half * half + total)), slater
 
 
 def _along_direction(problem: FC3D, u: Array, r: Array, d: Array) -> tuple[float, float, float, float, float, float]:
-    """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `Opening.d`."""
+    """(gap, |δ|_2, max δ, λ, Σ r·(û + λ Hᵀ d), ‖d‖²_M) along `SlaterDirection.d`."""
     o, square = along(problem, d)
     return *_kernels.certificate(u, r, o, problem.mu, problem.scales), square
 
 
 def along(problem: FC3D, d: Array) -> tuple[Array, float]:
-    """(Hᵀ d, ‖d‖²_M) of `Opening.d`; zeros, which open nothing, where it is of other coordinates."""
+    """(Hᵀ d, ‖d‖²_M) of `SlaterDirection.d`; zeros, which open nothing, where it is of other coordinates."""
     o, b = np.zeros_like(problem.q), problem.blocks
     if b is None and d.size == o.size:
         o = problem.product(d)
@@ -185,12 +185,12 @@ def along(problem: FC3D, d: Array) -> tuple[Array, float]:
 
 
 def of_all(problem: FC3D) -> Array:
-    """`Opening.d` with κ > 0 at every contact; empty if none is found."""
+    """`SlaterDirection.d` with κ > 0 at every contact; empty if none is found."""
     return least_direction(problem, np.tile((1.0, 0.0, 0.0), problem.nc), SLACK)
 
 
 def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
-    """`Opening.d` with û + λ Hᵀ d in K* at λ = `speed`, by which û (3 nc,) misses it at most; empty if none."""
+    """`SlaterDirection.d` with û + λ Hᵀ d in K* at λ = `speed`, by which û (3 nc,) misses it at most; empty if none."""
     unit = max(speed, RESOLVED * float(np.abs(hat).max()))
     inside = -hat / unit
     if problem.blocks is not None:
@@ -202,7 +202,7 @@ def of_own(problem: FC3D, hat: Array, speed: float) -> Array:
 
 
 def least_direction(problem: FC3D, b: Array, slack: float) -> Array:
-    """`Opening.d` of least ‖d‖_M with Hᵀ d ∈ b - slack e_N + K*, by a growing penalty; empty if there is none.
+    """`SlaterDirection.d` of least ‖d‖_M with Hᵀ d ∈ b - slack e_N + K*, by a growing penalty; empty if there is none.
 
     The minimum of ½‖d‖²_M + Σ ρ/2 dist²(Hᵀ d, b + K*) grows with ρ to the least ‖d‖_M without slack, so that the first
     one that will do is hardly longer.

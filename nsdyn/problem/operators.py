@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import sparse as _matrix
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class Factor:
         self._U = sp.csc_matrix((np.empty(self._upper.size), indices[self._upper], end), shape=self._ordered.K.shape)
         self._ldl: Any = None
 
-    def factor(self, blocks: Blocks, A: Array) -> Callable[[Array], Array]:
+    def factor(self, blocks: DelassusFactors, A: Array) -> Callable[[Array], Array]:
         """Function b ↦ K⁻¹ b, until the next on this graph, for K = M + Σ H_c A_c H_cᵀ; RuntimeError when singular."""
         K = self._ordered.K
         turned = np.ascontiguousarray(A.transpose(0, 2, 1))  # the rows of Kᵀ are the columns of K
@@ -161,7 +161,7 @@ def forget() -> None:
 class Velocity:
     """W by its factors: W (I + A W)⁻¹ = Hᵀ (M + Σ H_c A_c H_cᵀ)⁻¹ H."""
 
-    def __init__(self, blocks: Blocks) -> None:
+    def __init__(self, blocks: DelassusFactors) -> None:
         self.blocks, self.graph = blocks, _factor(get_ident(), blocks.offset.tobytes(), blocks.block.tobytes())
         self.change, self.relative = blocks.velocity_change, blocks.relative_velocity  # y = M⁻¹ H r, and Hᵀ y
 

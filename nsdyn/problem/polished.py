@@ -49,27 +49,27 @@ alone makes of it."""
 
 
 def certify(
-    problem: FC3D, r: Array, u: Array | None = None, opening: gauss.Opening | None = None
-) -> tuple[gauss.Certificate, gauss.Opening | None]:
+    problem: FC3D, r: Array, u: Array | None = None, slater: gauss.SlaterDirection | None = None
+) -> tuple[gauss.Certificate, gauss.SlaterDirection | None]:
     """`gauss.certify` with a bound that is linear in the error where that is tighter, and the defect in Coulomb's law.
 
     Parameters and results are those of `gauss.certify`. It takes some Newton steps for each of two convex problems,
     about as long as the solve. Round-off of velocities is counted.
     """
     r = problem.impulse(r)
-    certificate, opening = gauss.certify(problem, r, u, opening)
+    certificate, slater = gauss.certify(problem, r, u, slater)
     if not math.isfinite(certificate.gap + certificate.shift):
-        return certificate, opening
+        return certificate, slater
     impulse = np.empty_like(problem.q)
     if into_cones(r, problem.mu, impulse) or u is None:
         u = problem.velocity(impulse)
-    d = opening.d if opening is not None and (opening.d.size or opening.wedged) else gauss.of_all(problem)
+    d = slater.d if slater is not None and (slater.d.size or slater.wedged) else gauss.of_all(problem)
     shift = _shift(problem, u)
     first, bound = _polished(problem, shift, impulse, d)
     # Not the certificate's, which does not count round-off.
     bound = min(_bound(problem, shift, impulse, d), _distance(problem, impulse, first) + bound)
     second, _ = _polished(problem, _shift(problem, problem.velocity(first)), first, d)
-    return certificate._replace(bound=bound, coulomb=_distance(problem, first, second)), opening
+    return certificate._replace(bound=bound, coulomb=_distance(problem, first, second)), slater
 
 
 def polished(problem: FC3D, r: Array) -> Array:
@@ -85,7 +85,7 @@ def _shift(problem: FC3D, u: Array) -> Array:
 def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float]:
     """Best answer r' found to the problem with the shift s (nc,) frozen, from r in K, and its bound, √J.
 
-    A direction d, an `Opening.d`, may open the contacts.
+    A direction d, an `SlaterDirection.d`, may open the contacts.
     """
     b = -problem.q
     b[0::3] -= s

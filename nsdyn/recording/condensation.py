@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.tools.arrays import Array
 
 __all__ = ["LARGEST_BLOCK", "condensed", "embedded", "factors", "is_symmetric", "planar", "solver_of"]
@@ -46,7 +46,7 @@ def is_symmetric(M: Any) -> bool:
     return bool(abs(M - M.T).max() <= 1e-12 * abs(M).max())  # the round-off of assembled matrices
 
 
-def factors(M: Any, H: Any) -> Blocks | None:
+def factors(M: Any, H: Any) -> DelassusFactors | None:
     """Factors in blocks of coordinates, permuted to be contiguous, or None where M and H do not fall into such blocks.
 
     Coordinates that M couples belong together. Where M is so diagonal that a contact touches more than two such groups,
@@ -92,7 +92,7 @@ def factors(M: Any, H: Any) -> Blocks | None:
             return None
         inverse = np.linalg.inv(part)
         minv[a:b] = (0.5 * (inverse + inverse.T)).ravel()
-    return Blocks(offset, block, start, rows, m_start[:-1], m, minv)
+    return DelassusFactors(offset, block, start, rows, m_start[:-1], m, minv)
 
 
 def embedded(W: Any, q: Array) -> tuple[Any, Array]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nsdyn._kernels import reductions as _few
+from nsdyn._kernels import reductions as _reductions
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.naming import choice
 
@@ -151,10 +151,10 @@ class PD:
                 value = np.array(np.nan)
             flat = value.reshape(-1)
             unlimited = name == "limit" and bool((value > 0.0).all())
-            if value.ndim > 1 or not (unlimited or _few.largest(flat) < np.inf):
+            if value.ndim > 1 or not (unlimited or _reductions.largest(flat) < np.inf):
                 wanted = "a finite number, one for each joint, or {joint: number}"
                 raise ValueError(f"{name} of a PD control must be {wanted}, got {given!r}")
-            if name in ("kp", "kd") and _few.least(flat) < 0.0:
+            if name in ("kp", "kd") and _reductions.least(flat) < 0.0:
                 raise ValueError(f"{name} of a PD control must not be negative, got {given!r}")
             if name == "limit" and not unlimited:
                 raise ValueError(f"limit of a PD control must be positive, got {given!r}")

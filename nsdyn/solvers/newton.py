@@ -12,7 +12,7 @@ import numpy as np
 from nsdyn._kernels.compiled import clock
 from nsdyn._kernels.problem import cones as _cones
 from nsdyn._kernels.solvers import newton as _kernels
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator, operator
 from nsdyn.problem.solution import Solution, Status
@@ -121,7 +121,7 @@ def part(problem: FC3D, label: Index, k: int) -> tuple[Any, FC3D]:
     if blocks is None:
         return i, FC3D(problem.W.tocsr()[i][:, i], q, mu)
     _, own = _kernels.extract(blocks.arrays, label, k)
-    return i, FC3D.from_blocks(Blocks(*own), q, mu, problem.scales[contacts])
+    return i, FC3D.from_blocks(DelassusFactors(*own), q, mu, problem.scales[contacts])
 
 
 def by_islands(

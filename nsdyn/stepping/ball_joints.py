@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsdyn.dynamics.joints import Rows
+from nsdyn.dynamics.joints import ContactJacobian
 from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["SHARES", "Search", "angles", "unbalanced"]
@@ -41,7 +41,7 @@ def angles(axes: Array) -> Array:
     return out
 
 
-def _wanted(rows: Rows, r: Array, u: Array, scales: Array) -> Array:
+def _wanted(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Array:
     """Angles that impulses r and velocities u of all rows ask for; those there are where both parts stick."""
     tau, shares = rows.ball_axes(r), rows.shares
     inside = (np.hypot(tau[:, 0], tau[:, 1]) < STICKS * shares[:, 0]) & (np.abs(tau[:, 2]) < STICKS * shares[:, 1])
@@ -49,12 +49,12 @@ def _wanted(rows: Rows, r: Array, u: Array, scales: Array) -> Array:
     return np.where(inside, _now(rows), angles(tau - rows.ball_axes(u) / mobility[:, None]))
 
 
-def _now(rows: Rows) -> Array:
+def _now(rows: ContactJacobian) -> Array:
     out: Array = np.arctan2(rows.shares[:, 1], rows.shares[:, 0])
     return out
 
 
-def unbalanced(rows: Rows, r: Array, u: Array, scales: Array) -> Bools:
+def unbalanced(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Bools:
     """Which ball joints slip along another direction than their friction, shape (balls,).
 
     At impulses r and velocities u (3 nc,) of all rows, whose mobilities are `scales` (nc,), as of `FC3D`.
@@ -73,7 +73,7 @@ class Search:
         self._last: tuple[Array, Array] | None = None
         self._inverse = np.empty((0, 0))
 
-    def next(self, rows: Rows, r: Array, u: Array, scales: Array) -> Array | None:
+    def next(self, rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Array | None:
         """Angles to try after a solve with those of `rows`, rad; None where they are found."""
         now = _now(rows)
         wanted = _wanted(rows, r, u, scales)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.problem.gauss import Opening
+from nsdyn.problem.gauss import SlaterDirection
 from nsdyn.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -28,14 +28,14 @@ Arrays = dict[str, NDArray[Any]]
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
-OPENING = Opening(NOTHING, 0, 0.0)
+OPENING = SlaterDirection(NOTHING, 0, 0.0)
 
 
 def pack(state: State) -> Arrays:
     """The arrays of a state by the names of its parts, numbers as arrays without axes."""
     out = dict(_parts(_plain(state), "state"))
-    if state.opening is not None:
-        out |= _parts(state.opening, "opening")
+    if state.slater is not None:
+        out |= _parts(state.slater, "opening")
     return out
 
 
@@ -54,15 +54,15 @@ def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
         placement=instant.placement._replace(links=links),
         energies=dynamics.tree_energies(instant.position, instant.v),
     )
-    opening = _made(OPENING, "opening", arrays) if "opening.d" in arrays else None
-    return state._replace(instant=instant, opening=opening)
+    slater = _made(OPENING, "opening", arrays) if "opening.d" in arrays else None
+    return state._replace(instant=instant, slater=slater)
 
 
 def _plain(state: State) -> State:
     """The state without what is stored apart or found again."""
     i = state.instant
     i = i._replace(placement=i.placement._replace(links=()), energies=())
-    return state._replace(instant=i, opening=None, last=None)
+    return state._replace(instant=i, slater=None, last=None)
 
 
 def _children(value: tuple[Any, ...], name: str) -> Iterator[tuple[str, Any]]:

@@ -4,95 +4,97 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _few
+from nsdyn._kernels import reductions as _reductions
 from nsdyn.collision.contacts import ContactSet, ordered, take
-from nsdyn.dynamics.values import Middle, Placement
-from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.half import SILENT, Half
+from nsdyn.dynamics.values import MidpointState, Placement
+from nsdyn.stepping.active_set import normal_velocities
+from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.impacts import Round
-from nsdyn.stepping.impulses import Impulses, account
-from nsdyn.stepping.instant import DEEP, JOINT, Instant, System, among
+from nsdyn.stepping.impulses import Impulses, book
+from nsdyn.stepping.midpoint import SILENT, Midpoint
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
-from nsdyn.stepping.sight import parting
+from nsdyn.stepping.scene_state import DEEP, JOINT, SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["caught_impacts", "collide", "limits_struck", "striking"]
+__all__ = ["captured_impacts", "collide", "limits_struck", "striking"]
 
 NO_SLOTS = np.empty(0, np.int64)
 
 
-def caught_impacts(
-    s: System, met: Encounter, there: Placement, rate: Array, h: float
-) -> tuple[Encounter, Impact | None]:
+def captured_impacts(
+    s: System, kin: ContactKinematics, there: Placement, rate: Array, h: float
+) -> tuple[ContactKinematics, Impact | None]:
     """Impacts in no time where the other impulses act, of contacts that close within the move of h s.
 
     What the others meet then, and the impacts, if there are any. `rate` (n,) is the free acceleration.
     """
-    struck = striking(s, met, there, rate, h)
+    struck = striking(s, kin, there, rate, h)
     if struck is None:
-        return met, None
+        return kin, None
     # Rows that turn with their bodies are no approach.
-    resting = s.resting(met, there, rate)
-    resting = np.where(struck, resting, resting + 2.0 * np.abs(met.local[3, 0::3]))
-    closed = struck | (met.end_gap <= s.closed)
+    resting = s.resting(kin, there, rate)
+    resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.local[3, 0::3]))
+    closed = struck | (kin.end_gap <= s.gap_tol)
     while True:
-        impact = _strike(s, met, closed, resting, resting)
-        after = met.changed(met.rows.velocity_change(impact.r), struck)
+        impact = _strike(s, kin, closed, resting, resting)
+        after = kin.changed(kin.rows.velocity_change(impact.r), struck)
         # What is so driven against others strikes them too.
-        driven = ~closed & (met.restitution > 0.0) & (after.local[1, 0::3] < -resting) & _closes(s, after, h)
+        driven = ~closed & (kin.restitution > 0.0) & (after.local[1, 0::3] < -resting) & _closes(s, after, h)
         if not driven.any():
             return after, impact
         closed, struck = closed | driven, struck | driven
 
 
-def _closes(s: System, met: Encounter, h: float) -> Bools:
+def _closes(s: System, kin: ContactKinematics, h: float) -> Bools:
     """Which gaps close within a move of h s if nothing else acts."""
-    u_free, drift = met.local[2:4, 0::3]
-    out: Bools = met.end_gap + s.theta * h * (u_free + drift) <= 0.0
+    u_free, jacobian_drift = kin.local[2:4, 0::3]
+    out: Bools = kin.end_gap + s.theta * h * (u_free + jacobian_drift) <= 0.0
     return out
 
 
-def striking(s: System, met: Encounter, there: Placement, rate: Array, h: float) -> Bools | None:
-    """Which rows strike within a move of h s, as of `caught_impacts`; None if none does."""
-    if not s.elastic or not met.mu.size:
+def striking(s: System, kin: ContactKinematics, there: Placement, rate: Array, h: float) -> Bools | None:
+    """Which rows strike within a move of h s, as of `captured_impacts`; None if none does."""
+    if not s.elastic or not kin.mu.size:
         return None
-    u_begin, u = met.local[:2, 0::3]
-    resting = s.resting(met, there, rate)
-    struck: Bools = (met.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, met, h)
+    u_begin, u = kin.local[:2, 0::3]
+    resting = s.resting(kin, there, rate)
+    struck: Bools = (kin.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, kin, h)
     return struck if struck.any() else None
 
 
-def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[Instant, Impulses] | None:
+def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple[SceneState, Impulses] | None:
     """Impacts in no time of what is closed at an instant, and it after them; None where nothing strikes.
 
     What rests, but closes so fast that it would become deep in the move of h s from the time t, strikes without
     restitution. The free acceleration there is `rate` (n,).
     """
     d, c = s.dynamics, at.contacts
-    limit = s.solver.tol if s.elastic and _few.most(c.restitution) > 0.0 else s.slow / h
+    limit = s.solver.tol if s.elastic and _reductions.most(c.restitution) > 0.0 else s.least_penetration / h
     if not (d.surfaces.count or limits_struck(s, at, h).size) and s.striking_speed(at) >= -limit:
         return None
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)
-    contacts, joints = take(c, c.gap <= s.closed), d.limit_rows(at.placement, at.v)
+    contacts, joints = take(c, c.gap <= s.gap_tol), d.limit_rows(at.placement, at.v)
     contacts = take(contacts, ~_passing(s, at, contacts, twist, limit))
-    half = Half(s, 0.0, t, Middle(at.position, at.v, at.placement, ()), forces, at.v, (twist, twist, twist), SILENT)
-    met = Encounter.of(half, at.placement, contacts, joints, at._replace(contacts=contacts))
-    resting = s.resting(met, at.placement, rate)
+    mid = Midpoint(
+        s, 0.0, t, MidpointState(at.position, at.v, at.placement, ()), forces, at.v, (twist, twist, twist), SILENT
+    )
+    kin = ContactKinematics.of(mid, at.placement, contacts, joints, at._replace(contacts=contacts))
+    resting = s.resting(kin, at.placement, rate)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
-    depth[:nc] = s.deep(contacts)
+    depth[:nc] = s.penetration_tol(contacts)
     if s.depth >= DEEP:
         # What was pressed before turns with its bodies: it closes a little without striking. But what has just closed
         # its gap still approaches, and where that gains energy it is stopped first.
         depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
-    slow = np.where(met.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
-    impact = _strike(s, met, met.end_gap <= s.closed, resting, slow)
+    slow = np.where(kin.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
+    impact = _strike(s, kin, kin.end_gap <= s.gap_tol, resting, slow)
     if impact.solved is None:
         return None
-    v = at.v + met.rows.velocity_change(impact.r)
-    impulses, _ = account(s, met, (at.v, v, v), impact.solved, 0.0, impact, NO_COUPLE, d.mass)
+    v = at.v + kin.rows.velocity_change(impact.r)
+    impulses, _ = book(s, kin, (at.v, v, v), impact.solved, 0.0, impact, NO_COUPLE, d.mass)
     if any(free.constraints is not None for free in forces.trees):
-        push, works = met.rows.full.momentum(impact.r), impulses.works
+        push, works = kin.rows.full.momentum(impact.r), impulses.works
         for tree, free in zip(d.trees, forces.trees, strict=True):
             k = tree.coordinates
             reaction = free.m @ (v[k] - at.v[k]) - push[k]
@@ -105,32 +107,32 @@ def collide(s: System, at: Instant, t: float, h: float, rate: Array) -> tuple[In
     return after, impulses
 
 
-def _passing(s: System, at: Instant, closed: ContactSet, surfaces: Array, limit: float) -> Bools:
+def _passing(s: System, at: SceneState, closed: ContactSet, surfaces: Array, limit: float) -> Bools:
     """Which closed contacts (nc,) approach, but not along the normal of some face that separates their bodies.
 
     Where edges or corners meet, all normals between those of their faces do. What slides along one of these does not
     strike the other: as from one plate onto the next.
     """
     out, here = np.zeros(closed.gap.size, np.bool_), (at.placement, at.v, at.position.driven_x, surfaces)
-    approach = np.flatnonzero(parting(s.dynamics, closed, *here) < -limit)
+    approach = np.flatnonzero(normal_velocities(s.dynamics, closed, *here) < -limit)
     if approach.size:
-        which, normal = s.detector.ways(ordered(closed, approach), at.placement, s.closed)
+        which, normal = s.detector.ways(ordered(closed, approach), at.placement, s.gap_tol)
         along = ordered(closed, approach[which])
         along.points[1] = normal
-        out[approach[which[parting(s.dynamics, along, *here) >= -limit]]] = True
+        out[approach[which[normal_velocities(s.dynamics, along, *here) >= -limit]]] = True
     return out
 
 
-def _strike(s: System, met: Encounter, closed: Bools, resting: Array, slow: Array) -> Impact:
+def _strike(s: System, kin: ContactKinematics, closed: Bools, resting: Array, slow: Array) -> Impact:
     """Impacts of the closed contacts and joint limits."""
-    at = Round(met.rows.blocks, met.local[1], met.mu, met.restitution, closed, s.solver)
+    at = Round(kin.rows.blocks, kin.local[1], kin.mu, kin.restitution, closed, s.solver)
     return strike(s.impact, at, resting, slow)
 
 
-def limits_struck(s: System, at: Instant, h: float) -> Index:
+def limits_struck(s: System, at: SceneState, h: float) -> Index:
     """Slots of the joint limits that a joint is at and may strike, with a move of h s to come."""
-    if not _few.any_below(at.limits, s.closed):
+    if not _reductions.any_below(at.limits, s.gap_tol):
         return NO_SLOTS
     joints, slots = s.dynamics.joints, s.dynamics.joints.limits
     limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * JOINT / h)
-    return slots[(at.limits <= s.closed) & (joints.rates(slots, at.v) < -limit)]
+    return slots[(at.limits <= s.gap_tol) & (joints.rates(slots, at.v) < -limit)]

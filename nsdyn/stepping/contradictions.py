@@ -15,7 +15,7 @@ from nsdyn.dynamics.trees import Tree
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.scene import checks, pairs
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.instant import JOINT
+from nsdyn.stepping.scene_state import JOINT
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 

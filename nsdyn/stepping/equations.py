@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.stepping.instant import Instant
+from nsdyn.stepping.scene_state import SceneState
 from nsdyn.tools.arrays import Array
 
 __all__ = ["bias", "jacobian", "mass_matrix"]
 
 
-def mass_matrix(d: Dynamics, at: Instant) -> Array:
+def mass_matrix(d: Dynamics, at: SceneState) -> Array:
     """M(q), shape (n, n), kg, kg m and kg m²."""
     return _factors(d, at)[1]
 
 
-def bias(d: Dynamics, at: Instant) -> Array:
+def bias(d: Dynamics, at: SceneState) -> Array:
     """Coriolis, centrifugal and gravity terms, shape (n,), N and N m."""
     _, v = d.pinocchio_state(at.position, at.v)
     linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
@@ -27,7 +27,7 @@ def bias(d: Dynamics, at: Instant) -> Array:
     return np.concatenate([np.concatenate((force, torque), axis=1).ravel(), *trees])
 
 
-def jacobian(d: Dynamics, at: Instant) -> tuple[Array, Array]:
+def jacobian(d: Dynamics, at: SceneState) -> tuple[Array, Array]:
     """Frames of the contacts, (nc, 3, 3), rows n, t1, t2 in world axes, and J, (3 nc, n), of u = J v."""
     frame, _, H = _factors(d, at)
     for k, R in enumerate(at.placement.R[: d.free]):
@@ -35,7 +35,7 @@ def jacobian(d: Dynamics, at: Instant) -> tuple[Array, Array]:
     return frame, H.T
 
 
-def _factors(d: Dynamics, at: Instant) -> tuple[Array, Array, Array]:
+def _factors(d: Dynamics, at: SceneState) -> tuple[Array, Array, Array]:
     """(frames of the contacts, M, H) in the step's own coordinates."""
     rows, frame = d.rows(at.contacts, at.placement, d.inertia(at.position, at.v), None)
     return frame, *rows.full.dense()

@@ -79,7 +79,7 @@ class Failures:
         if self.created:
             return
         self.created = True
-        work = acted.normal + acted.friction
+        work = acted.work_normal + acted.work_friction
         gains = work > 0.0
         where = "at limits of joints"
         if gains.any():

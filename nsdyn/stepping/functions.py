@@ -8,7 +8,7 @@ from typing import Any
 
 from nsdyn.dynamics.dynamics import Controls, Dynamics, Wrenches
 from nsdyn.dynamics.values import Position
-from nsdyn.stepping.half import Callbacks
+from nsdyn.stepping.midpoint import Callbacks
 from nsdyn.stepping.state import Step
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array

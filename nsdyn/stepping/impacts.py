@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Solver
@@ -39,7 +39,7 @@ class Round(NamedTuple):
 
     Attributes
     ----------
-    blocks : Blocks
+    blocks : DelassusFactors
         Factors of W.
     before : ndarray, shape (3 rows,)
         U⁻, m/s.
@@ -49,7 +49,7 @@ class Round(NamedTuple):
     solver : Solver
     """
 
-    blocks: Blocks
+    blocks: DelassusFactors
     before: Array
     mu: Array
     e: Array

@@ -12,13 +12,13 @@ from nsdyn.collision.contacts import ContactSet, joined
 from nsdyn.dynamics.ledger import Works
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.instant import NOTHING, System, Warm
+from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
+from nsdyn.stepping.scene_state import NOTHING, System, WarmStart
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["Impulses", "account"]
+__all__ = ["Impulses", "book"]
 
 
 class Impulses(NamedTuple):
@@ -34,7 +34,7 @@ class Impulses(NamedTuple):
         0 open, 1 stick, 2 slip.
     couple : ndarray, shape (nc, 3)
         On body 2, world axes, N·m·s: `nsdyn.stepping.persistence`.
-    normal, friction : ndarray, shape (nc,)
+    work_normal, work_friction : ndarray, shape (nc,)
         Works, J; that of the couple with the normal one.
     joints : ndarray, shape (7, nv)
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
@@ -69,8 +69,8 @@ class Impulses(NamedTuple):
     r: Array
     status: NDArray[np.int8]
     couple: Array
-    normal: Array
-    friction: Array
+    work_normal: Array
+    work_friction: Array
     joints: Array
     links: Array
     created: float
@@ -87,28 +87,29 @@ class Impulses(NamedTuple):
     def joined(done: list[Impulses]) -> Impulses:
         """The contacts of all that acted in a step, one after the other, and sums of what it did to coordinates."""
         columns = list(zip(*done, strict=True))
-        frame, u, r, status, couple, normal, friction = (np.concatenate(parts) for parts in columns[1:8])
+        frame, u, r, status, couple, *works = (np.concatenate(parts) for parts in columns[1:8])
         out = done[-1]._replace(contacts=joined(columns[0]), frame=frame, u=u, r=r, status=status, couple=couple)
         joints, links = (np.sum(parts, axis=0) for parts in columns[8:10])
-        return out._replace(normal=normal, friction=friction, joints=joints, links=links, created=sum(columns[10]))
+        out = out._replace(work_normal=works[0], work_friction=works[1])
+        return out._replace(joints=joints, links=links, created=sum(columns[10]))
 
 
-def account(
+def book(
     s: System,
-    met: Encounter,
+    kin: ContactKinematics,
     velocities: tuple[Array, Array, Array],
     solved: tuple[FC3D, Solution],
     h: float,
     impact: Impact | None,
     couple: Couple,
     mass: Array,
-) -> tuple[Impulses, Warm]:
+) -> tuple[Impulses, WarmStart]:
     """What the impulses of a move of h s and its impacts did, and what they leave; h = 0: of impacts alone.
 
-    The impulses that are `solved` for act on what is `met`, and change the velocities (n,) of before the impacts and
+    The impulses that are `solved` for act on what is `kin`, and change the velocities (n,) of before the impacts and
     after them to the last ones. Gravity works on free bodies of such masses (free,), kg.
     """
-    d, c, nc, nr = s.dynamics, met.contacts, met.frame.shape[0], met.mu.size
+    d, c, nc, nr = s.dynamics, kin.contacts, kin.frame.shape[0], kin.mu.size
     actuation = beyond = normal_work = friction_work = rest = created = 0.0
     struck, last = NOTHING if impact is None else impact.r[0::3], None
     if h > 0.0:
@@ -120,32 +121,32 @@ def account(
             np.empty((nc, 3)),
         )
         rows, lasting = (
-            (met.rows.full.arrays, met.transport[0], met.mu, met.local, met.frame),
-            (met.stays, met.sticks, couple.work, struck),
+            (kin.rows.full.arrays, kin.surface_velocity[0], kin.mu, kin.local, kin.frame),
+            (kin.stays, kin.sticks, couple.work, struck),
         )
-        beyond, normal_work, friction_work, rest = _law.outcome(
+        beyond, normal_work, friction_work, rest = _law.contact_works(
             (mass, d.gravity), (h, s.theta), velocities, rows, solved[1].r, lasting, s.solver.tol, out
         )
         total = solved[1].r
-        last = normal, met.stays if impact is None else met.stays | (struck > 0.0), met.sticks
+        last = normal, kin.stays if impact is None else kin.stays | (struck > 0.0), kin.sticks
     else:
         status, normal, friction, world = np.empty(nc, np.int8), np.zeros(nr), np.zeros(nr), np.zeros((nc, 3))
-        total, u_end = np.zeros(3 * nr), met.local[1]
+        total, u_end = np.zeros(3 * nr), kin.local[1]
     if impact is not None:
         total, u_end = total + impact.r, u_end if h > 0.0 else impact.u
-        normal, friction, created = normal + impact.normal, friction + impact.friction, impact.created
-        normal_work += float(impact.normal.sum())
-        friction_work += float(impact.friction.sum())
-        _law.states(total, met.mu, status)
-    if met.joints is not None:
-        actuation = float(friction[nc:][met.joints.actuated].sum())
+        normal, friction, created = normal + impact.work_normal, friction + impact.work_friction, impact.created
+        normal_work += float(impact.work_normal.sum())
+        friction_work += float(impact.work_friction.sum())
+        _law.states(total, kin.mu, status)
+    if kin.joints is not None:
+        actuation = float(friction[nc:][kin.joints.actuated].sum())
         friction_work -= actuation
-    constraint = -float(met.transport[0] @ total) if met.transport.size else 0.0
+    constraint = -float(kin.surface_velocity[0] @ total) if kin.surface_velocity.size else 0.0
     works = Works(actuation, normal_work, friction_work, 0.0, constraint, beyond + rest, 0.0)
     u, impulse = u_end.reshape(-1, 3), total.reshape(-1, 3)
     first = 6 * d.free
-    slots, on_joints = d.joints.impulses(met.joints, impulse[nc:], d.n - first) if d.trees else d.no_impulses
-    if met.joints is not None and h > 0.0:
+    slots, on_joints = d.joints.impulses(kin.joints, impulse[nc:], d.n - first) if d.trees else d.no_impulses
+    if kin.joints is not None and h > 0.0:
         slots = slots / h
         # Actuators act all along the move, those at their limits as others: at the mean velocity of all of it.
         along = 0.5 * float(on_joints[0] @ (velocities[0] - velocities[1])[first:])
@@ -153,6 +154,6 @@ def account(
     if nr > nc:
         u, impulse, normal, friction = u[:nc], impulse[:nc], normal[:nc], friction[:nc]
     links, turned = np.zeros((d.links, 6)), couple.impulse if couple.impulse.size else np.zeros((nc, 3))
-    of_contacts = c, met.frame, u, impulse, status, turned, normal, friction
+    of_contacts = c, kin.frame, u, impulse, status, turned, normal, friction
     impulses = Impulses(*of_contacts, on_joints, links, created, 0.0, h, solved, works, lasting=last)
-    return impulses, Warm(c.key, s.detector.codes(c), world, status, slots)
+    return impulses, WarmStart(c.key, s.detector.codes(c), world, status, slots)

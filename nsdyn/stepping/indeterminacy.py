@@ -39,7 +39,7 @@ class Paradoxes:
         steep = 2.0 * radius / np.maximum(arm[:free], 1e-300)
         self.possible = mu > 0.0 and bool(dynamics.trees or (mu > steep).any())
 
-    def met(self, problem: FC3D, solution: Solution, dt: float, rate: Array) -> bool:
+    def paradox(self, problem: FC3D, solution: Solution, dt: float, rate: Array) -> bool:
         """Whether there is one in a step of one move and the contacts of a problem alone, as of `told`."""
         if not solution.accepted:
             return False
@@ -61,10 +61,10 @@ class Paradoxes:
             jam = self._jam(problem, solution, nc, dt, rate)
             if jam is not None and jam.any():
                 status = Status.JAM
-                moved = np.where(jam, acted.friction, 0.0)
+                moved = np.where(jam, acted.work_friction, 0.0)
                 states = np.where(jam, JAM, acted.status).astype(np.int8)
-                normal, friction = acted.normal + moved, acted.friction - moved
-                done[k] = acted._replace(status=states, normal=normal, friction=friction)
+                normal, friction = acted.work_normal + moved, acted.work_friction - moved
+                done[k] = acted._replace(status=states, work_normal=normal, work_friction=friction)
                 # What lasts is booked as numerics, but a jam is an impact.
                 rest = rest_normal = 0.0
                 if acted.lasting is not None:

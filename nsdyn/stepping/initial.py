@@ -8,13 +8,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from nsdyn.collision.contacts import ContactSet, Looked
+from nsdyn.collision.contacts import ContactSet, DetectionPose
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.scene import checks
 from nsdyn.scene.bodies import Geom
-from nsdyn.stepping.instant import Instant, System, Warm
 from nsdyn.stepping.projection import project
+from nsdyn.stepping.scene_state import SceneState, System, WarmStart
 from nsdyn.tools.arrays import Array
 
 __all__ = ["begin"]
@@ -25,7 +25,7 @@ ROUNDING = 1e-9
 
 def begin(
     s: System, geoms: list[Geom], overlap: float, lift: bool, q: ArrayLike | None = None, v: ArrayLike | None = None
-) -> Instant:
+) -> SceneState:
     """The instant in which a run starts.
 
     Parameters
@@ -50,11 +50,13 @@ def begin(
     at = d.place(position)
     if q is not None:
         _check_limits(d, at)
-    looked = Looked(at.x, at.R, np.zeros(d.frames))
-    contacts = s.detector.find(*looked, ContactSet.empty())
+    detected_at = DetectionPose(at.x, at.R, np.zeros(d.frames))
+    contacts = s.detector.find(*detected_at, ContactSet.empty())
     nobody = np.empty(0, np.int64)
-    warm = Warm(nobody, nobody, np.empty((0, 3)), np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
-    out = Instant(position, velocity, at, contacts, d.limits(at), contacts, looked, warm, d.twists(at, velocity), ())
+    warm = WarmStart(nobody, nobody, np.empty((0, 3)), np.empty(0, np.int8), np.zeros((d.joints.size, 3)))
+    out = SceneState(
+        position, velocity, at, contacts, d.limits(at), contacts, detected_at, warm, d.twists(at, velocity), ()
+    )
     where = _overlap(geoms, contacts, overlap)
     if where and not lift:
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=3)

@@ -13,24 +13,24 @@ from itertools import pairwise
 import numpy as np
 
 from nsdyn._kernels.stepping import islands as _islands
-from nsdyn._kernels.stepping.quiet_checks import GAIN
+from nsdyn._kernels.stepping.eventless_checks import GAIN
 from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
+from nsdyn.stepping.active_set import normal_velocities, tracked
+from nsdyn.stepping.attempt import Attempt, Known, parted
 from nsdyn.stepping.ball_joints import unbalanced
-from nsdyn.stepping.booking import Passage, finish
 from nsdyn.stepping.collisions import limits_struck, striking
-from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.half import Half, Loads, first_half
-from nsdyn.stepping.instant import FAST, Instant, System
-from nsdyn.stepping.move import attempt
-from nsdyn.stepping.parts import Part, driven, merged
-from nsdyn.stepping.passage import through, turns_far
-from nsdyn.stepping.reversal import endings
-from nsdyn.stepping.sight import followed, parting
+from nsdyn.stepping.contact_kinematics import ContactKinematics
+from nsdyn.stepping.midpoint import Loads, Midpoint, midpoint
+from nsdyn.stepping.move import try_islands
+from nsdyn.stepping.scene_state import FAST, SceneState, System
+from nsdyn.stepping.slip_reversal import endings
 from nsdyn.stepping.state import State
-from nsdyn.stepping.trial import Known, Trial, parted
+from nsdyn.stepping.step_result import StepResult, finish
+from nsdyn.stepping.substepping import integrate, turns_far
+from nsdyn.stepping.subsystems import Subsystem, driven, merged
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Islands"]
@@ -50,12 +50,12 @@ class Islands:
         self.whole, self.count = whole, d.offset.size - 1
         frame = whole.detector.frame
         self._node = np.where(frame >= 0, d.node[frame], -1)
-        self._parts: dict[tuple[int, ...], Part] = {}
+        self._parts: dict[tuple[int, ...], Subsystem] = {}
 
-    def step(self, state: State, loads: Loads, begun: Known) -> Passage:
+    def step(self, state: State, loads: Loads, begun: Known) -> StepResult:
         """Everything dt later, of which it is known what has `begun` in one move.
 
-        What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.half` does. An island that is made
+        What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.midpoint` does. An island that is made
         by itself asks in each of its moves; all others are then where the step begins.
         """
         s = self.whole.during(state.next_t - state.dt, state.dt, state.instant.position)
@@ -64,24 +64,24 @@ class Islands:
             return out
         return out._replace(end=driven(out.end, *s.dynamics.surfaces.poses(state.next_t, s.theta)))
 
-    def _step(self, s: System, state: State, loads: Loads, begun: Known) -> Passage:
+    def _step(self, s: System, state: State, loads: Loads, begun: Known) -> StepResult:
         if self.count < 2:
-            return through(self.whole, state, loads, begun)
+            return integrate(self.whole, state, loads, begun)
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
-        callbacks, (half, made) = loads(t + (1.0 - s.theta) * h), parted(begun)
-        half = half or first_half(s, begin, t, h, callbacks)
-        label, count = self._foreseen(begin, half)
+        callbacks, (mid, made) = loads(t + (1.0 - s.theta) * h), parted(begun)
+        mid = mid or midpoint(s, begin, t, h, callbacks)
+        label, count = self._foreseen(begin, mid)
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
-        opened[label[self._struck(begin, half)]] = True
+        opened[label[self._struck(begin, mid)]] = True
         large = _islands.EVENT * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > _islands.WORK
         if made is None and (unseen := large & ~opened).any():
             # One whose events are not located is made roughly first, which shows whether it meets any.
-            meets |= self._hit(attempt(s, begin, half, None, label, ~unseen[label], rough=True), label, unseen)
+            meets |= self._hit(try_islands(s, begin, mid, None, label, ~unseen[label], rough=True), label, unseen)
             opened |= meets
         if count < 2:
-            return through(self.whole, state, loads, made or half, meets=bool(meets[0]))
+            return integrate(self.whole, state, loads, made or mid, meets=bool(meets[0]))
         if not (skipped := opened.copy()).all():
-            tried = attempt(s, begin, half, callbacks, label, opened[label], made)
+            tried = try_islands(s, begin, mid, callbacks, label, opened[label], made)
             self._open(begin, tried, label, opened, large)
             meets |= self._hit(tried, label, ~skipped)
             opened |= meets
@@ -90,11 +90,18 @@ class Islands:
                 self._gaining(begin, done, tried, label, opened)
                 if not opened.any():
                     return done
-        return self._together(state, loads, half, label, opened, tried, meets[label])
+        return self._together(state, loads, mid, label, opened, tried, meets[label])
 
     def _together(
-        self, state: State, loads: Loads, half: Half, label: Index, opened: Bools, tried: Trial | None, meets: Bools
-    ) -> Passage:
+        self,
+        state: State,
+        loads: Loads,
+        mid: Midpoint,
+        label: Index,
+        opened: Bools,
+        tried: Attempt | None,
+        meets: Bools,
+    ) -> StepResult:
         """The step from an attempt at it, of which the islands `opened` are made by themselves.
 
         It is known of some nodes (nodes,) that their island `meets` an event.
@@ -102,8 +109,8 @@ class Islands:
         s, begin, d = self.whole, state.instant, self.whole.dynamics
         boxes = self._swept(s, [begin.placement])
         if tried is not None:
-            boxes = self._swept(s, [begin.placement, half.middle.placement, tried.moved.placement])
-        done: dict[tuple[int, ...], tuple[Part, Passage]] = {}
+            boxes = self._swept(s, [begin.placement, mid.state.placement, tried.moved.placement])
+        done: dict[tuple[int, ...], tuple[Subsystem, StepResult]] = {}
         key = (begin if tried is None else tried.moved).memory.next_key
         while True:
             for k in np.flatnonzero(opened).tolist():
@@ -112,7 +119,7 @@ class Islands:
                     continue
                 part = self._part(name, nodes)
                 own_state, own_loads = part.state(state, key), part.loads(loads, begin)
-                passage = through(part.system, own_state, own_loads, meets=bool(meets[nodes].any()))
+                passage = integrate(part.system, own_state, own_loads, meets=bool(meets[nodes].any()))
                 done[name], key = (part, passage), passage.end.memory.next_key
                 own = self._swept(part.system, passage.path)
                 moves = part.system.detector.frame >= 0
@@ -129,13 +136,13 @@ class Islands:
             opened = again
         made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
         left = ~opened[label]
-        out = Passage(begin, half.rate.copy(), True, [])
+        out = StepResult(begin, mid.rate.copy(), True, [])
         if tried is not None and left.any():
             kept = self._kept(tried, left, key)
             move, count = finish(s, begin, kept, left), opened.sum()
             self._gaining(begin, move, kept, label, opened)
             if opened.sum() > count:
-                return self._together(state, loads, half, label, opened, tried, meets)
+                return self._together(state, loads, mid, label, opened, tried, meets)
             out = move
             out.done[0] = out.done[0]._replace(moves=np.repeat(left[d.free :], np.diff(d.offset[d.free :])))
         for part, p in made:
@@ -144,21 +151,21 @@ class Islands:
         end = merged(s, out.end, left, [(part, p.end) for part, p in made])
         return out._replace(end=end, clear=out.clear and all(p.clear for _, p in made))
 
-    def _part(self, name: tuple[int, ...], nodes: Index) -> Part:
+    def _part(self, name: tuple[int, ...], nodes: Index) -> Subsystem:
         """The system of some nodes."""
         if name not in self._parts:
             if len(self._parts) >= KEPT:
                 self._parts.clear()
-            self._parts[name] = Part(self.whole, nodes)
+            self._parts[name] = Subsystem(self.whole, nodes)
         return self._parts[name]
 
     # -- islands -----------------------------------------------------------------------------------------------
 
-    def _foreseen(self, begin: Instant, half: Half) -> tuple[Index, int]:
+    def _foreseen(self, begin: SceneState, mid: Midpoint) -> tuple[Index, int]:
         """Islands of what may touch, should nothing be met, (nodes,), and their number."""
         s, d = self.whole, self.whole.dynamics
         # What is found in the middle of the step is as far as detection sees, and as the second half may reach.
-        reach = d.reach(begin.placement, begin.v, half.h - half.ahead, half.h, half.surfaces[0]) + half.reach
+        reach = d.reach(begin.placement, begin.v, mid.h - mid.ahead, mid.h, mid.surfaces[0]) + mid.reach
         lower, upper = s.detector.boxes(*begin.placement[:2])
         frame = s.detector.frame
         far = np.where(frame >= 0, reach[frame] + s.detector.base, 0.0)[:, None]
@@ -186,14 +193,14 @@ class Islands:
 
     # -- events ------------------------------------------------------------------------------------------------
 
-    def _struck(self, begin: Instant, half: Half) -> Index:
+    def _struck(self, begin: SceneState, mid: Midpoint) -> Index:
         """Nodes of closed contacts and joint limits that approach so fast that they may strike in no time."""
         s, d, c = self.whole, self.whole.dynamics, begin.contacts
-        out = [d.joints.block[limits_struck(s, begin, half.h)]]
+        out = [d.joints.block[limits_struck(s, begin, mid.h)]]
         if c.gap.size:
-            u = parting(d, c, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
-            limit = np.where(c.restitution > 0.0, s.solver.tol, s.slow / half.h)
-            strikes = (c.gap <= s.closed) & (u < -limit)
+            u = normal_velocities(d, c, begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0])
+            limit = np.where(c.restitution > 0.0, s.solver.tol, s.least_penetration / mid.h)
+            strikes = (c.gap <= s.gap_tol) & (u < -limit)
             if strikes.any():  # not what pressed before, which turns with its bodies
                 strikes &= (c.restitution > 0.0) | (s.last_status(c, begin.warm) == 0)
             out += self._nodes(c, strikes)
@@ -205,14 +212,14 @@ class Islands:
         both = np.concatenate((node[c.frame1[which]], node[c.frame2[which]]))
         return [both[both >= 0]]
 
-    def _of_rows(self, met: Encounter, which: Bools) -> list[Index]:
+    def _of_rows(self, kin: ContactKinematics, which: Bools) -> list[Index]:
         """Nodes of some rows."""
-        out, nc = self._nodes(met.contacts, which[: met.contacts.gap.size]), met.contacts.gap.size
-        if met.joints is not None:
-            out.append(self.whole.dynamics.joints.block[met.joints.slot[which[nc:]]])
+        out, nc = self._nodes(kin.contacts, which[: kin.contacts.gap.size]), kin.contacts.gap.size
+        if kin.joints is not None:
+            out.append(self.whole.dynamics.joints.block[kin.joints.slot[which[nc:]]])
         return out
 
-    def _hit(self, tried: Trial, label: Index, of: Bools) -> Bools:
+    def _hit(self, tried: Attempt, label: Index, of: Bools) -> Bools:
         """Which islands run into what their move did not meet, of some (islands,)."""
         out, hit, joints = np.zeros_like(of), tried.hits, self.whole.dynamics.joints
         if hit.size:
@@ -220,57 +227,59 @@ class Islands:
             out[label[nodes[nodes >= 0]]] = out[label[joints.block[joints.limits[-1 - hit[hit < 0]]]]] = True
         return out & of
 
-    def _open(self, begin: Instant, a: Trial, label: Index, opened: Bools, large: Bools) -> None:
+    def _open(self, begin: SceneState, a: Attempt, label: Index, opened: Bools, large: Bools) -> None:
         """Open the islands that an attempt does not do: they meet an event, or impulses are to be sought once more.
 
         In `large` islands (islands,) slip that turns round is not located.
         """
         s, d = self.whole, self.whole.dynamics
         out = [np.empty(0, np.int64)]
-        c, found, limits = a.met.contacts, a.moved.contacts, a.moved.limits
-        out += self._nodes(found, found.gap < -s.closed)
-        out.append(d.joints.block[d.joints.limits[limits < -s.closed]])
-        if (ends := endings(a.met, a.problem, a.solution)) is not None:
+        c, found, limits = a.kin.contacts, a.moved.contacts, a.moved.limits
+        out += self._nodes(found, found.gap < -s.gap_tol)
+        out.append(d.joints.block[d.joints.limits[limits < -s.gap_tol]])
+        if (ends := endings(a.kin, a.problem, a.solution)) is not None:
             ends[: c.gap.size][large[label[s.nodes(c)]]] = 0
-            out += self._of_rows(a.met, ends > 0)
-        if a.met.joints is not None and (balls := a.met.rows.balls).size:
-            off = unbalanced(a.met.rows, a.solution.r, a.solution.u, a.problem.scales)
-            out.append(d.joints.block[a.met.joints.slot[balls[off] - c.gap.size]])
+            out += self._of_rows(a.kin, ends > 0)
+        if a.kin.joints is not None and (balls := a.kin.rows.balls).size:
+            off = unbalanced(a.kin.rows, a.solution.r, a.solution.u, a.problem.scales)
+            out.append(d.joints.block[a.kin.joints.slot[balls[off] - c.gap.size]])
         if not a.solution.converged:
             out += self._nodes(c, np.ones(c.gap.size, np.bool_))
-        half = a.half
-        if (struck := striking(s, a.met, half.middle.placement, half.rate, half.h)) is not None:
-            out += self._of_rows(a.met, struck)
-        limited = d.within_limits(a.half.middle, a.half.forces, a.v)
-        changed = [x is not y for x, y in zip(limited.trees, a.half.forces.trees, strict=True)]
+        mid = a.mid
+        if (struck := striking(s, a.kin, mid.state.placement, mid.rate, mid.h)) is not None:
+            out += self._of_rows(a.kin, struck)
+        limited = d.within_limits(a.mid.state, a.mid.forces, a.v)
+        changed = [x is not y for x, y in zip(limited.trees, a.mid.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
         opened[label[np.concatenate(out)]] = True
         # What passes through something unseen.
-        fast = d.node[:-1][a.half.reach > FAST * s.smallest] if a.half.fast else d.node[:0]
+        fast = d.node[:-1][a.mid.reach > FAST * s.smallest] if a.mid.fast else d.node[:0]
         if (fast < 0).any() or not opened[label[fast]].all():
-            poses = begin.placement, half.middle.placement, a.moved.placement
-            known = followed(s, begin.contacts, found)
-            closed, pressed = take(begin.contacts, begin.contacts.gap <= s.closed), take(c, a.normal > 0.0)
-            turns = half.turns(begin, a.moved)
+            poses = begin.placement, mid.state.placement, a.moved.placement
+            known = tracked(s, begin.contacts, found)
+            closed, pressed = take(begin.contacts, begin.contacts.gap <= s.gap_tol), take(c, a.normal_impulses > 0.0)
+            turns = mid.turns(begin, a.moved)
             for (one, other), together, turn in zip(pairwise(poses), (closed, pressed), turns, strict=True):
                 touches = s.touches(one, other, a.moved.memory, known, together, turn)
                 nodes = self._node[np.concatenate(np.divmod(touches.far, self._node.size))]
-                (met,) = self._nodes(touches.contacts, np.ones(touches.fraction.size, np.bool_))
-                opened[label[np.concatenate((met, nodes[nodes >= 0]))]] = True
+                (kin,) = self._nodes(touches.contacts, np.ones(touches.fraction.size, np.bool_))
+                opened[label[np.concatenate((kin, nodes[nodes >= 0]))]] = True
 
-    def _gaining(self, begin: Instant, made: Passage, tried: Trial, label: Index, opened: Bools) -> None:
+    def _gaining(self, begin: SceneState, made: StepResult, tried: Attempt, label: Index, opened: Bools) -> None:
         """Open the islands whose contacts add energy in a move made: by themselves these take it in pieces."""
-        s, d, a, met = self.whole, self.whole.dynamics, made.done[0], tried.met
+        s, d, a, kin = self.whole, self.whole.dynamics, made.done[0], tried.kin
         if not a.status.size:
             return
         far = turns_far(s, s.dt, a, begin, made.end)
         opened[label[s.nodes(a.contacts)[far]]] = True
         nc, island, count = a.status.size, label[s.nodes(a.contacts)], opened.size
-        nothing = np.where(met.stays[:nc], a.normal, 0.0) + np.where(met.sticks & (a.status == 1), a.friction, 0.0)
-        gained, more = (np.bincount(island, w, count) for w in (nothing, a.normal + a.friction - nothing))
+        nothing = np.where(kin.stays[:nc], a.work_normal, 0.0) + np.where(
+            kin.sticks & (a.status == 1), a.work_friction, 0.0
+        )
+        gained, more = (np.bincount(island, w, count) for w in (nothing, a.work_normal + a.work_friction - nothing))
         more[island[d.surfaces.carry(a.contacts) | (a.contacts.restitution > 0.0)]] = 0.0
         gained += np.maximum(more, 0.0)
-        gained[label[d.free :]] = 0.0  # trees, as of `passage`
+        gained[label[d.free :]] = 0.0  # trees, as of `substepping`
         if (gained > 0.0).any():
             energies = []
             for v in (begin.v, s.dt * made.rate):
@@ -279,19 +288,19 @@ class Islands:
                 energies.append(np.bincount(label[: d.free], 0.5 * of_bodies, count))
             opened |= gained > GAIN * np.maximum(*energies)
 
-    def _kept(self, a: Trial, left: Bools, next_key: int) -> Trial:
+    def _kept(self, a: Attempt, left: Bools, next_key: int) -> Attempt:
         """What an attempt did to the nodes left; new contacts of theirs have keys from `next_key` on."""
         s, d = self.whole, self.whole.dynamics
         # What is seen of two islands from afar is of neither.
         stays = np.append(left, True)[d.node]
-        kept, there = (stays[c.frame1] & stays[c.frame2] for c in (a.met.contacts, a.moved.contacts))
-        if a.met.joints is not None:
-            kept = np.concatenate((kept, left[d.joints.block[a.met.joints.slot]]))
+        kept, there = (stays[c.frame1] & stays[c.frame2] for c in (a.kin.contacts, a.moved.contacts))
+        if a.kin.joints is not None:
+            kept = np.concatenate((kept, left[d.joints.block[a.kin.joints.slot]]))
         limits = a.moved.limits
         if limits.size:
             limits = np.where(left[d.joints.block[d.joints.limits]], limits, np.inf)
         contacts = take(a.moved.contacts, there)
-        rows, blocks = np.repeat(kept, 3), a.met.rows.blocks
+        rows, blocks = np.repeat(kept, 3), a.kin.rows.blocks
         problem = FC3D.from_blocks(
             blocks.of(kept),
             a.problem.q[rows],
@@ -302,11 +311,11 @@ class Islands:
         solution = Solution.judge(problem, r[rows], s.solver.tol, count, time, Status.LOOSE)
         turned = a.couple
         if turned.dv.size:
-            of_contacts = kept[: a.met.contacts.gap.size]
+            of_contacts = kept[: a.kin.contacts.gap.size]
             turned = turned._replace(impulse=turned.impulse[of_contacts], work=turned.work[of_contacts])
         return a._replace(
             couple=turned,
-            met=a.met.take(kept),
+            kin=a.kin.take(kept),
             impact=None,
             problem=problem,
             solution=solution,

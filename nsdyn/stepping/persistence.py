@@ -3,7 +3,7 @@
 Impulses at one configuration do a little work on contacts that stay closed, and stick: w = r·ū with ū the mean of the
 relative velocities before and after, an error of second order of either sign. A couple along ω̄, the mean spin of one
 body on the other, takes it: τ = -w ω̄/‖ω̄‖² on body 2, -τ on body 1. It is as if the contact force acted at a point moved
-by O(h²), and keeps both momenta exactly. With the gaps closed where the move ends, for which `Encounter.corrected`
+by O(h²), and keeps both momenta exactly. With the gaps closed where the move ends, for which `ContactKinematics.corrected`
 sees, it is a discrete gradient (O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Science 6,
 1996; P. Betsch, Energy-consistent numerical integration of mechanical systems with mixed holonomic and nonholonomic
 constraints, CMAME 195, 2006) that leaves W and the solver as they are.
@@ -21,12 +21,12 @@ import numpy as np
 from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import Auto
-from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.tools.arrays import Array, Bools
 
 if TYPE_CHECKING:
-    from nsdyn.stepping.half import Half
-    from nsdyn.stepping.instant import System
+    from nsdyn.stepping.midpoint import Midpoint
+    from nsdyn.stepping.scene_state import System
 
 __all__ = ["NO_COUPLE", "Couple", "turned", "worked"]
 
@@ -53,14 +53,21 @@ NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0))
 
 
 def turned(
-    s: System, met: Encounter, half: Half, solution: Solution, v: Array, slides: Bools, couple: Couple, left: Array
+    s: System,
+    kin: ContactKinematics,
+    mid: Midpoint,
+    solution: Solution,
+    v: Array,
+    sliding: Bools,
+    couple: Couple,
+    left: Array,
 ) -> tuple[Couple, Bools] | None:
     """Couples with which contacts that persist do no work, and which contacts have others than act; None if none do.
 
     With the impulses of a solution, which lead to the velocity v (n,), contacts that slide through (nc,), and the
     couples that act; `left` (nc,), the work that couples leave, J, changes as in the kernel `couples`.
     """
-    d, c, rows = s.dynamics, met.contacts, met.rows.full
+    d, c, rows = s.dynamics, kin.contacts, kin.rows.full
     if not d.free:
         return None
     impulse, dv = couple.impulse.copy(), couple.dv.copy()
@@ -71,19 +78,19 @@ def turned(
     turns = _persistence.turn(
         rows.arrays,
         c[:3],
-        0.5 * (half.middle.v + v),
-        (half.middle.placement.R, d.inverse_J, s.arm, half.h),
-        (solution.r, solution.u, met.mu, met.transport[0], exact),
-        (met.stays, met.sticks, slides),
+        0.5 * (mid.state.v + v),
+        (mid.state.placement.R, d.inverse_J, s.arm, mid.h),
+        (solution.r, solution.u, kin.mu, kin.surface_velocity[0], exact),
+        (kin.stays, kin.sticks, sliding),
         (impulse, dv, left, other),
     )
     return (Couple(impulse, couple.work, dv), other) if turns else None
 
 
-def worked(s: System, met: Encounter, half: Half, v: Array, couple: Couple) -> Couple:
+def worked(s: System, kin: ContactKinematics, mid: Midpoint, v: Array, couple: Couple) -> Couple:
     """The same with the works of couples that act until the velocity v (n,)."""
     if not couple.dv.size:
         return couple
-    work, c, R = np.empty(len(couple.impulse)), met.contacts, half.middle.placement.R
-    _persistence.works(c.names, s.dynamics.free, R, 0.5 * (half.middle.v + v), couple.impulse, work)
+    work, c, R = np.empty(len(couple.impulse)), kin.contacts, mid.state.placement.R
+    _persistence.works(c.names, s.dynamics.free, R, 0.5 * (mid.state.v + v), couple.impulse, work)
     return couple._replace(work=work)

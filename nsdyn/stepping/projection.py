@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _few
-from nsdyn.collision.contacts import Looked, take
+from nsdyn._kernels import reductions as _reductions
+from nsdyn.collision.contacts import DetectionPose, take
 from nsdyn.dynamics.values import Forces
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Auto
-from nsdyn.stepping.instant import Instant, System
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array
 
 __all__ = ["found", "project"]
@@ -29,13 +29,15 @@ FAR = 10.0
 where bodies move fast, and numbers so much larger than those that matter cost the methods for hard problems digits."""
 
 
-def found(s: System, at: Instant, looked: Looked) -> Instant:
-    """The contacts and limits where an instant is, whatever overlaps, where they are `looked` for."""
-    contacts = s.detector.find(*looked, at.memory)
-    return at._replace(contacts=contacts, limits=s.dynamics.limits(at.placement), memory=contacts, looked=looked)
+def found(s: System, at: SceneState, detected_at: DetectionPose) -> SceneState:
+    """The contacts and limits where an instant is, whatever overlaps, where they are `detected_at` for."""
+    contacts = s.detector.find(*detected_at, at.memory)
+    return at._replace(
+        contacts=contacts, limits=s.dynamics.limits(at.placement), memory=contacts, detected_at=detected_at
+    )
 
 
-def project(s: System, at: Instant, forces: Forces) -> tuple[Instant, bool]:
+def project(s: System, at: SceneState, forces: Forces) -> tuple[SceneState, bool]:
     """The closest position without overlap, in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0.
 
     Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes and joint limits where the
@@ -43,7 +45,7 @@ def project(s: System, at: Instant, forces: Forces) -> tuple[Instant, bool]:
     end of the motion. That itself is returned where nothing overlaps by more than what counts as closed, and whether
     that is so at last: where bodies are squeezed nothing helps. These, and what touches them, stay.
     """
-    d, closed = s.dynamics, s.closed
+    d, closed = s.dynamics, s.gap_tol
     for _ in range(PASSES):
         deepest = _least(at)
         if deepest >= -closed:
@@ -66,12 +68,12 @@ def project(s: System, at: Instant, forces: Forces) -> tuple[Instant, bool]:
         moved = d.shift(at.position, -deepest * rows.velocity_change(push))
         # What the next shift may reach, which is about as far as this one, must be seen.
         there = d.place(moved)
-        looked = Looked(there.x, there.R, np.full(d.frames, -deepest))
-        at = found(s, at._replace(position=moved, placement=there), looked)
+        detected_at = DetectionPose(there.x, there.R, np.full(d.frames, -deepest))
+        at = found(s, at._replace(position=moved, placement=there), detected_at)
     return at, _least(at) >= -closed
 
 
-def _without_squeezed(blocks: Blocks, solution: Solution) -> Array:
+def _without_squeezed(blocks: DelassusFactors, solution: Solution) -> Array:
     """The impulses of a projection, none in islands where they do not even halve an overlap."""
     label = blocks.islands()
     squeezed = np.isin(label, label[solution.u[0::3] < -0.5])
@@ -79,7 +81,7 @@ def _without_squeezed(blocks: Blocks, solution: Solution) -> Array:
     return out
 
 
-def _least(at: Instant) -> float:
+def _least(at: SceneState) -> float:
     """The least gap, 0 if none is negative."""
-    least: float = _few.least(at.contacts.gap)
-    return min(least, _few.least(at.limits)) if at.limits.size else least
+    least: float = _reductions.least(at.contacts.gap)
+    return min(least, _reductions.least(at.limits)) if at.limits.size else least

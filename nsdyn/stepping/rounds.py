@@ -26,7 +26,7 @@ class Impact(NamedTuple):
         Sum of the impulses, N·s.
     u : ndarray, shape (3 rows,)
         Relative velocities after it, m/s.
-    normal, friction : ndarray, shape (rows,)
+    work_normal, work_friction : ndarray, shape (rows,)
         Works of the impulses, J: where nothing of an island rebounds those of their sum, at the mean of the first u and
         the last.
     created : float
@@ -38,8 +38,8 @@ class Impact(NamedTuple):
 
     r: Array
     u: Array
-    normal: Array
-    friction: Array
+    work_normal: Array
+    work_friction: Array
     created: float
     solved: tuple[FC3D, Solution] | None
 

@@ -19,12 +19,12 @@ from nsdyn.scene.bodies import Geom
 from nsdyn.scene.description import describe_links
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.instant import Instant
+from nsdyn.stepping.scene_state import SceneState
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.naming import choice, counted
 
 if TYPE_CHECKING:
-    from nsdyn.stepping.untold import Untold
+    from nsdyn.stepping.lazy_step import LazyStep
 
 __all__ = ["Names", "OnBodies", "Pieces", "State", "Step", "Touch"]
 
@@ -36,13 +36,13 @@ class State(NamedTuple):
     ----------
     origin, dt, count : float, float, int
         t = origin + count dt.
-    instant : Instant
+    instant : SceneState
         Position, velocity, contacts and warm start.
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
     energies : (float, float)
         Kinetic and potential, J.
-    opening : gauss.Opening, optional
+    slater : gauss.SlaterDirection, optional
         Direction that the last certificate rests on.
     last : Step, optional
         The last step, where a callback takes it.
@@ -51,10 +51,10 @@ class State(NamedTuple):
     origin: float
     dt: float
     count: int  # type: ignore[assignment]  # tuple.count is of no use here
-    instant: Instant
+    instant: SceneState
     rate: Array
     energies: tuple[float, float]
-    opening: gauss.Opening | None = None
+    slater: gauss.SlaterDirection | None = None
     last: Step | None = None
 
     @property
@@ -243,8 +243,8 @@ class Step:
     dt : float
         Length of the step h, s.
     names : Names
-        What `force`, `between` and `velocity` find their bodies by.
-    untold : Untold or None
+        What `force`, `tree_motion` and `velocity` find their bodies by.
+    untold : LazyStep or None
         What tells of a quiet step; None of others.
     """
 
@@ -278,7 +278,7 @@ class Step:
     dt: float
     names: Names
 
-    untold: Untold | None = None
+    untold: LazyStep | None = None
 
     def __init__(self, **what: Any) -> None:
         self.__dict__.update(what)

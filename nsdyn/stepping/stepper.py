@@ -27,18 +27,18 @@ from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Auto, Solver, as_solver
 from nsdyn.stepping import equations
 from nsdyn.stepping.contradictions import Prescribed
+from nsdyn.stepping.eventless import EventlessSteps
 from nsdyn.stepping.failures import Failures, worst
-from nsdyn.stepping.flat import Flat
+from nsdyn.stepping.flat_state import FlatState
 from nsdyn.stepping.functions import Callback, Functions
 from nsdyn.stepping.impacts import Law, as_law
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
-from nsdyn.stepping.quiet import Quiet
+from nsdyn.stepping.lazy_step import LazyStep
 from nsdyn.stepping.state import Names, OnBodies, Pieces, State, Step
 from nsdyn.stepping.system import check_options, system_of
-from nsdyn.stepping.untold import Untold
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
 
@@ -156,7 +156,7 @@ class Stepper:
         apart = pairs.excluded(scene, geoms) | pairs.among(geoms, self.dynamics.held)
         self.detector = Detector(geoms, pairs.pair_material(scene, geoms), apart, max_points)
         self.system = system_of(scene, geoms, self.dynamics, self.detector, solver, (self.theta, self.dt), law)
-        self.closed = self.system.closed
+        self.gap_tol = self.system.gap_tol
         own = (mu for mu, _ in scene.pairs.values() if mu is not None)
         steepest = max([0.0, *(g.material.mu for g in geoms), *own])
         self._paradoxes = Paradoxes(self.dynamics, solver, self.system.arm, steepest)
@@ -169,7 +169,7 @@ class Stepper:
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
         self._islands = Islands(self.system)
-        self._quiet = self._quietest(polish)
+        self._eventless = self._quietest(polish)
         self._names, self._begin = Names(scene, geoms), partial(begin, self.system, geoms, float(overlap), lift)
         self.reset()
 
@@ -215,7 +215,7 @@ class Stepper:
         """
         instant, d = self._begin(q, v), self.dynamics
         energies = d.energies(instant.position, instant.v, instant.energies)
-        self._now: State | Flat = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
+        self._now: State | FlatState = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
 
     def get_state(self) -> State:
         """State after the last step; with `set_state` a run goes on bit for bit, warm start included."""
@@ -301,14 +301,14 @@ class Stepper:
             raise ValueError(f"{where} is not possible: {failure}{hint}") from failure
 
     def _advance(self) -> Step:
-        if self._quiet is not None and (step := self._quietly(self._quiet)) is not None:
+        if self._eventless is not None and (step := self._quietly(self._eventless)) is not None:
             return step
         s = self._now = self.get_state()
-        begun = None if self._quiet is None else self._quiet.begun(s)
+        begun = None if self._eventless is None else self._eventless.begun(s)
         now, rate, clear, done, _ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.position, now.position, now.placement, (s.t, s.t + s.dt))
-            clear = clear and depth <= self.closed
+            clear = clear and depth <= self.gap_tol
         solved = [acted.solved for acted in done]
         k = worst(solved)
         if not solved[k][1].accepted:
@@ -317,11 +317,11 @@ class Stepper:
             if acted.created > 0.0:
                 when = s.t + acted.begin + (1.0 - self.theta) * acted.duration
                 self.failures.tell_created(repr(self.system.impact), acted, when)
-        certificate, opening = self._certify(solved, s.opening)
+        certificate, slater = self._certify(solved, s.slater)
         energies = self.dynamics.energies(now.position, now.v, now.energies)
         if not math.isfinite(sum(energies)):
             raise ArithmeticError("positions or velocities are no longer finite")
-        self._now = State(s.origin, s.dt, s.count + 1, now, rate, energies, opening)
+        self._now = State(s.origin, s.dt, s.count + 1, now, rate, energies, slater)
         problem, solution = solved[k]
         total = Works.total([acted.works for acted in done])
         if self._paradoxes.possible:
@@ -336,14 +336,14 @@ class Stepper:
             self._now = self._now._replace(last=step)
         return step
 
-    def _quietest(self, polish: bool) -> Quiet | None:
+    def _quietest(self, polish: bool) -> EventlessSteps | None:
         """What makes steps of the scene that meet no event; None where only the general way does."""
         s, functions = self.system, self.functions
         if s.mover is None or functions.take_last:
             return None
-        return Quiet(s, s.mover, polish, lambda t: functions.at(t, None), self._paradoxes)
+        return EventlessSteps(s, s.mover, polish, lambda t: functions.at(t, None), self._paradoxes)
 
-    def _quietly(self, quiet: Quiet) -> Step | None:
+    def _quietly(self, quiet: EventlessSteps) -> Step | None:
         """A step of the kernel; None where it is more than that."""
         if (found := quiet.step(self._now, self._certificate)) is None:
             return None
@@ -351,25 +351,25 @@ class Stepper:
         if self._prescribed is not None:
             begin, end, times = before.like.position, after.like, (before.t, after.t)
             depth = self._prescribed.check(begin, end.position, end.placement, times)
-            if depth > self.closed:
+            if depth > self.gap_tol:
                 return None
-        untold = Untold(after, before, self.system)
+        untold = LazyStep(after, before, self.system)
         step = Step(untold=untold, t=after.t, dt=after.dt, names=self._names)
         self._now = after
         return step
 
     def _certify(
-        self, solved: list[tuple[FC3D, Solution]], opening: gauss.Opening | None
-    ) -> tuple[gauss.Certificate, gauss.Opening | None]:
+        self, solved: list[tuple[FC3D, Solution]], slater: gauss.SlaterDirection | None
+    ) -> tuple[gauss.Certificate, gauss.SlaterDirection | None]:
         """Certificate of all problems of a step: sum of the gaps, the largest of all others; direction of the last."""
         if len(solved) == 1:
             problem, solution = solved[0]
-            return self._certificate(problem, solution.r, solution.u, opening)
+            return self._certificate(problem, solution.r, solution.u, slater)
         gap = shift = bound = coulomb = 0.0
         for problem, solution in solved:
-            c, opening = self._certificate(problem, solution.r, solution.u, opening)
+            c, slater = self._certificate(problem, solution.r, solution.u, slater)
             gap, shift, bound, coulomb = gap + c.gap, max(shift, c.shift), max(bound, c.bound), max(c.coulomb, coulomb)
-        return gauss.Certificate(gap, shift, bound, coulomb), opening
+        return gauss.Certificate(gap, shift, bound, coulomb), slater
 
     def _record(
         self, done: list[Impulses], ledger: Ledger, certificate: gauss.Certificate, problem: FC3D, solution: Solution
@@ -402,8 +402,8 @@ class Stepper:
             contact_status=acted.status,
             contact_time=np.repeat(times, sizes),
             contact_duration=np.repeat([a.duration for a in done], sizes),
-            work_normal=acted.normal,
-            work_friction=acted.friction,
+            work_normal=acted.work_normal,
+            work_friction=acted.work_friction,
             joints=joints,
             links=acted.links,
             pieces=pieces,

@@ -13,14 +13,14 @@ from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
 from nsdyn.solvers import Solver
 from nsdyn.stepping.impacts import Law
-from nsdyn.stepping.instant import System
-from nsdyn.stepping.mover import Mover
+from nsdyn.stepping.move_kernel import MoveKernel
+from nsdyn.stepping.scene_state import System
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import is_number
 
 __all__ = ["check_flags", "check_options", "check_seconds", "system_of"]
 
-CLOSED = 1e-9
+GAP_TOL = 1e-9
 """Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
 that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
 body at rest in every step."""
@@ -69,13 +69,13 @@ def system_of(
     # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
     size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
     # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
-    closed = max(CLOSED * size, solver.tol * min(scheme[1], size / SLOW))
+    closed = max(GAP_TOL * size, solver.tol * min(scheme[1], size / SLOW))
     inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
     rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
     elastic = any(e > 0.0 for e in rebounds) or bool(dynamics.joints.restitution.any())
     smallest, arm = float(inscribed.min(initial=np.inf)), _arms(geoms, dynamics.frames)
     out = System(dynamics, detector, solver, *scheme, closed, inscribed, smallest, arm, law, elastic)
-    return out._replace(mover=Mover(out)) if dynamics.n and not dynamics.surfaces.count else out
+    return out._replace(mover=MoveKernel(out)) if dynamics.n and not dynamics.surfaces.count else out
 
 
 def _arms(geoms: list[Geom], frames: int) -> Array:

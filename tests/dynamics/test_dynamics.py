@@ -7,7 +7,7 @@ import pytest
 import nsdyn as nd
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.values import Middle
+from nsdyn.dynamics.values import MidpointState
 
 
 def mixed_scene():
@@ -28,7 +28,7 @@ def mixed_scene():
     return scene
 
 
-def middle(stepper: nd.Stepper) -> Middle:
+def middle(stepper: nd.Stepper) -> MidpointState:
     """Where the impulses of the next step act."""
     d, now = stepper.dynamics, stepper.get_state().instant
     return d.halfway(now.position, now.v, stepper.dt, stepper.theta, d.surfaces.twists(stepper.t))

@@ -93,8 +93,8 @@ def problems() -> None:
     newton(large, operator(large), np.zeros_like(large.q), 0.0, 10.0, 3)
     for problem in (factors, Stepper(scenes.load("quadruped")(), 5e-3).step().problem):
         assert problem.blocks is not None
-        opening = gauss.Opening(np.zeros(problem.blocks.n), problem.nc + 1, 1.0)
-        gauss.certify(problem, np.zeros_like(problem.q), -np.ones_like(problem.q), opening)
+        slater = gauss.SlaterDirection(np.zeros(problem.blocks.n), problem.nc + 1, 1.0)
+        gauss.certify(problem, np.zeros_like(problem.q), -np.ones_like(problem.q), slater)
         polished.certify(problem, np.zeros_like(problem.q))
         paradox.ambiguous(problem, problem.q, np.zeros_like(problem.q))
     polished.certify(matrix, np.zeros_like(matrix.q))

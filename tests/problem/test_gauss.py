@@ -51,7 +51,7 @@ def stack():
     """(problem, r, opening, H) of a step of five boxes, and r of a stack that was thrown aside."""
     stepper = nd.Stepper(nd.scenes.load("stack")(height=5), dt=1e-2)
     step = stepper.step()
-    return step.problem, step.solution.r, stepper.get_state().opening, factor(step.problem)
+    return step.problem, step.solution.r, stepper.get_state().slater, factor(step.problem)
 
 
 def test_no_impulse_has_no_gap_but_an_honest_bound(stack):
@@ -232,7 +232,7 @@ def test_direction_is_verified_not_trusted(stack, rng):
         1e-9 * opening.d,
         np.full(opening.d.size, np.nan),
     ):
-        certificate, _ = gauss.certify(problem, 0 * r, None, gauss.Opening(d, problem.nc, 1.0))
+        certificate, _ = gauss.certify(problem, 0 * r, None, gauss.SlaterDirection(d, problem.nc, 1.0))
         assert true <= certificate.bound < 1.0
 
 
@@ -256,7 +256,7 @@ def test_bounds_of_mechanisms(name):
         step = stepper.step()
         problem, r = step.problem, step.solution.r
         if problem.nc and k % 15 == 0:
-            opening = stepper.get_state().opening
+            opening = stepper.get_state().slater
             for x in (r, 0.9 * r, 0 * r):
                 true, error = distance(problem, x, factor(problem))
                 bound = gauss.certify(problem, x, None, opening)[0].bound
@@ -270,6 +270,6 @@ def test_direction_lasts_at_rest_and_is_resumed():
     stepper.step()
     state = stepper.get_state()
     bounds = [stepper.step().gauss.bound for _ in range(20)]
-    assert stepper.get_state().opening is state.opening
+    assert stepper.get_state().slater is state.slater
     stepper.set_state(state)
     assert [stepper.step().gauss.bound for _ in range(20)] == bounds

@@ -6,7 +6,7 @@ from extended import Real, distance, frozen
 
 import nsdyn as nd
 from nsdyn.problem import cones, gauss, polished
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 
 extended = pytest.mark.skipif(np.finfo(Real).eps > 1e-18, reason="long doubles are doubles here")
 PROVED = 1e-17
@@ -21,7 +21,9 @@ def of_factors(H, q, mu):
     n, nc = len(H), mu.size
     one, none = np.zeros(nc, np.int64), np.full(nc, -1, np.int64)
     start, eye = np.column_stack((3 * n * np.arange(nc), one)), np.eye(n).ravel()
-    blocks = Blocks(np.array([0, n]), np.column_stack((one, none)), start, H.T.ravel(), np.array([0]), eye, eye)
+    blocks = DelassusFactors(
+        np.array([0, n]), np.column_stack((one, none)), start, H.T.ravel(), np.array([0]), eye, eye
+    )
     return nd.FC3D.from_blocks(blocks, q, mu)
 
 

@@ -7,7 +7,7 @@ from extended import project
 
 import nsdyn as nd
 from nsdyn.problem import gauss, polished
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 
 BOX = 4  # contacts of the four-corner box below
 
@@ -29,7 +29,7 @@ def one_block(H):
     block, start = np.full((nc, 2), -1), np.zeros((nc, 2), np.int64)
     block[:, 0], start[:, 0] = 0, 3 * n * np.arange(nc)
     eye = np.eye(n).ravel()
-    return Blocks(np.array([0, n]), block, start, H.T.ravel(), np.array([0]), eye, eye)
+    return DelassusFactors(np.array([0, n]), block, start, H.T.ravel(), np.array([0]), eye, eye)
 
 
 def test_solution_on_paper():
@@ -115,7 +115,7 @@ def test_blocks_against_dense(rng):
         A = rng.normal(size=(n, n))
         m.append(A @ A.T + n * np.eye(n))
     inverses = [np.linalg.inv(x) for x in m]
-    blocks = Blocks(
+    blocks = DelassusFactors(
         offset,
         block,
         start,

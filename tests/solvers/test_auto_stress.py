@@ -7,7 +7,7 @@ import pytest
 from test_auto import given, kicked_stack
 
 import nsdyn as nd
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.solvers import auto
 
 
@@ -23,7 +23,9 @@ def squeezed_box(speed=-1.0, mu=0.5):
         for y, z in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
             h += [np.concatenate((d, np.cross((side, y, z), d))) for d in axes]
     block, start = np.array([[0, -1]] * 8), np.array([[18 * c, 0] for c in range(8)])
-    blocks = Blocks(np.array([0, 6]), block, start, np.ravel(h), np.array([0]), M.ravel(), np.linalg.inv(M).ravel())
+    blocks = DelassusFactors(
+        np.array([0, 6]), block, start, np.ravel(h), np.array([0]), M.ravel(), np.linalg.inv(M).ravel()
+    )
     return nd.FC3D.from_blocks(blocks, np.tile([speed, 0.0, 0.0], 8), np.full(8, mu))
 
 
@@ -43,7 +45,7 @@ def stack(height, kick):
 def copied(problem, times):
     """The same problem by its factors, with so many copies of every contact."""
     b = problem.blocks
-    many = Blocks(
+    many = DelassusFactors(
         b.offset, np.tile(b.block, (times, 1)), np.tile(b.start, (times, 1)), b.H, b.m_start, b.m, b.minv
     )  # fmt: skip
     return nd.FC3D.from_blocks(many, np.tile(problem.q, times), np.tile(problem.mu, times))
@@ -52,7 +54,7 @@ def copied(problem, times):
 def scaled(problem, factor):
     """The same problem by its factors, with all masses times a factor."""
     b = problem.blocks
-    heavy = Blocks(b.offset, b.block, b.start, b.H, b.m_start, factor * b.m, b.minv / factor)
+    heavy = DelassusFactors(b.offset, b.block, b.start, b.H, b.m_start, factor * b.m, b.minv / factor)
     return nd.FC3D.from_blocks(heavy, problem.q, problem.mu)
 
 
@@ -67,7 +69,9 @@ def peg(mu, seed):
         h += [np.concatenate((d, np.cross(point, d))) for d in axes]
     q = np.array(h) @ rng.normal(size=6)
     block, start = np.array([[0, -1]] * 12), np.array([[18 * c, 0] for c in range(12)])
-    blocks = Blocks(np.array([0, 6]), block, start, np.ravel(h), np.array([0]), M.ravel(), np.linalg.inv(M).ravel())
+    blocks = DelassusFactors(
+        np.array([0, 6]), block, start, np.ravel(h), np.array([0]), M.ravel(), np.linalg.inv(M).ravel()
+    )
     return nd.FC3D.from_blocks(blocks, q, np.full(12, mu))
 
 
@@ -80,7 +84,7 @@ def chain(mu, seed, n=40):
     h = np.concatenate([x for f in frames for x in (f.ravel(), -f.ravel())])
     start = 9 * np.arange(2 * n).reshape(n, 2)
     eye = np.tile(np.eye(3).ravel(), n).reshape(n, 9)
-    blocks = Blocks(
+    blocks = DelassusFactors(
         3 * np.arange(n + 1), block, start, h, 9 * np.arange(n), (eye * m[:, None]).ravel(), (eye / m[:, None]).ravel()
     )  # fmt: skip
     return nd.FC3D.from_blocks(blocks, blocks.relative_velocity(rng.normal(size=3 * n)), np.full(n, mu))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn._kernels import lanes
+from nsdyn._kernels import simd
 from nsdyn._kernels.problem import unit_mass
 from nsdyn.problem.solution import Status
 from nsdyn.solvers import nesterov
@@ -87,9 +87,9 @@ def test_rows_in_vector_instructions(rng: np.random.Generator) -> None:
     @numba.njit
     def compiled(a: np.ndarray, b: np.ndarray) -> float:
         one, two, six = np.uint64(16), np.uint64(0), np.uint64(24)
-        total = lanes.dot(a, one, b, two, six)
-        lanes.add((0.5, -1.0, 2.0), a, two, b, one, six)
-        lanes.add((3.0,), a, six, b, two, one)
+        total = simd.dot(a, one, b, two, six)
+        simd.add((0.5, -1.0, 2.0), a, two, b, one, six)
+        simd.add((3.0,), a, six, b, two, one)
         return total
 
     a, b = rng.normal(size=(2, 48))

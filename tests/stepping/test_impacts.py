@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.stepping.impacts import LAWS, Round
 from nsdyn.stepping.rounds import strike
 
@@ -158,7 +158,7 @@ def operator(seed):
         else:
             a, b = rng.integers(bodies), rng.integers(-1, bodies)
             block[c] = a, b if b != a else -1
-    blocks = Blocks(
+    blocks = DelassusFactors(
         6 * np.arange(bodies + 1),
         block,
         start,
@@ -186,7 +186,7 @@ def gains_on_operators(law, seeds):
         impact = strike(LAWS[law](), at, least, least)
         after = v + blocks.velocity_change(impact.r)
         energy, now = (0.5 * w @ blocks.dense()[0] @ w for w in (v, after))
-        work = (impact.normal + impact.friction).sum()
+        work = (impact.work_normal + impact.work_friction).sum()
         assert now - energy == pytest.approx(work, abs=1e-10 * max(now, energy))
         gain = max(gain, work / energy, impact.created / energy)
         solved = impact.solved is None or impact.solved[1].status is nd.Status.CONVERGED
@@ -221,10 +221,10 @@ def test_works_of_what_strikes_again(e, monkeypatch):
         impact = strike(law, at, least, least)
         after = v + blocks.velocity_change(impact.r)
         energy, now = (0.5 * w @ blocks.dense()[0] @ w for w in (v, after))
-        assert now - energy == pytest.approx((impact.normal + impact.friction).sum(), abs=1e-10 * energy)
+        assert now - energy == pytest.approx((impact.work_normal + impact.work_friction).sum(), abs=1e-10 * energy)
         if e == 0.0:
             work = 0.5 * (at.before + impact.u) * impact.r
-            np.testing.assert_allclose(impact.normal, work[0::3], rtol=0, atol=1e-14 * energy)
+            np.testing.assert_allclose(impact.work_normal, work[0::3], rtol=0, atol=1e-14 * energy)
         again += len(rounds) > 1
     assert again > 3
 

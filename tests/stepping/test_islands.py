@@ -7,8 +7,8 @@ import pytest
 import nsdyn as nd
 from nsdyn._kernels.solvers.start import widest
 from nsdyn.solvers.newton import DENSE
+from nsdyn.stepping.active_set import normal_velocities
 from nsdyn.stepping.islands import Islands
-from nsdyn.stepping.sight import parting
 
 E = 0.8
 FAR = 1000.0
@@ -247,18 +247,18 @@ def test_what_pressed_before_strikes_nothing(monkeypatch):
     stepper, approaches, struck = nd.Stepper(scene.scene, **scene.options()), [], []
     found = Islands._struck
 
-    def seen(self, begin, half):
+    def seen(self, begin, mid):
         s, c = self.whole, begin.contacts
-        u = parting(s.dynamics, c, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
-        fast = (c.gap <= s.closed) & (u < -s.slow / half.h)
+        u = normal_velocities(s.dynamics, c, begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0])
+        fast = (c.gap <= s.gap_tol) & (u < -s.least_penetration / mid.h)
         approaches.append(fast.any())
         pressed = s.last_status(c, begin.warm) > 0
-        nodes = found(self, begin, half)
+        nodes = found(self, begin, mid)
         struck.append((set(nodes.tolist()), (fast & ~pressed).any()))
         return nodes
 
     monkeypatch.setattr(Islands, "_struck", seen)
-    monkeypatch.setattr(stepper, "_quiet", None)  # which would make most of the steps
+    monkeypatch.setattr(stepper, "_eventless", None)  # which would make most of the steps
     for _ in range(100):
         stepper.step()
     assert sum(approaches) > 10

@@ -8,7 +8,7 @@ import pytest
 from mechanisms import add, four_bars
 
 import nsdyn as nd
-from nsdyn.stepping import mover, quiet
+from nsdyn.stepping import eventless, move_kernel
 
 BENCH = Path(__file__).resolve().parents[2] / "demos" / "bench"
 
@@ -21,7 +21,7 @@ def script(name):
     return out
 
 
-KERNEL = (quiet.Quiet, "step"), (mover.Mover, "respond")
+KERNEL = (eventless.EventlessSteps, "step"), (move_kernel.MoveKernel, "respond")
 
 
 def made(scene, duration, options, monkeypatch, least=21):
@@ -35,13 +35,13 @@ def made(scene, duration, options, monkeypatch, least=21):
 
         return call
 
-    with monkeypatch.context() as lanes:
+    with monkeypatch.context() as patch:
         for owner, name in KERNEL:
-            lanes.setattr(owner, name, counted(getattr(owner, name)))
+            patch.setattr(owner, name, counted(getattr(owner, name)))
         straight = nd.simulate(scene, duration, **options)
         assert sum(moves is not None for moves in went) >= least
         for owner, name in KERNEL:
-            lanes.setattr(owner, name, lambda *_: None)
+            patch.setattr(owner, name, lambda *_: None)
         general = nd.simulate(scene, duration, **options)
     for column in straight.columns.keys() - {"wall_time", "solver/time"}:
         assert straight.columns[column].tobytes() == general.columns[column].tobytes(), column

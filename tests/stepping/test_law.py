@@ -5,7 +5,7 @@ import pytest
 
 import nsdyn as nd
 from nsdyn._kernels.stepping import law
-from nsdyn.stepping import passage
+from nsdyn.stepping import substepping
 
 
 def contacts(frame1, point, normal):
@@ -51,17 +51,17 @@ def test_only_a_contact_that_is_alone_rolls_far(gone, others, follows):
 
 def test_the_problem_of_a_move_is_that_of_the_slip_it_ends_with(monkeypatch):
     """Whatever the solver reaches: velocities that are recorded are those of the slip in the problem solved."""
-    made = passage.trial
+    made = substepping.try_move
 
-    def checked(s, loads, begin, t, h, barred, *known):
-        m = made(s, loads, begin, t, h, barred, *known)
-        b = m.met.offsets(m.slides, s.closing(m.half.h, barred is None))
+    def checked(s, loads, begin, t, h, located, *known):
+        m = made(s, loads, begin, t, h, located, *known)
+        b = m.kin.offsets(m.sliding, s.gap_rule(m.mid.h, located is None))
         loose.append(not m.solution.converged)
         np.testing.assert_array_equal(m.problem.q, b)
         return m
 
     loose = []
-    monkeypatch.setattr(passage, "trial", checked)
+    monkeypatch.setattr(substepping, "try_move", checked)
     stepper = nd.Stepper(nd.scenes.load("pile")(seed=3), dt=5e-3, on_fail="ignore")
     for _ in range(75):
         stepper.step()

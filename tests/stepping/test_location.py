@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn._kernels.stepping import sight as _sight
-from nsdyn.stepping import passage
+from nsdyn._kernels.stepping import active_set as _active_set
+from nsdyn.stepping import substepping
 
 FAR, NEAR = 0.45, 0.01
 """m: from the middle of a plank to where it is about to touch, and to where it rests."""
@@ -30,14 +30,14 @@ def plank(speed, gap):
 
 def moves(stepper, monkeypatch):
     """Moves that are tried in a step."""
-    tried, count = passage.trial, 0
+    tried, count = substepping.try_move, 0
 
     def counted(*arguments):
         nonlocal count
         count += 1
         return tried(*arguments)
 
-    monkeypatch.setattr(passage, "trial", counted)
+    monkeypatch.setattr(substepping, "try_move", counted)
     stepper.step()
     return count
 
@@ -83,16 +83,16 @@ def test_newtons_method_that_nears_by_a_constant_share_is_not_followed(share):
     """Its next two steps tell where it would end."""
     root, begin = 0.25, 1.0
     aims = [(t, root + share * (t - root)) for t in (begin, root + share * (begin - root))]
-    assert passage._next(aims) == pytest.approx(root, rel=1e-14, abs=0.0)  # but for round-off
+    assert substepping._next(aims) == pytest.approx(root, rel=1e-14, abs=0.0)  # but for round-off
 
 
 def test_newtons_method_that_doubles_its_digits_is_followed():
     aims = [(t, 0.25 + 0.1 * (t - 0.25) ** 2) for t in (0.35, 0.251)]
-    assert passage._next(aims) == aims[1][1]
-    assert passage._next(aims[:1]) == aims[0][1]
-    assert passage._next([(0.35, np.inf), aims[1]]) == aims[1][1]
+    assert substepping._next(aims) == aims[1][1]
+    assert substepping._next(aims[:1]) == aims[0][1]
+    assert substepping._next([(0.35, np.inf), aims[1]]) == aims[1][1]
     # Neither tells a root: what is aimed at runs away as fast as one follows.
-    assert passage._next([(0.2, 0.5), (0.3, 0.6)]) == 0.6
+    assert substepping._next([(0.2, 0.5), (0.3, 0.6)]) == 0.6
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_what_pressed_is_met_as_it_stands_where_the_move_begins(status, beside, 
     points[1, 0, 2] = 1.0
     sinks = np.array([[0.0, 0.0, -6e-5]]), still
     out = np.empty(1, np.bool_)
-    _sight.caught(
+    _active_set.captured(
         (names, points, np.array([[-3e-8], [0.0], [0.0]])),
         still,
         (np.array([4e-8]), 1.0),
@@ -175,7 +175,7 @@ def test_a_move_that_is_halved_leaves_what_was_located_before_it(monkeypatch):
         lengths.append(length)
         return len(lengths) == 2
 
-    monkeypatch.setattr(passage, "_strains", strains)
+    monkeypatch.setattr(substepping, "_gains_energy", strains)
     halved = bounced()
     # To the impact; what is left, which is halved; its halves.
     np.testing.assert_allclose(lengths, [6e-3, rest, rest / 2, rest / 2], rtol=0, atol=1e-4)

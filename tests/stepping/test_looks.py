@@ -22,25 +22,25 @@ def counts():
             solved.append(1)
             return solve(*given)
 
-        def responded(s, begin, half, there, needs, barred, last, *more, **named):
+        def responded(s, begin, mid, there, needs, located, last, *more, **named):
             before = len(solved)
-            m = respond(s, begin, half, there, needs, barred, last, *more, **named)
-            if barred is None:
+            m = respond(s, begin, mid, there, needs, located, last, *more, **named)
+            if located is None:
                 looks["now"] += 1
             elif m.solution.residual > 1e-7:  # islands that are solved to round-off are not meant
                 solves[len(solved) - before] += 1
             return m
 
-        def looked(s, begin, half, barred):
+        def watched(s, begin, mid, located):
             looks["now"] = 0
-            m = moved(s, begin, half, barred)
-            if barred is None:
+            m = moved(s, begin, mid, located)
+            if located is None:
                 looks[looks["now"]] += 1
             return m
 
         patch.setattr(move, "solve", counted)
         patch.setattr(move, "_respond", responded)
-        patch.setattr(move, "_moved", looked)
+        patch.setattr(move, "_moved", watched)
         scene = nd.scenes.load("wall")()
         scene.add_sphere("ball", 0.15, 16.0, position=(1.013, -0.6, 0.507), linear_velocity=(0.0, 15.0, 0.0))
         stepper = nd.Stepper(scene, dt=6.25e-4, on_fail="ignore")

@@ -15,8 +15,8 @@ def test_what_parts_comes_back_without_work(free: tuple[float, float, float]) ->
     """
     u, none = np.array([0.5, 0.1, 0.0]), np.empty(0)
     local = np.array([u, u, free, np.zeros(3), np.zeros(3)])
-    closing, b = (1e-10, 0.0, 5e-3, 1e-2), np.empty(3)
-    laws = np.array([1e-3]), np.zeros(1), none, np.zeros(1), closing
+    gap_rule, b = (1e-10, 0.0, 5e-3, 1e-2), np.empty(3)
+    laws = np.array([1e-3]), np.zeros(1), none, np.zeros(1), gap_rule
     law.offsets(local, laws, np.zeros(1, np.bool_), np.zeros(1, np.bool_), b)
     r = -np.minimum(b, 0.0) if b[0] >= 0.0 else -b  # enough friction to stick
     after = np.array(free) + r

@@ -10,9 +10,9 @@ from test_convergence import arm
 
 import nsdyn as nd
 from nsdyn._kernels.stepping import columns
+from nsdyn._kernels.stepping import eventless as quiet_kernels
 from nsdyn._kernels.stepping import persistence as kernels
-from nsdyn._kernels.stepping import quiet as quiet_kernels
-from nsdyn._kernels.stepping.quiet_meeting import DONE
+from nsdyn._kernels.stepping.eventless_contacts import DONE
 from nsdyn.solvers import Auto
 
 G = 9.81
@@ -41,10 +41,10 @@ class Pair:
         """r·ū, J."""
         return float(self.r @ self.rows @ self.mean)
 
-    def couple(self, h, sticks=True, transport=(), exact=1e-13, slip=1.0):
+    def couple(self, h, sticks=True, surface_velocity=(), exact=1e-13, slip=1.0):
         """(couple, change of v, whether there is any other than none) in a move of h s, of bodies of 1 m.
 
-        Surfaces that move add `transport` to the relative velocity, of which a solver leaves `exact` m/s. The contact
+        Surfaces that move add `surface_velocity` to the relative velocity, of which a solver leaves `exact` m/s. The contact
         slips with `slip` m/s, should it be on its cone.
         """
         yes = np.array([True])
@@ -54,7 +54,13 @@ class Pair:
             self.contacts,
             self.mean,
             (self.R, np.linalg.inv(self.J), np.ones(2), h),
-            (self.r, np.array([0.0, 0.6 * slip, 0.8 * slip]), np.array([0.5]), np.array(transport, dtype=float), exact),
+            (
+                self.r,
+                np.array([0.0, 0.6 * slip, 0.8 * slip]),
+                np.array([0.5]),
+                np.array(surface_velocity, dtype=float),
+                exact,
+            ),
             (yes, yes & sticks, ~yes),
             (couple, dv, np.full(1, np.inf), np.empty(1, np.bool_)),
         )
@@ -79,7 +85,7 @@ def test_a_couple_takes_the_work_of_its_contact_and_keeps_the_momenta(rng):
 
 def test_a_couple_leaves_the_work_of_a_moving_surface_alone(rng):
     pair, belt = Pair(rng), np.array([0.0, 0.3, -0.1])
-    couple, _, _ = pair.couple(10.0, transport=belt)
+    couple, _, _ = pair.couple(10.0, surface_velocity=belt)
     assert couple @ pair.turning() == pytest.approx(-(pair.work + pair.r @ belt), rel=1e-12)
 
 
@@ -371,18 +377,18 @@ def test_what_bounces_on_free_bodies_comes_to_rest(make, dt, steps, monkeypatch)
 
     monkeypatch.setattr(Auto, "__call__", counted)
     monkeypatch.setattr(quiet_kernels, "quiet", counted_quietly)
-    late = {}
+    excess_speed = {}
     for e in (0.0, 0.3, 0.5):
         stepper = nd.Stepper(make(e), dt=dt)
         for k in range(steps):
             if k == steps - 20:
                 calls[-1] = 0
             step = stepper.step()
-        late[e] = calls[-1]
-        mass, slow = sum(body.mass for body in stepper.scene.free_bodies), stepper.closed / dt
+        excess_speed[e] = calls[-1]
+        mass, slow = sum(body.mass for body in stepper.scene.free_bodies), stepper.gap_tol / dt
         assert step.ledger.kinetic <= 0.5 * mass * slow**2  # in a step they go no farther than what counts as closed
-        assert step.gap.min() >= -stepper.closed
-    assert max(late.values()) <= 3 * late[0.0]
+        assert step.gap.min() >= -stepper.gap_tol
+    assert max(excess_speed.values()) <= 3 * excess_speed[0.0]
 
 
 @pytest.mark.parametrize("drop", [1e-3, 1e-4])

@@ -11,7 +11,7 @@ import nsdyn as nd
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Placement
-from nsdyn.stepping import failures, sight
+from nsdyn.stepping import active_set, failures
 
 
 @pytest.mark.parametrize(
@@ -488,9 +488,9 @@ def test_a_shallow_gap_closes_without_overlap(gap, theta):
     stepper = nd.Stepper(scene, dt=5e-3, theta=theta)
     steps = [stepper.step() for _ in range(4)]
     assert [step.ledger.projection for step in steps] == [0.0] * 4
-    assert all(step.gap.min() >= -stepper.closed for step in steps)
+    assert all(step.gap.min() >= -stepper.gap_tol for step in steps)
     # It has arrived, and all are at rest: what is left is what counts as closed, and the solver's round-off.
-    assert abs(steps[-1].q[-5] - 0.3) <= stepper.closed
+    assert abs(steps[-1].q[-5] - 0.3) <= stepper.gap_tol
     assert np.abs(steps[-1].v).max() <= 1e-12
 
 
@@ -607,7 +607,7 @@ def test_what_a_move_has_not_met_is_met_where_it_parts_bodies(end, kept):
     places = [Placement(np.array([x]), np.eye(3)[None], ()) for x in (end, (0.5, 0.0, 1.0))]
     late = s.detector.find(*places[0][:2], np.zeros(1), ContactSet.empty())
     assert late.gap.size and (late.gap < -0.04).all()
-    met = sight._parting(s, late, middle.contacts, *places)
+    met = active_set._separating(s, late, middle.contacts, *places)
     assert met.gap.size == (late.gap.size if kept else 0)
 
 

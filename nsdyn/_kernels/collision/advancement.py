@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels.collision.broadphase import at_least_apart, contains
 from nsdyn._kernels.collision.geometry import Placed, place
 from nsdyn._kernels.collision.separation import gap_along
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
@@ -15,7 +15,7 @@ HALF_TURN = 3.0
 """Turn between two poses, rad, beyond which these do not tell which way it went: hardly less than half a turn."""
 
 
-@in_place
+@no_alloc
 def turn_between(A, B, f):
     """Rotation vector w, world axes, |w| ≤ π, with ``B[f] = exp([w]x) A[f]``."""
     # The rows of D = B Aᵀ.
@@ -37,7 +37,7 @@ def turn_between(A, B, f):
     return times(angle if dot(u, a) >= 0.0 else -angle, u)
 
 
-@in_place
+@no_alloc
 def motions(frame, arm, begin, end, foreseen, turn, reach):
     """Rotation vectors of the frames, into turn (nframes, 3), and how far any point of their geoms moves, into reach.
 
@@ -58,7 +58,7 @@ def motions(frame, arm, begin, end, foreseen, turn, reach):
         reach[f] = math.sqrt(dot(d, d)) + math.sqrt(dot(w, w)) * reach[f]
 
 
-@in_place
+@no_alloc
 def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
     """Bound on the way of any point of one geom as seen from the other; f1, f2 are their frames, -1 for the world.
 
@@ -80,7 +80,7 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
     return least
 
 
-@in_place
+@no_alloc
 def carried(f, p, x0, R0, x1, R1):
     """Where the point p fixed in frame f goes when the frame goes from its pose 0 to pose 1."""
     if f < 0:
@@ -88,7 +88,7 @@ def carried(f, p, x0, R0, x1, R1):
     return along(row(x1, f), 1.0, to_world(R1, f, to_local(R0, f, minus(p, row(x0, f)))))
 
 
-@in_place
+@no_alloc
 def carry(contacts, begin, end, there):
     """Contacts whose points are fixed in both bodies, from poses to others, where they have the normals `there`.
 
@@ -104,7 +104,7 @@ def carry(contacts, begin, end, there):
         put(points[1], c, row(there, c))
 
 
-@in_place
+@no_alloc
 def turn_normals(fields, contacts, R0, end, room, out, apart):
     """Normals of contacts of poses 0 at poses 1, into out: along which the geoms are farthest apart, and how far.
 
@@ -126,7 +126,7 @@ def turn_normals(fields, contacts, R0, end, room, out, apart):
                 put(out, c, n)
 
 
-@in_place
+@no_alloc
 def turned(w, s, p):
     """Vector p rotated by exp(s [w]x), Rodrigues' formula."""
     angle = math.sqrt(dot(w, w))
@@ -137,7 +137,7 @@ def turned(w, s, p):
     return along(along(p, math.sin(s * angle), c), 1.0 - math.cos(s * angle), cross(u, c))
 
 
-@in_place
+@no_alloc
 def approach(frame, arm, motion, s, geoms, normal, points):
     """(bound of the approach speed, approach speed) of two geoms at their nearest points, m per way.
 
@@ -161,7 +161,7 @@ def approach(frame, arm, motion, s, geoms, normal, points):
     return min(max(forward, 0.0) + turning, whole), speed
 
 
-@in_place
+@no_alloc
 def place_at(fields, room, motion, s, geoms):
     """Place two geoms where they are at the fraction s of the way, in room (R, t).
 
@@ -184,7 +184,7 @@ def place_at(fields, room, motion, s, geoms):
         put(geometry.t, g, along(along(a, 1.0 - s, row(x0, f)), s, row(x1, f)))
 
 
-@in_place
+@no_alloc
 def bend(frame, arm, motion, geoms, n, turning):
     """How far n·p may be from straight in the middle of the way, m, p a point of either geom: by |d²(n·p)/ds²| / 8.
 
@@ -209,7 +209,7 @@ def bend(frame, arm, motion, geoms, n, turning):
     return total / 8.0
 
 
-@in_place
+@no_alloc
 def advance(fields, arm, motion, geoms, shown, room):
     """(fraction of the way before which two geoms do not touch, speed of approach there), m per way.
 
@@ -248,7 +248,7 @@ def advance(fields, arm, motion, geoms, shown, room):
     return out, speed
 
 
-@in_place
+@no_alloc
 def swept(frame, arm, g, ends, bounds, axis):
     """Bounds along an axis of where a geom may be on its way between `ends` of the frames, however it turns, m."""
     (x0, x1), (lower, upper), f = ends, bounds, frame[g]
@@ -257,7 +257,7 @@ def swept(frame, arm, g, ends, bounds, axis):
     return min(x0[f, axis], x1[f, axis]) - arm[g], max(x0[f, axis], x1[f, axis]) + arm[g]
 
 
-@in_place
+@no_alloc
 def flies_past(frame, arm, i, j, ends, bounds):
     """Whether two geoms are apart along an axis of the world all the way, however they turn."""
     for axis in range(3):
@@ -268,7 +268,7 @@ def flies_past(frame, arm, i, j, ends, bounds):
     return False
 
 
-@in_place
+@no_alloc
 def stays_apart(geometry, arm, i, j, motion, codes, points):
     """Whether two geoms cannot touch on their way, by their separation along the normal of a contact of theirs.
 

@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels.collision.geometry import Geometry, Placed, place
 from nsdyn._kernels.collision.kinds import HALFSPACE, support
 from nsdyn._kernels.collision.separation import gap_along
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.sorting import place_of
@@ -16,7 +16,7 @@ from nsdyn._kernels.vectors import dot, minus, row, times
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-@in_place
+@no_alloc
 def bound(geometry, g, lower, upper):
     """Smallest axis-aligned box of geom g, from its supports along the axes, into rows g; a half-space has none."""
     if geometry.kind[g] == HALFSPACE:
@@ -28,7 +28,7 @@ def bound(geometry, g, lower, upper):
         upper[g, i] = support(geometry, g, axis)[i]
 
 
-@in_place
+@no_alloc
 def follow(fields, frames, base, placed, boxes, fat):
     """World poses, reaches and bounds of the geoms on moving frames, into `placed` and `boxes`.
 
@@ -63,14 +63,14 @@ def bounds(fields, x, R_frames, lower, upper):
             bound(placed, g, lower, upper)
 
 
-@in_place
+@no_alloc
 def contains(sorted_codes, code):
     """Whether a sorted array holds the code."""
     at = place_of(sorted_codes, code)
     return at < sorted_codes.size and sorted_codes[at] == code
 
 
-@in_place
+@no_alloc
 def below(geometry, h, R, t, lower, upper):
     """Whether a box reaches into the fixed half-space h."""
     depth = -geometry.offset[h]
@@ -93,7 +93,7 @@ def append(codes, count, code, excluded):
     return codes, count + 1
 
 
-@in_place
+@no_alloc
 def fatten(fields, base, reach, skin, ahead, boxes, fat):
     """Boxes that serve for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
 
@@ -109,7 +109,7 @@ def fatten(fields, base, reach, skin, ahead, boxes, fat):
             fat_lower[g, i], fat_upper[g, i] = lower[g, i] - more, upper[g, i] + more
 
 
-@in_place
+@no_alloc
 def widest(geometry, t):
     """The axis along which the geoms that are not half-spaces are spread most."""
     best, axis = -1.0, 0
@@ -166,7 +166,7 @@ def candidates(fields, R, t, lower, upper, excluded):
     return codes[order_of(codes[:count])]
 
 
-@in_place
+@no_alloc
 def at_least_apart(geometry, i, j, lower, upper):
     """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
     if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
@@ -179,7 +179,7 @@ def at_least_apart(geometry, i, j, lower, upper):
     return max(math.sqrt(square), math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j])
 
 
-@in_place
+@no_alloc
 def of_interest(fields, placed, boxes, pairs, near, changed):
     """Which pairs may be within their margin and the reach of both, into near; the number of those it changes.
 

@@ -19,7 +19,7 @@ from nsdyn._kernels.collision.kinds import (
     side,
 )
 from nsdyn._kernels.collision.separation import INSIDE
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
 
@@ -34,7 +34,7 @@ class Room(NamedTuple):
     heights: np.ndarray
 
 
-@in_place
+@no_alloc
 def cut(poly, count, heights, tol, out):
     """Part of a polygon, segment or point where the linear function with these values at its corners is ≤ 0.
 
@@ -57,7 +57,7 @@ def cut(poly, count, heights, tol, out):
     return kept
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def clip_to_face(geometry, g, face, n, poly, count, other, heights):
     """Clip a polygon by the sides of a polytope face of world normal n; returns its new number of points."""
     first, tol, c = geometry.vertex_ptr[g], INSIDE * geometry.radius[g], row(geometry.t, g)
@@ -80,7 +80,7 @@ def clip_to_face(geometry, g, face, n, poly, count, other, heights):
     return count
 
 
-@in_place
+@no_alloc
 def on_border(geometry, g, face, p, tol):
     """Whether a point that is over a face or cap is not farther than tol from its border."""
     q = to_local(geometry.R, g, minus(p, row(geometry.t, g)))
@@ -151,7 +151,7 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
     return kept
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def over_face(geometry, i, j, margin, face1, face2, room):
     """Contacts of a face of geom i (if face1 < 0, of geom j) with the other geom, into points and heights of `room`.
 
@@ -192,7 +192,7 @@ def over_face(geometry, i, j, margin, face1, face2, room):
     return kept, times(sign, n)
 
 
-@in_place
+@no_alloc
 def merge(poly, gap, count, tol):
     """Keep one of several points within tol of each other, the deepest; returns the number left, in order."""
     kept = 0

@@ -5,17 +5,17 @@ import math
 from nsdyn._kernels.collision.geometry import smaller
 from nsdyn._kernels.collision.kinds import curvature, has_rim
 from nsdyn._kernels.collision.separation import INSIDE, separation
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, times, unit
 
 
-@in_place
+@no_alloc
 def curvatures(geometry, k, m, e1, e2):
     """`curvature` of the support point of a geom in the direction m, in two tangents: (e1 e1, e1 e2, e2 e2)."""
     return curvature(geometry, k, m, e1, e1), curvature(geometry, k, m, e1, e2), curvature(geometry, k, m, e2, e2)
 
 
-@in_place
+@no_alloc
 def newton(geometry, i, j, m, axes, start, valid):
     """Newton's step of m, in two tangents, to where the separation is stationary; `start` is the point of a segment."""
     e1, e2 = axes
@@ -40,7 +40,7 @@ def newton(geometry, i, j, m, axes, start, valid):
     return along(times((a22 * f1 - a12 * f2) / det, e1), (a11 * f2 - a12 * f1) / det, e2)
 
 
-@in_place
+@no_alloc
 def smooth(geometry, i, j, n, lines, out, at):
     """Write the contact of two geoms of which one at least is an ellipsoid or touches with the rim of a cylinder.
 

@@ -5,13 +5,13 @@ import math
 from nsdyn._kernels.collision.geometry import Placed, place, smaller
 from nsdyn._kernels.collision.kinds import HALFSPACE, face_count, face_normal, has_corner
 from nsdyn._kernels.collision.separation import INSIDE, SHARP, separation
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import dot, minus, put, row, times, to_local, to_world, unit
 
 BIAS = 1e-6  # a face of geom 2 is the reference only if it fits better than that of geom 1 by more than noise
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def aligned_face(geometry, g, n, angle):
     """The face of geom g whose normal is closest to n, and |difference|; (-1, inf) if that is not below `angle`."""
     m = to_local(geometry.R, g, n)
@@ -24,7 +24,7 @@ def aligned_face(geometry, g, n, angle):
     return face, math.sqrt(best) if face >= 0 else math.inf
 
 
-@in_place
+@no_alloc
 def reference_face(geometry, i, j, n, angle):
     """The reference of the normal n: (face of geom i, -1), (-1, face of geom j), or (-1, -1) beyond `angle`."""
     face1, error1 = aligned_face(geometry, i, n, angle)
@@ -34,7 +34,7 @@ def reference_face(geometry, i, j, n, angle):
     return -1, face2
 
 
-@in_place
+@no_alloc
 def best_normal(geometry, i, j, n):
     """The face normal or line of centres that separates best; n itself unless that is better by more than noise."""
     best, p, q = separation(geometry, i, j, n)
@@ -55,7 +55,7 @@ def best_normal(geometry, i, j, n):
     return n
 
 
-@in_place
+@no_alloc
 def next_feature(geometry, g, face, main, m, low):
     """The first face of polytope g from `face` on (rows) that faces -m and has a corner with m·corner ≤ low.
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 
 
 class Geometry(NamedTuple):
@@ -42,13 +42,13 @@ class Found(NamedTuple):
     gap: np.ndarray
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def smaller(geometry, i, j):
     """The smaller bounding radius of two geoms, m."""
     return min(geometry.radius[i], geometry.radius[j])
 
 
-@in_place
+@no_alloc
 def place(fields, x, R, out_R, out_t):
     """World pose of every geom on a moving frame; the others keep theirs. `fields` are those of `Geometry`."""
     geometry = Geometry(*fields)

@@ -4,7 +4,7 @@ import numpy as np
 
 from nsdyn._kernels.collision.geometry import Placed, place
 from nsdyn._kernels.collision.separation import gap_along
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import dot, minus, put, row, to_local
@@ -64,7 +64,7 @@ def match(geoms, tolerance, memory, next_key, names, points):
     return next_key
 
 
-@in_place
+@no_alloc
 def kept(key, found_key, found_gap, out):
     """Whether contacts are found again, all of them and no others; then their gaps, into out."""
     if key.size != found_key.size:

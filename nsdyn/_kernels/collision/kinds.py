@@ -10,32 +10,32 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, axis, cross, dot, minus, put, row, square, times, to_local, to_world, unit
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
 """As in `nsdyn.scene.shapes`."""
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def is_round(geometry, g):
     """Whether geom g is what lies within a radius of a point or segment: of two of them Coal is not asked."""
     return geometry.kind[g] == SPHERE or geometry.kind[g] == CAPSULE
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def has_ends(geometry, g):
     """Whether geom g has a straight line on its surface that ends, other than an edge of a polytope."""
     return geometry.kind[g] == CAPSULE or geometry.kind[g] == CYLINDER
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def has_rim(geometry, g):
     """Whether the lines of geom g end in the rim of a flat face, not in a ball."""
     return geometry.kind[g] == CYLINDER
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def deepest_vertex(geometry, g, n):
     """Row of the vertex of polytope g farthest along n (shape frame)."""
     best, k = -math.inf, -1
@@ -46,14 +46,14 @@ def deepest_vertex(geometry, g, n):
     return k
 
 
-@in_place
+@no_alloc
 def on_ellipsoid(s, n):
     """Point of the ellipsoid of radii s with the outward normal n, and the height of its tangent plane."""
     height = math.sqrt(square(s[0] * n[0]) + square(s[1] * n[1]) + square(s[2] * n[2]))
     return (square(s[0]) * n[0] / height, square(s[1]) * n[1] / height, square(s[2]) * n[2] / height), height
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def support(geometry, g, n):
     """A point of geom g outermost along n."""
     kind, s, c = geometry.kind[g], row(geometry.size, g), row(geometry.t, g)
@@ -75,7 +75,7 @@ def support(geometry, g, n):
     return along(c, 1.0, to_world(geometry.R, g, p))
 
 
-@in_place
+@no_alloc
 def curvature(geometry, g, n, a, b):
     """Form a·(dp/dn) b of the support point p of an ellipsoid or of the rim of a cylinder; else 0."""
     kind, s = geometry.kind[g], row(geometry.size, g)
@@ -90,19 +90,19 @@ def curvature(geometry, g, n, a, b):
     return 0.0
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def disk_radius(geometry, g):
     """Radius of the two faces of geom g across its z axis, m; 0 where it has none, or polygons or a plane."""
     return geometry.size[g, 0] if geometry.kind[g] == CYLINDER else 0.0
 
 
-@in_place
+@no_alloc
 def face_count(geometry, g):
     """Number of faces: those of a polytope, two disks."""
     return 2 if disk_radius(geometry, g) > 0.0 else geometry.face_ptr[g + 1] - geometry.face_ptr[g]
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def face_normal(geometry, g, face):
     """Outward normal of a face in the shape frame: of a polytope, a disk (0 above, 1 below), a half-space."""
     if disk_radius(geometry, g) > 0.0:
@@ -112,7 +112,7 @@ def face_normal(geometry, g, face):
     return row(geometry.face_normals, geometry.face_ptr[g] + face)
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def face_level(geometry, g, face):
     """Height of a face over the origin of geom g, along its normal, m; of disks it is the second size."""
     if disk_radius(geometry, g) > 0.0:
@@ -122,7 +122,7 @@ def face_level(geometry, g, face):
     return geometry.offset[g]
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def segment(geometry, g, n, angle):
     """Segment (or point) of geom g that is outermost along n: (its ends p, q, its radius, valid)."""
     kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(geometry.t, g), axis(geometry.R, g)
@@ -156,7 +156,7 @@ def segment(geometry, g, n, angle):
     return along(c, 1.0, to_world(geometry.R, g, p)), along(c, 1.0, to_world(geometry.R, g, q)), 0.0, valid
 
 
-@in_place
+@no_alloc
 def has_corner(geometry, face, corner):
     """Whether a face (a row) has the corner, counted from the first vertex of its geom."""
     for k in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
@@ -165,14 +165,14 @@ def has_corner(geometry, face, corner):
     return False
 
 
-@in_place
+@no_alloc
 def side(geometry, g, face, k):
     """The ends (shape frame) of the edge of geom g that begins at entry k of the loop of a face (a row)."""
     first, after = geometry.vertex_ptr[g], k + 1 if k + 1 < geometry.loop_ptr[face + 1] else geometry.loop_ptr[face]
     return row(geometry.vertices, first + geometry.loop[k]), row(geometry.vertices, first + geometry.loop[after])
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def incident(geometry, g, n, whole, rim, poly):
     """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).
 
@@ -209,7 +209,7 @@ def incident(geometry, g, n, whole, rim, poly):
     return corners(geometry, g, face, poly), 0.0, face
 
 
-@in_place
+@no_alloc
 def corners(geometry, g, face, poly):
     """The polygon of a face (a row) of polytope g, into poly; returns its number of points."""
     first, begin, end = geometry.vertex_ptr[g], geometry.loop_ptr[face], geometry.loop_ptr[face + 1]
@@ -219,7 +219,7 @@ def corners(geometry, g, face, poly):
     return end - begin
 
 
-@in_place
+@no_alloc
 def of_cylinder(geometry, g, m, cap, rim, poly):
     """The cap of cylinder g outermost along m (shape frame) as `rim` points, or that line of its side; their number."""
     s, c, side = row(geometry.size, g), row(geometry.t, g), np.hypot(m[0], m[1])
@@ -237,7 +237,7 @@ def of_cylinder(geometry, g, m, cap, rim, poly):
     return 2
 
 
-@in_place
+@no_alloc
 def other_feature(geometry, g, m, low, rim, poly):
     """The line of a cylinder's side when its cap faces -m, else the cap; into poly if that reaches below m·x = low.
 

@@ -41,7 +41,7 @@ from nsdyn._kernels.collision.kinds import (
 from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, closest, crossing, edge, ends, segments, touch
 from nsdyn._kernels.collision.separation import SAME, SHARP, separation
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_local, to_world, unit
 
 SWEPT = 0.5
@@ -62,7 +62,7 @@ class Given(NamedTuple):
     margin: float
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def apart(geometry, i, j, margin):
     """Whether the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
     d = minus(row(geometry.t, j), row(geometry.t, i))
@@ -74,7 +74,7 @@ def apart(geometry, i, j, margin):
     return dot(d, d) > reach * reach
 
 
-@in_place
+@no_alloc
 def of_features(geometry, i, j, n, face, margin, out, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
 
@@ -87,7 +87,7 @@ def of_features(geometry, i, j, n, face, margin, out, at):
     return count
 
 
-@in_place
+@no_alloc
 def closest_features(geometry, i, j, n, face, out, at):
     """Contacts of the features that are outermost along n, where they are closest; returns their number.
 
@@ -125,7 +125,7 @@ def closest_features(geometry, i, j, n, face, out, at):
     return 1
 
 
-@in_place
+@no_alloc
 def beside(geometry, i, j, g, n, face, out, at):
     """Contacts of a round geom and the edge of polytope g that is closest to it; returns their number.
 
@@ -151,7 +151,7 @@ def beside(geometry, i, j, g, n, face, out, at):
     return segments(geometry, i, j, lines, n, out, at)
 
 
-@in_place
+@no_alloc
 def begin(geometry, i, j, given, out, at):
     """Contacts of features where no face separates best: (their number, whether so, n, the reference of each geom)."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
@@ -180,7 +180,7 @@ def begin(geometry, i, j, given, out, at):
     return first, True, n, face1, face2
 
 
-@in_place
+@no_alloc
 def pair_contacts(geometry, i, j, given, room, out, at):
     """Contacts of one pair; returns their number."""
     first, tilted, n, face1, face2 = begin(geometry, i, j, given, out, at)
@@ -219,7 +219,7 @@ def pair_contacts(geometry, i, j, given, room, out, at):
     return first + count
 
 
-@in_place
+@no_alloc
 def new(room, count, first, near, out, at):
     """Of the points over a face those that the `first` contacts of features do not stand for; returns their number.
 
@@ -238,13 +238,13 @@ def new(room, count, first, near, out, at):
     return kept
 
 
-@in_place
+@no_alloc
 def swept(geometry, g):
     """How deep geom g may be in another for the normal of the cores to be relied on, m."""
     return SWEPT * geometry.size[g, 0] if is_round(geometry, g) else 0.0
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def ball_contact(geometry, i, j, out, at):
     """What `pair_contacts` gives of two balls, or of one and a half-space, without a look at features; else False."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
@@ -268,7 +268,7 @@ def ball_contact(geometry, i, j, out, at):
     return True
 
 
-@in_place
+@no_alloc
 def manifolds(geoms, pairs, room, found):
     """Contacts of all candidate pairs; returns their number. The arguments are plain tuples.
 

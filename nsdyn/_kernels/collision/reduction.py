@@ -4,18 +4,18 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import cross, dot, perpendicular, put, row
 
 
-@in_place
+@no_alloc
 def triangle(x, y, hull, p, q, r):
     """Twice the area of the triangle of three corners of a hull."""
     a, b, c = hull[p], hull[q], hull[r]
     return abs((x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a]))
 
 
-@in_place
+@no_alloc
 def lowest(poly, gap, count, limit, margin, close):
     """Leave out the highest points, of which more than `limit` are left, first, as `reduce` says; the number left."""
     least = math.inf

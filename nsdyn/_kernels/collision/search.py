@@ -3,7 +3,7 @@
 from nsdyn._kernels.collision.broadphase import follow
 from nsdyn._kernels.collision.keys import match
 from nsdyn._kernels.collision.manifold import manifolds
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.vectors import put, row
 
@@ -19,7 +19,7 @@ POINT, NORMAL, GAP, COAL, MARGIN, MU, RESTITUTION, PAIRS = range(8)
 PAIR, FIRST, SECOND, SLOT = range(4)
 
 
-@in_place
+@no_alloc
 def fields_of(geoms):
     """What `Geometry` has of the geoms."""
     f, i = geoms
@@ -31,14 +31,14 @@ def fields_of(geoms):
     return *sizes, *vertices, *faces, *loops, *placements
 
 
-@in_place
+@no_alloc
 def room_of(geoms):
     """Room for the rotations and the origins of the geoms: R, t."""
     f, i = geoms
     return matrices(f, i, ROTATION), triples(f, i, ORIGIN)
 
 
-@in_place
+@no_alloc
 def seek(geoms, pairs, limit, placed, poses):
     """Number of contacts, or `LEFT`: `follow` first unless the geoms are `placed` at the poses, then `manifolds`.
 
@@ -59,7 +59,7 @@ def seek(geoms, pairs, limit, placed, poses):
     return manifolds(placed, (first, second, *asked), room, found)
 
 
-@in_place
+@no_alloc
 def gather(geoms, pairs, tolerance, memory, next_key, out):
     """The contacts that were sought, with what they have from pairs and geoms, into out; then `match`.
 

@@ -3,7 +3,7 @@
 from nsdyn._kernels.collision.geometry import smaller
 from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_corner, has_rim, is_round, segment, side
 from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, separation
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, row, times, to_local, to_world, unit
 
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
@@ -13,7 +13,7 @@ NEAR = 1e-2  # a point within the margin, and this fraction of the size, of one 
 OBLIQUE = 0.8  # cosine of the angle below which round segments curve away from each other too fast to touch at ends
 
 
-@in_place
+@no_alloc
 def edge(geometry, g, n, angle):
     """`segment` at `angle`, or of a polytope at a smaller one: a diagonal of a face tilts less than the face."""
     p, q, radius, valid = segment(geometry, g, n, angle)
@@ -23,7 +23,7 @@ def edge(geometry, g, n, angle):
     return p, q, radius, valid
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def closest(p, d, length1, q, e, length2):
     """Arc lengths (s, r) of the closest points p + s d, q + r e of two segments with unit directions d, e."""
     b = dot(d, e)
@@ -44,7 +44,7 @@ def closest(p, d, length1, q, e, length2):
     return s, r
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def touch(a, radius1, b, radius2, n, out, at):
     """Write the contact of two balls (or of two points, with the known normal n) at index `at`."""
     if radius1 + radius2 > 0.0:
@@ -54,7 +54,7 @@ def touch(a, radius1, b, radius2, n, out, at):
     put(out.point, at, times(0.5, along(along(along(a, radius1, n), 1.0, b), -radius2, n)))
 
 
-@in_place(forceinline=True)
+@no_alloc(forceinline=True)
 def segments(geometry, i, j, lines, n, out, at):
     """Contacts of two segments with radii, one of each geom, into `out` from index `at` on; returns their number.
 
@@ -106,7 +106,7 @@ def segments(geometry, i, j, lines, n, out, at):
     return 0 if (flat1 and abs(dot(m, d)) > INSIDE) or (flat2 and abs(dot(m, e)) > INSIDE) else 1
 
 
-@in_place
+@no_alloc
 def crossing(geometry, i, j, n, lines, out, at):
     """Write the contact of those edges of two polytopes that cross and part them best; False if n does so better.
 
@@ -155,7 +155,7 @@ def crossing(geometry, i, j, n, lines, out, at):
     return found
 
 
-@in_place
+@no_alloc
 def ends(geometry, i, j, n, margin, out, at, count):
     """Further contacts of two segments with radii: their ends opposite the other segment, up to the margin.
 

@@ -1,7 +1,7 @@
 """How far two shapes are apart along a direction, and what counts as near. The geoms are `Placed`."""
 
 from nsdyn._kernels.collision.kinds import HALFSPACE, support
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import dot, minus, row, times, to_world
 
 SHARP = 1e-6  # rad; the same for corners and edges beside such a face
@@ -9,7 +9,7 @@ SAME = 1e-6  # points closer than this fraction of the size are one
 INSIDE = 1e-9  # a point this fraction of the size outside a side plane is on it
 
 
-@in_place
+@no_alloc
 def separation(geometry, i, j, n):
     """Gap of two geoms along n (width of the slab of normal n between them), and the support points p, q.
 
@@ -20,7 +20,7 @@ def separation(geometry, i, j, n):
     return dot(n, minus(q, p)), p, q
 
 
-@in_place
+@no_alloc
 def gap_along(geometry, i, j, n):
     """`separation` of two geoms along n, or along the normal of a half-space if one of them is one."""
     for h, g in ((i, j), (j, i)):

@@ -8,7 +8,7 @@ own, pressed so that r_N = h tau_c exactly. Rows that are not named are zero.
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.reductions import copy
 
 
@@ -38,7 +38,7 @@ def append_rows(slots, coordinate, other, tree, sign, blocks):
     return offset, new_block, new_start, new_H, m_start, m, minv
 
 
-@in_place
+@no_alloc
 def near(angle, rates, h, table, out):
     """Slots that may act in a step of h s, friction and limits that joints may reach, into out; how many they are.
 
@@ -54,7 +54,7 @@ def near(angle, rates, h, table, out):
     return some
 
 
-@in_place
+@no_alloc
 def reduce_jacobian(blocks, where, z, sizes, block, start, out):
     """Rows of Hᵀ Z, into out, of blocks of such sizes whose Z begins at `where` in z (-1: it is I); 1 of clutches."""
     offset, _, old, H = blocks[:4]
@@ -134,7 +134,7 @@ def reduce_rows(blocks, bases, z_start, z, pressed, clutch):
     return (new_offset, new_block, new_start, new_H, new_m_start[:-1], new_m, new_minv), where, velocity
 
 
-@in_place
+@no_alloc
 def expand(offset, z_start, z, new_offset, y, v):
     """Velocity v = Z y, block by block, into v (n,)."""
     for k in range(offset.size - 1):

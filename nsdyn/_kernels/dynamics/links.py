@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import along, cross, dot, put, row, times
 
 
-@in_place
+@no_alloc
 def quaternions(R, out):
     """Unit quaternions xyzw of rotation matrices, w >= 0 unless the turn is near half, into out (n, 4)."""
     for b in range(R.shape[0]):
@@ -33,7 +33,7 @@ def quaternions(R, out):
             out[b, 3] = (R[b, k, j] - R[b, j, k]) / s
 
 
-@in_place
+@no_alloc
 def rows(trees, contacts, frame, start, H):
     """Add the rows of Hᵀ on the links of trees to H. A contact between two links of one tree adds both to side 0.
 
@@ -74,7 +74,7 @@ def rows(trees, contacts, frame, start, H):
         at, field = at + count * nv, field + 6 * nv
 
 
-@in_place
+@no_alloc
 def twists(trees, x, v, linear, angular):
     """Velocities of the frames of trees, as of `rows`, at their origins x (n, 3), and of their rotations, world axes.
 
@@ -113,7 +113,7 @@ def reach(trees, x, v, h, radius, fall, out):
         out[f] = h * (math.sqrt(dot(speed, speed)) + math.sqrt(dot(spin, spin)) * radius[f]) + fall
 
 
-@in_place
+@no_alloc
 def closures(tree, loops, phi, G):
     """Add to phi (rows,) how far the points of two joints each are apart, and to G (rows, nv) the rows of closed loops.
 

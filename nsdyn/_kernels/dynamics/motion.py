@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, three, times, to_local, to_world
 
 
-@in_place
+@no_alloc
 def integrate(x, quaternion, v, h, x_out, quaternion_out):
     """Positions x + h v and rotations R exp([h omega]x), unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
     for b in range(x.shape[0]):
@@ -36,7 +36,7 @@ def integrate(x, quaternion, v, h, x_out, quaternion_out):
         quaternion_out[b, 2], quaternion_out[b, 3] = p2 / norm, p3 / norm
 
 
-@in_place
+@no_alloc
 def rotations(quaternion, R):
     """Rotation matrices of unit quaternions xyzw, into R (n, 3, 3)."""
     for b in range(quaternion.shape[0]):
@@ -46,7 +46,7 @@ def rotations(quaternion, R):
         R[b, 2, 0], R[b, 2, 1], R[b, 2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
 
 
-@in_place
+@no_alloc
 def place(x, quaternion, x_out, R):
     """Positions into x_out and `rotations` into R, which may have room for more."""
     for b in range(x.shape[0]):
@@ -72,7 +72,7 @@ def keep_spin(J, inverse_J, quaternion, turned, v, out):
             out[f], out[f + 1], out[f + 2] = to_world(inverse_J, b, momentum)
 
 
-@in_place
+@no_alloc
 def accelerate(inverse_mass, inverse_J, gravity, force, torque, h, v, out):
     """v + h M⁻¹ f of free bodies under gravity, forces (world axes) and torques (body axes), into out."""
     for b in range(inverse_mass.size):
@@ -81,7 +81,7 @@ def accelerate(inverse_mass, inverse_J, gravity, force, torque, h, v, out):
         out[i + 3], out[i + 4], out[i + 5] = along(three(v, i + 3), h, turn)
 
 
-@in_place
+@no_alloc
 def twists(R, v, free, linear, angular):
     """Velocities of the centres of mass and angular velocities of free bodies in world axes, into (n, 3) each."""
     for b in range(free):
@@ -89,7 +89,7 @@ def twists(R, v, free, linear, angular):
         put(angular, b, to_world(R, b, three(v, 6 * b + 3)))
 
 
-@in_place
+@no_alloc
 def reach(v, h, fall, radius, out):
     """How far any point of each free body moves in h seconds, and by `fall`, m, into out (n,)."""
     for b in range(radius.size):
@@ -97,7 +97,7 @@ def reach(v, h, fall, radius, out):
         out[b] = h * (math.sqrt(dot(speed, speed)) + math.sqrt(dot(spin, spin)) * radius[b]) + fall
 
 
-@in_place
+@no_alloc
 def contact_frames(normal, frame):
     """Contact frames with rows (n, t1, t2), into frame (nc, 3, 3).
 
@@ -114,7 +114,7 @@ def contact_frames(normal, frame):
         frame[c, 2, 0], frame[c, 2, 1], frame[c, 2, 2] = b, sign + y * y * a, -y
 
 
-@in_place
+@no_alloc
 def contact_layout(contacts, block_of_frame, offset, frame, block, start):
     """`contact_frames`, blocks of every contact (side 0: minus, side 1: plus) and where their rows begin.
 
@@ -135,7 +135,7 @@ def contact_layout(contacts, block_of_frame, offset, frame, block, start):
     return size
 
 
-@in_place
+@no_alloc
 def free_rows(contacts, frame, x, R, free, start, H):
     """Rows of Hᵀ on free bodies: direction d gives (d, Rᵀ ((p - x) x d)), minus on body 1, into H.
 
@@ -165,7 +165,7 @@ def free_rows(contacts, frame, x, R, free, start, H):
                 H[at + 3], H[at + 4], H[at + 5] = to_local(R, b, cross(arm, d))
 
 
-@in_place
+@no_alloc
 def free_energies(mass, J, gravity, x, v):
     """(kinetic, potential) energy of the free bodies, in J."""
     kinetic, potential = 0.0, 0.0
@@ -192,7 +192,7 @@ def pinocchio_layout(x, quaternion, v, q_out, v_out):
         copy(quaternion[b], q_out[7 * b + 3 :])
 
 
-@in_place
+@no_alloc
 def beyond_potential(mass, gravity, h, theta, v, v0, v1):
     """What gravity does to the free bodies in a step beyond its potential, J.
 
@@ -216,7 +216,7 @@ def beyond_potential(mass, gravity, h, theta, v, v0, v1):
     return out
 
 
-@in_place
+@no_alloc
 def surface_velocities(contacts, surfaces, w):
     """Add what prescribed bodies move at the contacts, that of geom 2 minus that of geom 1, to w (nc, 3), world axes.
 

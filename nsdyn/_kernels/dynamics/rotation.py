@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import along, dot, minus, put, row, three, to_local, to_world
 
 PART = 0.5
@@ -58,7 +58,7 @@ def principal(J):
     return moments, axes
 
 
-@in_place
+@no_alloc
 def _times(q0, q1, q2, q3, e0, e1, e2, e3):
     """Unit quaternion of q e, e of any length."""
     p0 = q3 * e0 + q0 * e3 + q1 * e2 - q2 * e1
@@ -69,7 +69,7 @@ def _times(q0, q1, q2, q3, e0, e1, e2, e3):
     return k * p0, k * p1, k * p2, k * p3
 
 
-@in_place
+@no_alloc
 def _collocate(I, w, h, stage, slope, e):
     """Torque-free rotation over h in principal axes: w becomes the spin at its end, R e the attitude, e of any length.
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import square
 
 OVERSHOOT = 3.0
@@ -13,7 +13,7 @@ at most, and less where δ is larger. Of a quadruped's knees δ is 6 at 5 ms: wi
 with 4 as much as with 3, and rings longer."""
 
 
-@in_place
+@no_alloc
 def factor(m, F, minv):
     """F and minv = m⁻¹ = Fᵀ F, all (n, n); False if m is not positive definite.
 
@@ -61,14 +61,14 @@ def factor(m, F, minv):
     return True
 
 
-@in_place
+@no_alloc
 def excess(angle, goal, turning):
     """Angle - goal, the short way round where the joint is `turning`, given by cos and sin."""
     out = angle - goal
     return (out + math.pi) % (2.0 * math.pi) - math.pi if turning else out
 
 
-@in_place
+@no_alloc
 def strain(angle, springs, turning):
     """Energy of joint springs, (stiffness, damping, rest) (3, n), J."""
     energy = 0.0
@@ -112,7 +112,7 @@ def linear_laws(M, springs, control, angle, turning, h, theta, laws):
             laws[1, 3, j] = 1.0 - OVERSHOOT / damps
 
 
-@in_place
+@no_alloc
 def parts(laws, l, j, v0, v1, h):
     """(elastic, viscous) force of a law in joint j, from the velocities before and after the forces of a step."""
     k, d, alpha, beta, f = laws[l, 0, j], laws[l, 1, j], laws[l, 2, j], laws[l, 3, j], laws[l, 4, j]
@@ -120,7 +120,7 @@ def parts(laws, l, j, v0, v1, h):
     return f - k * move, -d * (beta * v1[j] + (1.0 - beta) * v0[j])
 
 
-@in_place
+@no_alloc
 def forces(laws, push, v0, v1, h, out):
     """Actuation with what wrenches `push`, damping and springs of a step, into out (3, n); velocities as in `parts`."""
     for j in range(v0.size):
@@ -129,7 +129,7 @@ def forces(laws, push, v0, v1, h, out):
         out[2, j], out[1, j] = parts(laws, 0, j, v0, v1, h)
 
 
-@in_place
+@no_alloc
 def strained(laws, limit, last, v0, v1, h, over):
     """Which controls are beyond their limits, or were at them in the `last` impulses of their rows, into over (n,)."""
     some = False
@@ -178,7 +178,7 @@ def respond(start, minv, loads, v0, h, v):
             v[i] += h * minv[i, j] * (acting[0, j] + acting[1, j] + acting[2, j] - weight[j])
 
 
-@in_place
+@no_alloc
 def move_free(M, loads, v0, h, F, m, minv, v):
     """What loads as of `respond` do to a tree that nothing constrains: its velocity after them, into v (n,).
 
@@ -197,7 +197,7 @@ def move_free(M, loads, v0, h, F, m, minv, v):
     return True
 
 
-@in_place
+@no_alloc
 def settle(start, minv, bias, h, newton, rest, v):
     """One step of Newton's method to v = start - h minv bias(v), into v (n,), with the inverse matrix `newton`.
 
@@ -253,7 +253,7 @@ def closing(G, N, phi, damping, step):
     return True
 
 
-@in_place
+@no_alloc
 def stage(k, v, a, h, x):
     """Stage k = 2, 3, 4 of a Runge–Kutta step from v, where the one before accelerates with a, into x (7, n).
 
@@ -267,7 +267,7 @@ def stage(k, v, a, h, x):
             x[k - 2, j] = v[j] + 0.5 * h * a[j]
 
 
-@in_place
+@no_alloc
 def outset(v, a, h, slow, x):
     """Of a step under a constant acceleration, into rows of x (7, n): displacement 3, velocity at its end 5, mean 6.
 
@@ -285,7 +285,7 @@ def outset(v, a, h, slow, x):
     return True
 
 
-@in_place
+@no_alloc
 def midpoint(v, a1, a2, h, tolerance, floor, x):
     """Of a step by the midpoint rule, with x of `stage`: displacement into x[3], and the velocity at its end into x[5].
 
@@ -303,7 +303,7 @@ def midpoint(v, a1, a2, h, tolerance, floor, x):
     return True
 
 
-@in_place
+@no_alloc
 def combine(v, accelerations, h, tolerance, floor, x):
     """Finish a Runge–Kutta step from v; its error as a fraction of what is allowed, see `nsdyn.dynamics.runge_kutta`.
 
@@ -329,7 +329,7 @@ def combine(v, accelerations, h, tolerance, floor, x):
     return error / (tolerance * size + floor)
 
 
-@in_place
+@no_alloc
 def fastest(v, turns):
     """(largest entry of |v|, the same of those coordinates that turn); infinite where an entry is not finite."""
     most, turn = 0.0, 0.0

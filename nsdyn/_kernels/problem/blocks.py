@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
 from nsdyn._kernels.vectors import square
 
@@ -18,7 +18,7 @@ SMALLEST, LARGEST = 1e-150, 1e150
 """Sizes of numbers whose squares are in the range of floating-point numbers."""
 
 
-@in_place
+@no_alloc
 def relative_velocity_of(blocks, v, c):
     """Hᵀ v of contact c: three scalars."""
     offset, block, start, H = blocks[:4]
@@ -37,14 +37,14 @@ def relative_velocity_of(blocks, v, c):
     return u0, u1, u2
 
 
-@in_place
+@no_alloc
 def relative_velocity(blocks, v, u):
     """u = Hᵀ v, into u (3 nc,)."""
     for c in range(blocks[1].shape[0]):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = relative_velocity_of(blocks, v, c)
 
 
-@in_place
+@no_alloc
 def add_momentum(blocks, c, r0, r1, r2, p):
     """Add H r of contact c to p (n,)."""
     if r0 == 0.0 and r1 == 0.0 and r2 == 0.0:
@@ -59,7 +59,7 @@ def add_momentum(blocks, c, r0, r1, r2, p):
                 p[o + j] += H[a + j] * r0 + H[d + j] * r1 + H[e + j] * r2
 
 
-@in_place
+@no_alloc
 def momentum(blocks, r, p):
     """p = H r, into p (n,)."""
     p[:] = 0.0
@@ -67,7 +67,7 @@ def momentum(blocks, r, p):
         add_momentum(blocks, c, r[3 * c], r[3 * c + 1], r[3 * c + 2], p)
 
 
-@in_place
+@no_alloc
 def block_product(offset, m_start, m, x, y):
     """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
     for k in range(offset.size - 1):
@@ -111,7 +111,7 @@ def velocity_change(blocks, r, v):
     block_product(offset, m_start, minv, p, v)
 
 
-@in_place
+@no_alloc
 def respond(blocks, r, v_free, p, v):
     """p = H r and v = v_free + M⁻¹ p, into p and v (n,)."""
     offset, _, _, _, m_start, _, minv = blocks
@@ -121,7 +121,7 @@ def respond(blocks, r, v_free, p, v):
         v[i] = v_free[i] + v[i]
 
 
-@in_place
+@no_alloc
 def velocity(blocks, q, r, y, u, work):
     """y = M⁻¹ H r and u = Hᵀ y + q, into y (n,) and u (3 nc,); `work` (n,) is for H r."""
     offset, _, _, _, m_start, _, minv = blocks
@@ -140,7 +140,7 @@ def judged(blocks, q, mu, scales, r, u):
     return measures(scales, u, r, mu)
 
 
-@in_place
+@no_alloc
 def in_range(scales):
     """Whether all sizes of diagonal blocks are what they have to be."""
     good = True
@@ -149,7 +149,7 @@ def in_range(scales):
     return good
 
 
-@in_place
+@no_alloc
 def size_of(q, mu):
     """The norm of q, and whether q and mu are what they have to be."""
     total, good = 0.0, True
@@ -160,7 +160,7 @@ def size_of(q, mu):
     return math.sqrt(total), good and total < np.inf
 
 
-@in_place
+@no_alloc
 def diagonal_block(blocks, c, rows, x, y, w):
     """W_cc of a contact, without the rest of W, its first rows or all, into w (3, 3); x and y (3, n) are for work."""
     offset, block, start, H, m_start, _, minv = blocks
@@ -191,7 +191,7 @@ def diagonal_block(blocks, c, rows, x, y, w):
     w[1, 0], w[2, 0], w[2, 1] = w[0, 1], w[0, 2], w[1, 2]
 
 
-@in_place
+@no_alloc
 def widest(offset):
     """Coordinates of the largest block."""
     most = 0
@@ -210,7 +210,7 @@ def delassus_scales(blocks, out):
         out[c] = largest_eigenvalue(w)
 
 
-@in_place
+@no_alloc
 def unite(parent, a, b):
     """Join the components of a and b in a union-find forest; the smaller root stays."""
     while parent[a] != a:
@@ -225,7 +225,7 @@ def unite(parent, a, b):
         parent[a] = b
 
 
-@in_place
+@no_alloc
 def number(parent, label):
     """Number the components of a union-find forest of `unite` by their first members, into label; how many."""
     found = 0

@@ -2,13 +2,13 @@
 
 import math
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import square
 
 ROUNDING = 2.0**-52
 
 
-@in_place(inline="always")
+@no_alloc(inline="always")
 def project(zn, z1, z2, mu):
     """Projection of (zn, z1, z2) on K = {|r_T| <= mu r_N}; returns three scalars."""
     t = math.sqrt(z1 * z1 + z2 * z2)
@@ -21,7 +21,7 @@ def project(zn, z1, z2, mu):
     return pn, s * z1, s * z2
 
 
-@in_place
+@no_alloc
 def projection_jacobian(zn, z1, z2, mu, D):
     """Element of the generalised Jacobian of the projection at z, into D (3, 3); symmetric, between 0 and I."""
     D[:] = 0.0
@@ -41,7 +41,7 @@ def projection_jacobian(zn, z1, z2, mu, D):
         D[1, 2] = D[2, 1] = e * a * b
 
 
-@in_place
+@no_alloc
 def into_cones(r, mu, out):
     """P_K(r), into out (3 nc,); returns whether that is more than round-off away from r."""
     moved = False
@@ -54,14 +54,14 @@ def into_cones(r, mu, out):
     return moved
 
 
-@in_place
+@no_alloc
 def jacobians(z, mu, D):
     """`projection_jacobian` at z (nc, 3) of every contact, into D (nc, 3, 3)."""
     for c in range(mu.size):
         projection_jacobian(z[c, 0], z[c, 1], z[c, 2], mu[c], D[c])
 
 
-@in_place
+@no_alloc
 def measures(W_diagonal, u, r, mu):
     """(error, residual) of an impulse r and its velocity u.
 
@@ -86,14 +86,14 @@ def measures(W_diagonal, u, r, mu):
     return math.sqrt(total), worst
 
 
-@in_place
+@no_alloc
 def measure_at(W_diagonal, u, r, mu, q_norm):
     """Larger of the literature's error and the residual in m/s of an impulse r and its velocity u."""
     error, residual = measures(W_diagonal, u, r, mu)
     return max(residual, error / q_norm)
 
 
-@in_place
+@no_alloc
 def round_off(W_diagonal, q, r, q_norm):
     """What rounding leaves of the measures of an impulse r: see `FC3D.round_off`."""
     most, total = 0.0, 0.0
@@ -103,7 +103,7 @@ def round_off(W_diagonal, q, r, q_norm):
     return ROUNDING * max(4.0 * most, math.sqrt(total) / q_norm)
 
 
-@in_place
+@no_alloc
 def duality_gap(u, r, mu):
     """(Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
     gap, shift = 0.0, 0.0
@@ -116,7 +116,7 @@ def duality_gap(u, r, mu):
     return max(gap, 0.0), math.sqrt(shift)
 
 
-@in_place
+@no_alloc
 def _slip(W, q0, q1, q2, alpha):
     """Impulse with u_N = 0 and u_T = -alpha r_T: returns r_N, r_T1, r_T2."""
     a, b, c, d = W[1, 1] + alpha, W[1, 2], W[2, 1], W[2, 2] + alpha
@@ -130,7 +130,7 @@ def _slip(W, q0, q1, q2, alpha):
     return rn, x1 + y1 * rn, x2 + y2 * rn
 
 
-@in_place
+@no_alloc
 def _quartic(W, q0, q1, q2, mu):
     """Root alpha of |r_T| = mu r_N along `_slip` by Newton's method, not to be relied on.
 
@@ -162,7 +162,7 @@ def _quartic(W, q0, q1, q2, mu):
     return alpha
 
 
-@in_place
+@no_alloc
 def slide(W, q0, q1, q2, mu):
     """`coulomb` of a contact that neither takes off nor sticks: the root of |r_T| = mu r_N along `_slip`.
 
@@ -209,14 +209,14 @@ def slide(W, q0, q1, q2, mu):
     return rn, s * r1, s * r2
 
 
-@in_place
+@no_alloc
 def _singular(W):
     """Whether W_TT is singular: the point cannot move in a tangential direction."""
     tau = 0.5 * (W[1, 1] + W[2, 2])
     return W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1] <= 1e-14 * tau * tau
 
 
-@in_place
+@no_alloc
 def coulomb(W, q0, q1, q2, mu):
     """Exact solution of the one-contact problem u = W r + q, K* ∋ u_hat ⟂ r ∈ K: returns r_N, r_T1, r_T2.
 
@@ -234,7 +234,7 @@ def coulomb(W, q0, q1, q2, mu):
     return slide(W, q0, q1, q2, mu)
 
 
-@in_place
+@no_alloc
 def largest_eigenvalue(W):
     """Largest eigenvalue of the symmetric part of a 3x3 block (trigonometric form)."""
     a, b, c = W[0, 0], W[1, 1], W[2, 2]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.blocks import block_product, relative_velocity, relative_velocity_of, weighted_rows
 from nsdyn._kernels.problem.cones import ROUNDING, duality_gap, into_cones, project, projection_jacobian
 from nsdyn._kernels.reductions import largest
@@ -14,13 +14,13 @@ UNITS = 4.0
 """Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
 
 
-@in_place(inline="always")
+@no_alloc(inline="always")
 def _opening(o, i, mu):
     """κ = o_N - mu |o_T| of the contact whose rows begin at i: o is in κ e_N + K*."""
     return o[i] - mu * math.sqrt(o[i + 1] * o[i + 1] + o[i + 2] * o[i + 2])
 
 
-@in_place
+@no_alloc
 def _step_along(u, s, margin, o, mu, speed):
     """A λ ≥ 0 with û + λ o in K* at every contact, û = u + s e_N; inf if there is none among the two tried.
 
@@ -45,7 +45,7 @@ def _step_along(u, s, margin, o, mu, speed):
     return speed
 
 
-@in_place
+@no_alloc
 def _round_off(u, r, scales):
     """Round-off of velocities in the kinetic norm, √J: of M⁻¹ H_c r_c, up to √λ_max(W_cc) |r_c|, and of u.
 
@@ -79,7 +79,7 @@ def certificate(u, r, o, mu, scales):
     return gap, shift, speed, step, total + least
 
 
-@in_place
+@no_alloc
 def frozen(u, s, margin, r, o, mu, speed):
     """(λ, Σ r·(û + λ o)) of `_step_along`."""
     step, total = _step_along(u, s, margin, o, mu, speed), 0.0
@@ -120,13 +120,13 @@ def certificate_of(blocks, u, r, mu, scales, d, out):
     return False, gap, shift, speed, step, total, square
 
 
-@in_place(inline="always")
+@no_alloc(inline="always")
 def _pulled(o, b, x, rho, i):
     """x + ρ (b - o) of the contact whose rows begin at i."""
     return x[i] + rho * (b[i] - o[i]), x[i + 1] + rho * (b[i + 1] - o[i + 1]), x[i + 2] + rho * (b[i + 2] - o[i + 2])
 
 
-@in_place
+@no_alloc
 def merit(square, o, b, x, rho, mu, P):
     """½‖d‖²_M + Σ ‖P_K(x + ρ (b - o))‖² / 2ρ, from ‖d‖²_M and o = Hᵀ d; the projections into P (3 nc,)."""
     total = square
@@ -139,7 +139,7 @@ def merit(square, o, b, x, rho, mu, P):
     return 0.5 * total
 
 
-@in_place
+@no_alloc
 def curvature(o, b, x, rho, mu, A):
     """ρ ∂P_K at x + ρ (b - o), so that M + Σ H_c A_c H_cᵀ is the second derivative of `merit`, into A (nc, 3, 3)."""
     for c in range(mu.size):

@@ -1,9 +1,9 @@
 """Products with a W that is given in 3 x 3 blocks: (rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3))."""
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 
 
-@in_place
+@no_alloc
 def velocity_of(W, q, r, c):
     """u_c = (W r + q)_c of contact c: three scalars."""
     indptr, indices, data = W
@@ -17,14 +17,14 @@ def velocity_of(W, q, r, c):
     return u0, u1, u2
 
 
-@in_place
+@no_alloc
 def velocity(W, q, r, u):
     """u = W r + q, into u (3 nc,)."""
     for c in range(W[0].size - 1):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(W, q, r, c)
 
 
-@in_place
+@no_alloc
 def stiffened(W, A, S):
     """I + A W for blocks A (nc, 3, 3), into S (3 nc, 3 nc)."""
     indptr, indices, data = W

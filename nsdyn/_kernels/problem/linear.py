@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 
 
-@in_place
+@no_alloc
 def factorise(S, pivot, low, end):
     """LU with partial pivoting in place of S (n, n); False when S is singular or not finite.
 
@@ -46,7 +46,7 @@ def factorise(S, pivot, low, end):
     return True
 
 
-@in_place
+@no_alloc
 def substitute(S, pivot, low, end, b):
     """Solution of the factorised system in place of b."""
     n = pivot.size

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.blocks import diagonal_block, widest
 from nsdyn._kernels.vectors import row, square, three
 
 
-@in_place
+@no_alloc
 def stopped(q, u, r, nc):
     """(most |q_N|, most |u_T - q_T|) of the first nc contacts that are pressed, m/s."""
     load = change = 0.0
@@ -71,7 +71,7 @@ def ambiguous(blocks, mu, u, r, out):
     return some
 
 
-@in_place
+@no_alloc
 def _slipping(w, q, mu, t1, t2):
     """(s, s u_T) of slip along t under an impulse r_N (1, -μ t) that leaves u_N = s r_N + q_N = 0; w is half of W."""
     s = w[0] - mu * (w[1] * t1 + w[2] * t2)
@@ -80,7 +80,7 @@ def _slipping(w, q, mu, t1, t2):
     return s, u1, u2
 
 
-@in_place
+@no_alloc
 def _across(w, q, mu, t1, t2):
     """How far that is across t."""
     _, u1, u2 = _slipping(w, q, mu, t1, t2)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 
 
 @kernel
@@ -18,7 +18,7 @@ def dense_pattern(offset, block):
     return n * np.arange(n), slot, offset
 
 
-@in_place
+@no_alloc
 def assemble(blocks, A, indptr, begin, slot, diagonal, data):
     """K = M + Σ H_c A_c H_cᵀ in such a layout, where block k begins at begin[k], into data."""
     offset, block, start, H, m_start, m, _ = blocks

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.lanes import WIDTH, add, dot
+from nsdyn._kernels.compiled import kernel, no_alloc
+from nsdyn._kernels.simd import WIDTH, add, dot
 from nsdyn._kernels.sorting import order as sorted_by
 
 PAIR = np.uint64(2 * WIDTH)  # numbers in a row of both bodies
@@ -75,7 +75,7 @@ def unit_rows(blocks, G, mu, order):
     return out.reshape(-1), body, np.zeros(WIDTH * (offset.size - 1 + STILL))
 
 
-@in_place(inline="always")
+@no_alloc(inline="always")
 def read(rows, c, body, v):
     """Ĥ_cᵀ v̂: normal, first and second tangent."""
     # Unsigned: the compiler need not ask whether an index counts from the end.
@@ -83,13 +83,13 @@ def read(rows, c, body, v):
     return dot(rows, o, v, a, b), dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
 
 
-@in_place(inline="always")
+@no_alloc(inline="always")
 def apply(z, rows, c, body, v):
     """v̂ += Ĥ_c z, z = (z_N, z_T1, z_T2) or (z_N,)."""
     add(z, rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
 
 
-@in_place
+@no_alloc
 def diagonal(rows, c, w):
     """W_cc = Ĥ_cᵀ Ĥ_c, into w (3, 3)."""
     first = 6 * WIDTH * c

@@ -4,18 +4,18 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
-from nsdyn._kernels.lanes import dot
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.cones import measure_at, project
 from nsdyn._kernels.problem.given import velocity, velocity_of
 from nsdyn._kernels.problem.unit_mass import CONTACT, PAIR, apply, diagonal, factors, independent, read, unit_rows
 from nsdyn._kernels.reductions import copy
+from nsdyn._kernels.simd import dot
 
 ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
 CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
 
 
-@in_place
+@no_alloc
 def _local_step(w, mu, out):
     """1/W_NN, W_TN and 1/lambda_max(W_TT) of a contact, into out (4,); zeros for a missing row."""
     out[0] = 1.0 / w[0, 0] if w[0, 0] > 0.0 else 0.0
@@ -35,7 +35,7 @@ def local_steps(rows, mu):
     return out
 
 
-@in_place
+@no_alloc
 def sweep(awake, factors, given, state, keep):
     """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
 
@@ -76,7 +76,7 @@ def sweep(awake, factors, given, state, keep):
                 t[c] = max(1.0, keep * t[c])
 
 
-@in_place
+@no_alloc
 def extrapolate(awake, factors, mu, state):
     """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it; of contacts awake."""
     (rows, body, _), (r, x, v, t) = factors, state
@@ -99,7 +99,7 @@ def extrapolate(awake, factors, mu, state):
             apply((y0 - r0, y1 - r1, y2 - r2), rows, c, body, v)
 
 
-@in_place
+@no_alloc
 def refresh(factors, r, v):
     """v = Ĥ r."""
     rows, body, _ = factors
@@ -109,7 +109,7 @@ def refresh(factors, r, v):
             apply((r[c, 0], r[c, 1], r[c, 2]), rows, c, body, v)
 
 
-@in_place
+@no_alloc
 def measure(factors, given, r, v, u):
     """Larger of the error of the literature and the residual in m/s of an impulse r, given v = Ĥ r, into u W r + q."""
     (rows, body, _), (q, mu, scales, q_norm) = factors, given
@@ -119,7 +119,7 @@ def measure(factors, given, r, v, u):
     return measure_at(scales, u.reshape(-1), r.reshape(-1), mu, q_norm)
 
 
-@in_place
+@no_alloc
 def wake(u, last, r, x, awake):
     """Put the contacts worth a sweep first in `awake` and return their number.
 
@@ -202,7 +202,7 @@ def steps_of_matrix(W, mu):
     return out
 
 
-@in_place
+@no_alloc
 def sweep_matrix(W, steps, q, mu, r, x, t, keep):
     """`sweep` over all contacts of a block-sparse W, in place of r = y."""
     for c in range(mu.size):

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem import given
 from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, velocity, velocity_change
 from nsdyn._kernels.problem.cones import measure_at, measures
@@ -35,7 +35,7 @@ GOES_ON, SETTLED, FAILED = range(3)
 """Verdicts on a Newton step."""
 
 
-@in_place
+@no_alloc
 def projected(u, r, rho, mu, P, step):
     """P(u) of every contact, and P - r.
 
@@ -62,7 +62,7 @@ def projected(u, r, rho, mu, P, step):
             step[j] = P[j] - r[j]
 
 
-@in_place
+@no_alloc
 def stiffness(u, r, rho, mu, A):
     """A_c = -dP_c/du_c of every contact, into A (nc, 3, 3)."""
     for c in range(mu.size):
@@ -84,7 +84,7 @@ def stiffness(u, r, rho, mu, A):
         B[1, 2] = B[2, 1] = -k * x * y
 
 
-@in_place
+@no_alloc
 def defect(blocks, y, P, F, work):
     """F = M y - H P of a change P of impulses, into F (n,)."""
     offset, _, _, _, m_start, m, _ = blocks
@@ -94,7 +94,7 @@ def defect(blocks, y, P, F, work):
         F[i] = work[i] - F[i]
 
 
-@in_place
+@no_alloc
 def norms_of_islands(label, q, r, out):
     """The norm of q of every island into out (islands,); 1 where q is 0, and r is made 0 as well, its solution."""
     out[:] = 0.0
@@ -124,7 +124,7 @@ def measures_of_islands(label, scales, norms, u, r, mu, out):
             out[k] = error
 
 
-@in_place
+@no_alloc
 def settled(scales, u, shown, own, P, estimate):
     """Whether u is at the velocity `shown` of P, beside the multiplier step P - estimate, and the square of the rest.
 
@@ -141,7 +141,7 @@ def settled(scales, u, shown, own, P, estimate):
     return left <= max(PART * total, 1e-10 * weighed), left
 
 
-@in_place
+@no_alloc
 def judge(given, vectors, so_far):
     """The verdict on a Newton step: (`GOES_ON`, `SETTLED` or `FAILED`, and what goes on from `so_far`).
 

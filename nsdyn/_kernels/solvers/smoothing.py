@@ -16,10 +16,10 @@ and at constant z, with dr = κ du,
 
 import math
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 
 
-@in_place(inline="always")
+@no_alloc(inline="always")
 def _short(t, radius, s):
     """e = R - ‖r_T‖ > 0 with (R - e) (1 + s / (e (2 R - e))) = t, R the radius of the disk and s = 2 κ τ.
 
@@ -39,7 +39,7 @@ def _short(t, radius, s):
     return e
 
 
-@in_place
+@no_alloc
 def law(z, mu, kappa, tau, r, u, slip):
     """Solution (r, u) of the smoothed law for z, all (3 nc,), into r and u; λ and D into slip (nc, 2)."""
     for c in range(mu.size):
@@ -62,7 +62,7 @@ def law(z, mu, kappa, tau, r, u, slip):
             u[j] = -l * r[j]
 
 
-@in_place
+@no_alloc
 def stiffness(r, u, slip, mu, A):
     """A of every contact, into A (nc, 3, 3)."""
     for c in range(mu.size):
@@ -81,7 +81,7 @@ def stiffness(r, u, slip, mu, A):
         B[2, 0] = g * (B[2, 1] * x + B[2, 2] * y)
 
 
-@in_place
+@no_alloc
 def product(A, kappa, mu, x, out):
     """(A + κ) x of every contact, into out (3 nc,); tangents are 0 without friction, as they have no equation there."""
     for c in range(mu.size):
@@ -93,7 +93,7 @@ def product(A, kappa, mu, x, out):
                 out[i + j] = B[j, 0] * x[i] + B[j, 1] * x[i + 1] + B[j, 2] * x[i + 2] + k * x[i + j]
 
 
-@in_place
+@no_alloc
 def rate(r, u, slip, mu, kappa, tau, out):
     """dr / dlog τ at constant z, into out (3 nc,)."""
     for c in range(mu.size):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem import cones, given
 from nsdyn._kernels.reductions import copy
@@ -58,7 +58,7 @@ def small(problem, r, measure, aims, limits):
     return count, measure
 
 
-@in_place
+@no_alloc
 def closed_form(W, q, mu, r, u):
     """One contact in closed form, into r (3,) and u = W r + q."""
     r[0], r[1], r[2] = cones.coulomb(W, q[0], q[1], q[2], mu[0])
@@ -93,7 +93,7 @@ def part(problem, label, k, r, measure, aims, limits):
     return count, measure
 
 
-@in_place
+@no_alloc
 def change(label, k, r, u, mu, before):
     """Change of the velocities of contacts of island k that hold, from before to u (3 nc,), over these: the largest."""
     most, size = 0.0, 0.0
@@ -106,7 +106,7 @@ def change(label, k, r, u, mu, before):
     return most / size if size > 0.0 else 0.0
 
 
-@in_place(rounds=10)
+@no_alloc(rounds=10)
 def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good, limits):
     """Solve every island of few coordinates in place of r, where r is not good `enough`.
 
@@ -191,7 +191,7 @@ def widest(blocks, label):
     return out, found
 
 
-@in_place
+@no_alloc
 def alone(W, q, mu, scales, q_norm, r, u):
     """Solve a problem of one contact into r; u = W r + q into u. Returns 1 and measures, as `by_matrix`."""
     closed_form(W[0], q, mu, r, u)
@@ -224,7 +224,7 @@ def in_turn(problem, r, measure, tol, limits):
     return sweeps[0] + count
 
 
-@in_place(rounds=1000)
+@no_alloc(rounds=1000)
 def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most, length, penalty):
     """Solve a problem in place of r: lone contacts in closed form, others `in_turn`.
 

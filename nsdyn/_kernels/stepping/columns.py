@@ -31,19 +31,19 @@ from nsdyn._kernels.packing import indices, matrices, numbers, triples
 ) = range(18)
 BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 
-# The last of the floats: numbers, with the names that they have in `System`, `Closing`, `Auto` and `gauss`; then how
+# The last of the floats: numbers, with the names that they have in `System`, `GapRule`, `Auto` and `gauss`; then how
 # many there are in the rows of W of a contact at most, in how many contacts other solutions are looked for, and whether
 # Python has made the first half of the move.
 (
     WEIGHT,
     STEP,
     THETA,
-    CLOSED,
+    GAP_TOL,
     SHALLOW,
     UNTIL,
     DEPTH,
     FASTEST,
-    SLOW,
+    LEAST_PENETRATION,
     STILL,
     ELASTIC,
     HALF,
@@ -89,8 +89,8 @@ BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 ) = range(22)
 
 # First columns of a frame in a state, and in what is at work; of the quaternions those of free bodies are used.
-X, QUATERNION, R, LINEAR, ANGULAR, LOOKED, FRAME = 0, 3, 7, 16, 19, 22, 35
-R_THERE, REACH, LOOKED_THERE, NEAR, FRAME_WORK = 7, 16, 17, 30, 31
+X, QUATERNION, R, LINEAR, ANGULAR, DETECTED_AT, FRAME = 0, 3, 7, 16, 19, 22, 35
+R_THERE, REACH, DETECTED_THERE, NEAR, FRAME_WORK = 7, 16, 17, 30, 31
 
 # Columns of the coordinates, behind those of the frames: how many these are, and which.
 V, RATE = (FRAME, 0), (FRAME, 1)
@@ -112,7 +112,7 @@ FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, COUPLE, CON
 )
 FRAMES, SCALES, ROWS = 15, 24, 25
 BLOCKS, STARTS, FOUND_NAMES, SIZE, MADE = 5, 7, 9, 0, 1
-LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, KEPT, CONTACT_WORK = (
+LOCAL, ALONE, FORESEEN, EXCESS_SPEED, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, KEPT, CONTACT_WORK = (
     0,
     15,
     30,
@@ -129,7 +129,7 @@ LOCAL, ALONE, FORESEEN, LATE, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, KEPT, 
 # former those that it meets; whether these are not all; keys of new ones; how often impulses may be sought once more;
 # whether they have been; whether couples act; how many contacts there is no room for; whether anything is so fast that
 # it might go unseen; whether Python has solved a problem; two of the clock.
-MIDDLE, END, MET, SOME, KEY_MIDDLE, KEY_END, PASSES_LEFT, AGAIN, TURNED, NEEDED, FAST, SOLVED, CLOCK = range(13)
+MIDDLE, END, ACTIVE, SOME, KEY_MIDDLE, KEY_END, PASSES_LEFT, AGAIN, TURNED, NEEDED, FAST, SOLVED, CLOCK = range(13)
 HEAD = CLOCK + 2
 
 # Flags of the contacts.
@@ -208,7 +208,7 @@ def velocity(f, k, size):
 
 @kernel(inline="always")
 def placed(f, k, n):
-    """(x, R, reach) of the columns from k on, as of `Looked`."""
+    """(x, R, reach) of the columns from k on, as of `DetectionPose`."""
     return vectors(f, k, n), rotations(f, k + 3, n), column(f, k + 12, n)
 
 

@@ -1,14 +1,14 @@
 """The contact law of a step: relative velocities and their offsets, slip, works.
 
 Rows come first for the contacts, three a contact (N, T1, T2), then for joint limits and joint friction. Names are those
-of `nsdyn.stepping.encounter`.
+of `nsdyn.stepping.contact_kinematics`.
 """
 
 import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics.motion import beyond_potential
 from nsdyn._kernels.problem.blocks import diagonal_block, relative_velocity, widest
 from nsdyn._kernels.stepping.touching import places
@@ -29,7 +29,7 @@ LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
 
 
-@in_place
+@no_alloc
 def warm_start(place, force, h, frame, r):
     """Impulses in h s of the world forces of old contacts, in the frames of those that go on, into r (3 nc,)."""
     for c in range(place.size):
@@ -40,7 +40,7 @@ def warm_start(place, force, h, frame, r):
                 r[3 * c + i] = h * (frame[c, i, 0] * p[0] + frame[c, i, 1] * p[1] + frame[c, i, 2] * p[2])
 
 
-@in_place
+@no_alloc
 def alone(k, names, gap, closed):
     """Whether contact k is the only one between its frames, or all others are open by more than it."""
     for other in range(gap.size):
@@ -50,8 +50,8 @@ def alone(k, names, gap, closed):
     return True
 
 
-@in_place
-def begin_velocities(place, begin, here, carried, transport, u):
+@no_alloc
+def begin_velocities(place, begin, here, carried, surface_velocity, u):
     """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
 
     Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
@@ -60,7 +60,7 @@ def begin_velocities(place, begin, here, carried, transport, u):
     go any way: that of a disk which lies almost flat goes round its rim a hundred times as fast as its points, and what
     is near enough to be met in a move is a contact of its own from the start. One of several goes as far as the bodies
     do, for where an edge slides across another nothing rolls. Surfaces that
-    move add `carried` (old contacts, 3) there, in world axes, and `transport` (3 nc,) here, in the frames; both are
+    move add `carried` (old contacts, 3) there, in world axes, and `surface_velocity` (3 nc,) here, in the frames; both are
     empty where none do. `begin` and `here` are those of `local_velocities`.
     """
     (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed) = begin
@@ -87,15 +87,15 @@ def begin_velocities(place, begin, here, carried, transport, u):
             w = along(along(w, -dot(total, w) / (1.0 + dot(n, m)), total), 2.0 * dot(m, w), n)
         for i in range(3):
             u[3 * c + i] = dot(row(frame[c], i), w)
-            if not there and transport.size:
-                u[3 * c + i] += transport[3 * c + i]
+            if not there and surface_velocity.size:
+                u[3 * c + i] += surface_velocity[3 * c + i]
 
 
-@in_place
+@no_alloc
 def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out):
     """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
 
-    Of the `velocities`, u_begin has the rows of the beginning; `drift` = u - u_begin, by which rows change though
+    Of the `velocities`, u_begin has the rows of the beginning; `jacobian_drift` = u - u_begin, by which rows change though
     nothing acts. end_gap = gap - ahead/2 drift_N, but for what the twists change: the parabola whose speed at the end
     of the step, `ahead` seconds later, is 0; of bodies that turn by more than `TURNS` nothing is foreseen.
 
@@ -123,61 +123,61 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     """
     local, end_gap, place = out
     v_begin, v, v_free = velocities
-    carried, transport, transport_end, press = surfaces
+    carried, surface_velocity, transport_end, joint_load = surfaces
     (_, angular), ((names, _, scalars), frame, _) = begin[2], here
     key, nc = names[4], names.shape[1]
-    u_begin, u, u_free, drift, guess = local[0], local[1], local[2], local[3], local[4]
+    u_begin, u, u_free, jacobian_drift, guess = local[0], local[1], local[2], local[3], local[4]
     relative_velocity(blocks, v, u)
     relative_velocity(blocks, v_free, u_free)
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(blocks, v_begin, u_begin)
     places(begin[0][0][4], key, place)
-    begin_velocities(place, begin, here, carried, transport, u_begin)
+    begin_velocities(place, begin, here, carried, surface_velocity, u_begin)
     places(warm[0], key, place)
     warm_start(place, warm[1], warm[2], frame, guess)
-    for i in range(transport.size):
-        u[i] += transport[i]
-        u_free[i] += transport[i]
+    for i in range(surface_velocity.size):
+        u[i] += surface_velocity[i]
+        u_free[i] += surface_velocity[i]
     for i in range(u.size):
-        drift[i] = u[i] - u_begin[i]
+        jacobian_drift[i] = u[i] - u_begin[i]
     for c in range(nc):
         spin = 0.0
         for f in (names[2, c], names[3, c]):
             if f >= 0:
                 spin = max(spin, dot(row(angular, f), row(angular, f)))
         if ahead * ahead * spin > TURNS * TURNS:
-            drift[3 * c], drift[3 * c + 1], drift[3 * c + 2] = 0.0, 0.0, 0.0
-        end_gap[c] = scalars[0, c] - 0.5 * ahead * drift[3 * c]
+            jacobian_drift[3 * c], jacobian_drift[3 * c + 1], jacobian_drift[3 * c + 2] = 0.0, 0.0, 0.0
+        end_gap[c] = scalars[0, c] - 0.5 * ahead * jacobian_drift[3 * c]
     # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
-    for i in range(transport.size):
-        drift[i] += transport_end[i] - transport[i]
-    for i in range(press.size):
-        u_free[i] += press[i]
+    for i in range(surface_velocity.size):
+        jacobian_drift[i] += transport_end[i] - surface_velocity[i]
+    for i in range(joint_load.size):
+        u_free[i] += joint_load[i]
 
 
 @kernel
-def foresee(blocks, mu, place, old_status, local, slides):
+def predict_sliding(blocks, mu, place, old_status, local, sliding):
     """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
 
     What stuck begins without slip, but for what the solver's tolerance left; of what is new nothing can be foreseen.
     `local` is what `local_velocities` gives.
     """
-    u_begin, u_free, drift, guess, most = local[0], local[2], local[3], local[4], widest(blocks[0])
+    u_begin, u_free, jacobian_drift, guess, most = local[0], local[2], local[3], local[4], widest(blocks[0])
     x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
-    for c in range(slides.size):
+    for c in range(sliding.size):
         i = 3 * c
-        slides[c] = False
+        sliding[c] = False
         if place[c] < 0 or old_status[place[c]] != 2:
             continue
         slip = math.sqrt(square(u_begin[i + 1]) + square(u_begin[i + 2]))
-        if slip <= 2.0 * math.sqrt(square(drift[i + 1]) + square(drift[i + 2])) or mu[c] == 0.0:
+        if slip <= 2.0 * math.sqrt(square(jacobian_drift[i + 1]) + square(jacobian_drift[i + 2])) or mu[c] == 0.0:
             continue
         diagonal_block(blocks, c, 3, x, y, W)
-        press = max(0.0, -(u_free[i] + drift[i])) / W[0, 0] if W[0, 0] > 0.0 else 0.0
-        slides[c] = slip > mu[c] * max(press, guess[i]) * (W[1, 1] + W[2, 2])
+        joint_load = max(0.0, -(u_free[i] + jacobian_drift[i])) / W[0, 0] if W[0, 0] > 0.0 else 0.0
+        sliding[c] = slip > mu[c] * max(joint_load, guess[i]) * (W[1, 1] + W[2, 2])
 
 
-@in_place
+@no_alloc
 def left_open(gap, u, ahead, closed):
     """Gap with which a contact that stays is to end a move, G without speed there, that it begins with the speed u, m.
 
@@ -188,7 +188,7 @@ def left_open(gap, u, ahead, closed):
     return min(max(LEFT * (gap + ahead * u), -MOST_LEFT * closed), MOST_LEFT * closed)
 
 
-@in_place
+@no_alloc
 def off(gap, r, stays, closed, out):
     """Which rows stay and are pressed, but end a move with a gap (rows,), into out (rows,); whether any does."""
     some = False
@@ -199,10 +199,10 @@ def off(gap, r, stays, closed, out):
 
 
 @kernel
-def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
-    """Correct G and `late` (rows,) of rows that are `off` (rows,): they end with other gaps (rows,) and speeds.
+def end_otherwise(off, gap, key, ended, local, sizes, end_gap, excess_speed):
+    """Correct G and `excess_speed` (rows,) of rows that are `off` (rows,): they end with other gaps (rows,) and speeds.
 
-    Of ended = (names, speeds, speeds of joint rows) contacts with the names `key` (nc,) have the first there; `late` is
+    Of ended = (names, speeds, speeds of joint rows) contacts with the names `key` (nc,) have the first there; `excess_speed` is
     by how much these are more than foreseen, m/s. sizes = (h₂, what counts as closed). Not `off` is what ends within
     `MOST_LEFT` of the latter where it should. A gap of more than the rows turn by, or than such speeds open, is that of
     another contact, under whose name one that has gone far is found again: it is not, either. Returns whether any is.
@@ -214,7 +214,7 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
     for c in range(off.size):
         if off[c]:
             i = 3 * c
-            left = left_open(end_gap[c], local[0, i] - late[c], ahead, closed)
+            left = left_open(end_gap[c], local[0, i] - excess_speed[c], ahead, closed)
             foreseen = (left - end_gap[c]) / ahead
             if c >= nc:
                 more = ended[2][c - nc] - foreseen
@@ -226,70 +226,70 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, late):
             off[c] = MOST_LEFT * closed < abs(gap[c] - left) <= ahead * max(bent, abs(more))
             if off[c]:
                 end_gap[c] += gap[c] - left
-                late[c], some = more, True
+                excess_speed[c], some = more, True
     return some
 
 
-@in_place
-def offsets(local, laws, stays, slides, b):
+@no_alloc
+def offsets(local, laws, stays, sliding, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
     Normal: u_free + drift, plus the speed at which a gap closes where it is open, or of either sign but for what is
-    `left_open` where a row `stays` (rows,), empty for none, minus what is kept of an impact (`rebound`, empty for
+    `left_open` where a row `stays` (rows,), empty for none, minus what is kept of an impact (`u_after_impact`, empty for
     none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
     where a contact slides through. What parts, at u - drift, and is pressed all the same comes back no faster than it
     parted, but for what an impact gave: its normal impulse does no positive work. `local` is what `local_velocities`
     gives; laws = (end_gap, restitution, rebound, late, closing), closing = (closed, shallow, ahead, until) as of
-    `Closing`: gaps up to `closed` count as none, those up to `shallow` close just when the next impulses act, `until`
-    seconds later, and others, and those that may rebound, within the step; `late` is that of `Encounter`.
+    `GapRule`: gaps up to `closed` count as none, those up to `shallow` close just when the next impulses act, `until`
+    seconds later, and others, and those that may rebound, within the step; `excess_speed` is that of `ContactKinematics`.
     """
-    u, u_free, drift = local[1], local[2], local[3]
-    end_gap, restitution, rebound, late, (closed, shallow, ahead, until) = laws
+    u, u_free, jacobian_drift = local[1], local[2], local[3]
+    end_gap, restitution, u_after_impact, excess_speed, (closed, shallow, ahead, until) = laws
     for c in range(end_gap.size):
         i = 3 * c
-        b[i] = u_free[i] + drift[i]
+        b[i] = u_free[i] + jacobian_drift[i]
         soon = abs(end_gap[c]) > shallow or restitution[c] > 0.0
         if stays.size > c and stays[c]:
-            gap = end_gap[c] - (left_open(end_gap[c], local[0, i] - late[c], ahead, closed) if soon else 0.0)
+            gap = end_gap[c] - (left_open(end_gap[c], local[0, i] - excess_speed[c], ahead, closed) if soon else 0.0)
         else:
             gap = end_gap[c] if end_gap[c] > closed else 0.0
-        close, part = gap / (ahead if soon else until), u[i] - drift[i]
-        given = rebound[c] if rebound.size > 0 else 0.0
+        close, part = gap / (ahead if soon else until), u[i] - jacobian_drift[i]
+        given = u_after_impact[c] if u_after_impact.size > 0 else 0.0
         parts = not (stays.size > c and stays[c]) and given == 0.0 and ahead * part > closed
         b[i] += (max(close, part) if parts else close) - given
-        if slides.size > c and slides[c]:
+        if sliding.size > c and sliding[c]:
             b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
         else:
-            b[i + 1], b[i + 2] = u_free[i + 1] + drift[i + 1], u_free[i + 2] + drift[i + 2]
+            b[i + 1], b[i + 2] = u_free[i + 1] + jacobian_drift[i + 1], u_free[i + 2] + jacobian_drift[i + 2]
 
 
-@in_place
-def reconsider(solution, local, slides, back):
-    """Change `slides` (nc,) where the solution (r, y, b, mu), y = W r + b, shows otherwise, and tell whether any has.
+@no_alloc
+def reconsider(solution, local, sliding, back):
+    """Change `sliding` (nc,) where the solution (r, y, b, mu), y = W r + b, shows otherwise, and tell whether any has.
 
     One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
     stop but slips on in the direction it had slides through, unless it is only looked `back`.
     """
-    (r, y, b, mu), (u_begin, u, u_free, drift) = solution, (local[0], local[1], local[2], local[3])
+    (r, y, b, mu), (u_begin, u, u_free, jacobian_drift) = solution, (local[0], local[1], local[2], local[3])
     some = False
-    for c in range(slides.size):
+    for c in range(sliding.size):
         i = 3 * c
         found = state(r, mu[c], i)
         # The relative velocities after the impulses, and at the end.
         p, q = y[i + 1] - b[i + 1] + u_free[i + 1], y[i + 2] - b[i + 2] + u_free[i + 2]
-        e, f = p + drift[i + 1], q + drift[i + 2]
-        if slides[c]:
+        e, f = p + jacobian_drift[i + 1], q + jacobian_drift[i + 2]
+        if sliding[c]:
             mean = (u[i + 1] + p) * e + (u[i + 2] + q) * f
             if found == 1 or (found == 2 and mean <= 0.0):
-                slides[c] = False
+                sliding[c] = False
                 some = True
         elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * e + u_begin[i + 2] * f > NO_SLIP * NO_SLIP:
-            slides[c] = True
+            sliding[c] = True
             some = True
     return some
 
 
-@in_place
+@no_alloc
 def state(r, mu, i):
     """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary) of rows i to i + 2."""
     if r[i] <= 0.0:
@@ -297,15 +297,15 @@ def state(r, mu, i):
     return 1 if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9) else 2
 
 
-@in_place
+@no_alloc
 def states(r, mu, out):
     """`state` of every contact, into out (nc,)."""
     for c in range(out.size):
         out[c] = state(r, mu[c], 3 * c)
 
 
-@in_place
-def outcome(bodies, move, velocities, rows, r, lasting, slow, out):
+@no_alloc
+def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
     """How a step ends at its contacts and joint rows: states, works [J], relative velocities, forces in world axes.
 
     Into out = (status, normal, friction, u_end, world), from what is `lasting`, (stays, sticks, works of couples) as of
@@ -317,14 +317,14 @@ def outcome(bodies, move, velocities, rows, r, lasting, slow, out):
     they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays
     closed, with its couple, or was struck, normal, and sticks, tangential; joint rows always do work.
     """
-    blocks, transport, mu, local, frame = rows
+    blocks, surface_velocity, mu, local, frame = rows
     stays, sticks, turned, struck = lasting
-    u, drift, (h, _) = local[1], local[3], move
+    u, jacobian_drift, (h, _) = local[1], local[3], move
     status, normal, friction, u_end, world = out
     nc = status.size
     relative_velocity(blocks, velocities[2], u_end)
-    for i in range(transport.size):
-        u_end[i] += transport[i]
+    for i in range(surface_velocity.size):
+        u_end[i] += surface_velocity[i]
     impact, slip, rest = 0.0, 0.0, 0.0
     for c in range(normal.size):
         i = 3 * c
@@ -332,7 +332,7 @@ def outcome(bodies, move, velocities, rows, r, lasting, slow, out):
         normal[c] = 0.5 * (u[i] + u_end[i]) * r[i]
         friction[c] = 0.5 * ((u[i + 1] + u_end[i + 1]) * r[i + 1] + (u[i + 2] + u_end[i + 2]) * r[i + 2])
         for j in range(3):
-            u_end[i + j] += drift[i + j]
+            u_end[i + j] += jacobian_drift[i + j]
         nothing = held = False
         if c < nc:
             status[c] = state(r, mu[c], i)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.stepping.law import NO_SLIP
@@ -46,7 +46,7 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
     ((begin_names, _, scalars), closed, h), (stays, sticks, was), key = begin, out, names[4]
     begin_gap = scalars[0]
     some = False
-    u_begin, u, u_free, drift = local[0], local[1], local[2], local[3]
+    u_begin, u, u_free, jacobian_drift = local[0], local[1], local[2], local[3]
     before = np.empty(key.size, np.int64)
     places(begin_names[4], key, before)
     last_status(names, geoms, warm, was)
@@ -63,8 +63,8 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
         else:
             known, gap, old = True, limits[0][c - nc], 2 if limits[1][c - nc] else 0
         speed = math.sqrt(square(u_begin[i]) + square(u_begin[i + 1]) + square(u_begin[i + 2]))
-        bent = math.sqrt(square(drift[i]) + square(drift[i + 1]) + square(drift[i + 2]))
-        still = STILL * (abs(u_free[i] - u[i]) + max(0.0, -drift[i])) - LEFT * (speed + bent)
+        bent = math.sqrt(square(jacobian_drift[i]) + square(jacobian_drift[i + 1]) + square(jacobian_drift[i + 2]))
+        still = STILL * (abs(u_free[i] - u[i]) + max(0.0, -jacobian_drift[i])) - LEFT * (speed + bent)
         if gap < -2.0 * closed or (old == 0 and (not known or gap > closed or abs(u_begin[i]) >= still)):
             continue
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
@@ -73,13 +73,13 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
             sticks[c] = old == 1 or (stays[c] and old == 0 and slip <= still)
             if old == 0 and slip > max(still, NO_SLIP):
                 was[c] = 2
-        if stays[c] and abs(end_gap[c]) <= closed and abs(drift[i]) * h <= STILL * closed:
+        if stays[c] and abs(end_gap[c]) <= closed and abs(jacobian_drift[i]) * h <= STILL * closed:
             end_gap[c] = 0.0
         some = some or stays[c]
     return some
 
 
-@in_place
+@no_alloc
 def spin_of(f, free, R, v):
     """Angular velocity of frame f, that of a free body or of one that stands still, world axes."""
     if f < 0 or f >= free:
@@ -89,7 +89,7 @@ def spin_of(f, free, R, v):
     return dot(row(R[f], 0), w), dot(row(R[f], 1), w), dot(row(R[f], 2), w)
 
 
-@in_place
+@no_alloc
 def add_couple(f, sign, couple, R, inverse_J, dv):
     """Add to dv what a couple in world axes does to frame f, unless that stands still."""
     if f >= 0:
@@ -99,7 +99,7 @@ def add_couple(f, sign, couple, R, inverse_J, dv):
                 dv[6 * f + 3 + i] += sign * inverse_J[f, i, j] * own[j]
 
 
-@in_place
+@no_alloc
 def holds(i, r, y, mu):
     """Whether the contact of the rows from i on does not slip, at r and y = W r + b."""
     if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9):
@@ -144,48 +144,48 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     """
     names, normal = contacts[0], contacts[1][1]
     geom1, geom2, frame1, frame2 = names[0], names[1], names[2], names[3]
-    (R, inverse_J, arm, h), (r, y, mu, transport, exact) = bodies, pressed
+    (R, inverse_J, arm, h), (r, y, mu, surface_velocity, exact) = bodies, pressed
     couple, dv, left, other = found
-    stays, sticks, slides = flags
+    stays, sticks, sliding = flags
     free, nc, some = inverse_J.shape[0], geom1.size, False
     u = np.empty(r.size)
     relative_velocity(blocks, mean, u)
-    for i in range(transport.size):
-        u[i] += transport[i]
+    for i in range(surface_velocity.size):
+        u[i] += surface_velocity[i]
     dv[:] = 0.0
     other[:] = False
     first = 0
     while first < nc:
-        last, work, press, held, before = first, 0.0, 0.0, False, 0.0
+        last, work, joint_load, held, before = first, 0.0, 0.0, False, 0.0
         while last < nc and geom1[last] == geom1[first] and geom2[last] == geom2[first]:
             i, before = 3 * last, max(before, left[last])
             if stays[last] and r[i] > 0.0:
-                press += r[i]
+                joint_load += r[i]
                 work += r[i] * u[i]
-                if sticks[last] and not slides[last] and holds(i, r, y, mu[last]):
+                if sticks[last] and not sliding[last] and holds(i, r, y, mu[last]):
                     work += r[i + 1] * u[i + 1] + r[i + 2] * u[i + 2]
                     held = True
             last += 1
         a, b, most, size, turning = frame1[first], frame2[first], 0.0, 0.0, (0.0, 0.0, 0.0)
-        if press > 0.0 and a < free and b < free:
+        if joint_load > 0.0 and a < free and b < free:
             size = max(arm[a] if a >= 0 else 0.0, arm[b] if b >= 0 else 0.0)
             turning = along(spin_of(b, free, R, mean), -1.0, spin_of(a, free, R, mean))
             if not held:
                 turning = along(turning, -dot(row(normal, first), turning), row(normal, first))
-            most = ARM * press * h * math.sqrt(dot(turning, turning)) * size
-        if most > NO_ARM * press * size:
+            most = ARM * joint_load * h * math.sqrt(dot(turning, turning)) * size
+        if most > NO_ARM * joint_load * size:
             speed = math.sqrt(dot(turning, turning))
             amount = min(max(-work / speed, -most), most)
             now = 0.0
             for c in range(first, last):
                 now += dot(row(couple, c), turning)
-            rest, scale = abs(amount * speed - now), press * size * speed
-            differ = rest > press * exact and (rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * before)
+            rest, scale = abs(amount * speed - now), joint_load * size * speed
+            differ = rest > joint_load * exact and (rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * before)
             left[first:last] = rest
             some = some or differ
             for c in range(first, last):
                 if differ:
-                    share = r[3 * c] / press if stays[c] and r[3 * c] > 0.0 else 0.0
+                    share = r[3 * c] / joint_load if stays[c] and r[3 * c] > 0.0 else 0.0
                     put(couple, c, times(share * amount / speed, turning))
                 other[c] = differ
             total = (0.0, 0.0, 0.0)
@@ -202,7 +202,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     return some
 
 
-@in_place
+@no_alloc
 def turns(v, free, h):
     """Whether any of the free bodies may turn on another by so much in h s that they have couples."""
     most = 0.0

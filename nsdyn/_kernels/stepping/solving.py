@@ -35,20 +35,20 @@ def thaw(blocks, some, before, after):
 
 
 @kernel
-def slips_otherwise(blocks, solution, local, slides, back, some, out):
+def update_sliding(blocks, solution, local, sliding, back, some, out):
     """`law.reconsider` contacts of the islands of which a row is among `some` (rows,), of all if that is empty.
 
     Into out (nc,) which slide otherwise than before; whether any does.
     """
-    nc, found = slides.size, False
+    nc, found = sliding.size, False
     for c in range(nc):
-        out[c] = slides[c]
-    if reconsider(solution, local, slides, back) and some.size > 0:
+        out[c] = sliding[c]
+    if reconsider(solution, local, sliding, back) and some.size > 0:
         anew = concerned(blocks, some)
         for c in range(nc):
             if not anew[c]:
-                slides[c] = out[c]
+                sliding[c] = out[c]
     for c in range(nc):
-        out[c] = slides[c] != out[c]
+        out[c] = sliding[c] != out[c]
         found = found or out[c]
     return found

@@ -5,7 +5,7 @@ Contacts are (names, points, scalars), as `nsdyn.collision.contacts.ContactSet` 
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.sorting import order, place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
 
@@ -13,7 +13,7 @@ LEAST = 5e-324
 """The least impulse there is, N·s."""
 
 
-@in_place
+@no_alloc
 def places(old_key, new_key, out):
     """Where every new key stands among the old ones, -1 where it does not, into out (nc,)."""
     known = 0
@@ -45,13 +45,13 @@ def known(key, old_key, old_gap, closed, out):
     return every
 
 
-@in_place
-def unmoved(looked, now, arm, tol):
+@no_alloc
+def unmoved(detected_at, now, arm, tol):
     """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far.
 
-    `looked` and `now` are (x, R, reach).
+    `detected_at` and `now` are (x, R, reach).
     """
-    (x, R, reach), (x_now, R_now, reach_now) = looked, now
+    (x, R, reach), (x_now, R_now, reach_now) = detected_at, now
     for f in range(arm.size):
         shift, turn = 0.0, 0.0
         for i in range(3):
@@ -63,14 +63,14 @@ def unmoved(looked, now, arm, tol):
     return True
 
 
-@in_place
-def look(looked, now, arm, tol, out):
+@no_alloc
+def detection_pose(detected_at, now, arm, tol, out):
     """Where contacts are looked for: each frame where it was until it moves by tol, or must see farther.
 
     What is found of a pair so depends on its two frames alone. As in `unmoved`, into out = (x, R, reach); whether all
     frames are where they were.
     """
-    (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out), every = looked, now, out, True
+    (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out), every = detected_at, now, out, True
     for f in range(arm.size):
         own = slice(f, f + 1)
         there, here = (x[own], R[own], reach[own]), (x_now[own], R_now[own], reach_now[own])
@@ -83,7 +83,7 @@ def look(looked, now, arm, tol, out):
     return every
 
 
-@in_place
+@no_alloc
 def approach_of(c, contacts, x, twists):
     """Normal velocity of contact c of frames at x with twists = (linear, angular), as of `begin_velocities`, m/s."""
     (names, points, _), (linear, angular) = contacts, twists
@@ -96,14 +96,14 @@ def approach_of(c, contacts, x, twists):
     return dot(row(points[1], c), w)
 
 
-@in_place
+@no_alloc
 def approach(contacts, x, twists, out):
     """`approach_of` of all contacts, into out (nc,)."""
     for c in range(out.size):
         out[c] = approach_of(c, contacts, x, twists)
 
 
-@in_place
+@no_alloc
 def weight_of(c, contacts, x, rates):
     """`weights` of contact c."""
     (names, points, _), (linear, angular) = contacts, rates
@@ -114,7 +114,7 @@ def weight_of(c, contacts, x, rates):
     return total
 
 
-@in_place
+@no_alloc
 def weights(contacts, x, rates, out):
     """How much faster free accelerations would make each contact approach, |a1·n| + |a2·n|, into out (nc,), m/s².
 
@@ -160,7 +160,7 @@ def striking_speed(contacts, x, twists, warm, geoms, closed):
     return least
 
 
-@in_place
+@no_alloc
 def turns_far(contacts, status, closed, spins, most, out):
     """Which contacts touch whose bodies turn faster than `most`, rad/s, into out (nc,).
 

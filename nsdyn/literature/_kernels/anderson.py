@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 
 
-@in_place
+@no_alloc
 def products(F, f, used, out):
     """F_j · f of the first `used` rows of F, into out."""
     ends = f.size // 4 * 4

@@ -12,13 +12,13 @@ where max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has on
 
 import math
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import dot, row, square
 
 START = 100.0  # first x and z: far inside, whatever the solution of a problem of unit size
 
 
-@in_place
+@no_alloc
 def start(q, mu, u, z):
     """First point: u_T = q_T, everything else far inside the cones."""
     for c in range(mu.size):
@@ -27,7 +27,7 @@ def start(q, mu, u, z):
         z[c, 0], z[c, 1], z[c, 2] = START, 0.0, 0.0
 
 
-@in_place
+@no_alloc
 def impulse(z, mu, unit, r):
     """Impulses of z in units of `unit`, into r (3 nc,)."""
     for c in range(mu.size):
@@ -35,7 +35,7 @@ def impulse(z, mu, unit, r):
         r[3 * c + 1], r[3 * c + 2] = z[c, 1] * unit, z[c, 2] * unit
 
 
-@in_place
+@no_alloc
 def defect(u, v, mu, F):
     """F = u - v for v = W r + q, into F (nc, 3); returns its largest entry."""
     worst = 0.0
@@ -46,14 +46,14 @@ def defect(u, v, mu, F):
     return worst
 
 
-@in_place
+@no_alloc
 def root(x):
     """(x_0² - ‖x_T‖²)^½ of a point of the Lorentz cone, kept above round-off."""
     t = math.sqrt(x[1] * x[1] + x[2] * x[2])
     return math.sqrt(max(x[0] - t, 1e-16 * x[0]) * (x[0] + t))
 
 
-@in_place
+@no_alloc
 def nesterov_todd(x, z, dx, dz, T, V):
     """Symmetric T with T z = T⁻¹ x of two points of the Lorentz cone and V = T⁻¹, into T and V (3, 3).
 
@@ -72,7 +72,7 @@ def nesterov_todd(x, z, dx, dz, T, V):
         B[1, 2] = B[2, 1] = e * k * w1 * w2
 
 
-@in_place
+@no_alloc
 def scaled_point(x, z, dx, dz, lam):
     """λ = T z = T⁻¹ x of `nesterov_todd`, into lam (3,), inside the cone also where both points are on its boundary."""
     g, e = math.sqrt(0.5 * (1.0 + dot(x, z) / (dx * dz))), math.sqrt(dx * dz)
@@ -82,7 +82,7 @@ def scaled_point(x, z, dx, dz, lam):
     lam[1], lam[2] = e * (a * x[1] + b * z[1]), e * (a * x[2] + b * z[2])
 
 
-@in_place
+@no_alloc
 def scalings(x, z, T, V, lam):
     """`nesterov_todd` of many points (n, 3), and λ = T z."""
     for c in range(x.shape[0]):
@@ -91,7 +91,7 @@ def scalings(x, z, T, V, lam):
         scaled_point(a, b, root(a), root(b), lam[c])
 
 
-@in_place
+@no_alloc
 def scaling(u, z, mu, T, V, C, A, lam):
     """T, V = T⁻¹, C, A and λ = T z of every contact; returns the mean of x·z."""
     total = 0.0
@@ -125,7 +125,7 @@ def scaling(u, z, mu, T, V, C, A, lam):
     return total / mu.size
 
 
-@in_place
+@no_alloc
 def target(lam, T, V, dx, dz, sigma, correct, d):
     """Solve λ ∘ d = σ e - λ ∘ λ - (T⁻¹ dx) ∘ (T dz), the last term (Mehrotra's) only when `correct`."""
     for c in range(lam.shape[0]):
@@ -148,7 +148,7 @@ def target(lam, T, V, dx, dz, sigma, correct, d):
         d[c, 2] = (b2 - d[c, 0] * l2) / l0
 
 
-@in_place
+@no_alloc
 def right_side(mu, V, A, d, F, g):
     """G = E T⁻¹ d + A F, into g (3 nc,)."""
     for c in range(mu.size):
@@ -161,7 +161,7 @@ def right_side(mu, V, A, d, F, g):
             g[3 * c + 1] = g[3 * c + 2] = 0.0
 
 
-@in_place
+@no_alloc
 def recover(mu, V, C, d, F, Wp, du, dx, dz):
     """Set du = W p - F, dx = C du, dz = T⁻¹ (d - T⁻¹ dx).
 
@@ -189,7 +189,7 @@ def recover(mu, V, C, d, F, Wp, du, dx, dz):
             dz[c, 1] = dz[c, 2] = 0.0
 
 
-@in_place
+@no_alloc
 def longest(u, z, du, dz):
     """Largest step that keeps u_N, z_N and the slack z_N - ‖z_T‖ (to first order) from becoming negative."""
     a = 1e300
@@ -207,7 +207,7 @@ def longest(u, z, du, dz):
     return a
 
 
-@in_place
+@no_alloc
 def move(mu, u, z, du, dz, a, nu, nz):
     """Points after a step a, into nu and nz; returns the mean of x·z there.
 
@@ -236,7 +236,7 @@ def move(mu, u, z, du, dz, a, nu, nz):
     return total / mu.size
 
 
-@in_place
+@no_alloc
 def centring(gap, after, full, worst, last):
     """Share of the gap to aim at: after the affine step `full`, with the defect `worst` and the last step `last`."""
     if last < 0.1:  # the last step hit the boundary at once

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.cones import coulomb, project, projection_jacobian
 from nsdyn._kernels.problem.given import velocity_of
 from nsdyn._kernels.vectors import square
@@ -12,14 +12,14 @@ from nsdyn._kernels.vectors import square
 PROJECTION, ITERATED, EXACT, ALART_CURNIER, JEAN_MOREAU, NATURAL, FISCHER_BURMEISTER = range(7)
 
 
-@in_place
+@no_alloc
 def _product(W, q, r, u):
     """u = W r + q."""
     for i in range(3):
         u[i] = W[i, 0] * r[0] + W[i, 1] * r[1] + W[i, 2] * r[2] + q[i]
 
 
-@in_place
+@no_alloc
 def _shifted(u, mu, out):
     """û = u + mu |u_T| e_N, into out."""
     out[0] = u[0] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
@@ -57,7 +57,7 @@ def iterate(W, q, mu, rho, goal, most, r):
     return most
 
 
-@in_place
+@no_alloc
 def _disk(predicted, u, r, mu, rho, F, A, B):
     """Alart–Curnier (predicted) and Jean–Moreau: F, A = ∂F/∂u, B = ∂F/∂r; A and B come as zeros."""
     a = r[0] - rho * u[0]
@@ -85,7 +85,7 @@ def _disk(predicted, u, r, mu, rho, F, A, B):
             A[1, 0], A[2, 0] = rho * mu * t1, rho * mu * t2
 
 
-@in_place
+@no_alloc
 def _natural(u, r, mu, rho, F, A, B):
     """Natural map: F, A = ∂F/∂u, B = ∂F/∂r."""
     slip = math.sqrt(u[1] * u[1] + u[2] * u[2])
@@ -102,7 +102,7 @@ def _natural(u, r, mu, rho, F, A, B):
             A[i, 2] += A[i, 0] * mu * u[2] / slip
 
 
-@in_place
+@no_alloc
 def _root(s0, s1, s2):
     """Square root of (s0, s_T) in the Jordan algebra of the cone."""
     size = math.sqrt(s1 * s1 + s2 * s2)
@@ -111,7 +111,7 @@ def _root(s0, s1, s2):
     return 0.5 * (low + high), f * s1, f * s2
 
 
-@in_place
+@no_alloc
 def _one_minus_quotient(w0, w1, w2, x0, x1, x2, out):
     """I - L_w⁻¹ L_x into out, L_w lifted by round-off where it is singular."""
     size = math.sqrt(w1 * w1 + w2 * w2)
@@ -129,7 +129,7 @@ def _one_minus_quotient(w0, w1, w2, x0, x1, x2, out):
         out[j, j] += 1.0
 
 
-@in_place
+@no_alloc
 def _fischer_burmeister(u, r, mu, rho, F, A, B):
     """Fischer–Burmeister: F, A = ∂F/∂u, B = ∂F/∂r; A and B come as zeros."""
     if mu == 0.0:
@@ -158,7 +158,7 @@ def _fischer_burmeister(u, r, mu, rho, F, A, B):
         A[i, 2] = A[i, 2] * rho * mu + (normal * mu * u[2] / slip if slip > 0.0 else 0.0)
 
 
-@in_place
+@no_alloc
 def element(kind, u, r, mu, rho, F, A, B):
     """F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; returns |F|."""
     A[:] = 0.0

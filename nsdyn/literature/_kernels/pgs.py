@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.blocks import (
     add_momentum,
     momentum,
@@ -42,7 +42,7 @@ class Factors(NamedTuple):
     inverse: np.ndarray
 
 
-@in_place
+@no_alloc
 def invert(W, S):
     """Inverse of a 3 x 3 block into S; 0 where it is singular to round-off."""
     c0 = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1]
@@ -95,7 +95,7 @@ def factors(blocks):
     return Factors(blocks, y, D, S)
 
 
-@in_place
+@no_alloc
 def solve_contact(W, own, S, c, b0, b1, b2, mu):
     """Impulse of contact c with free velocity b, three scalars; its block is W[own], S[c] its inverse, 0 without."""
     if b0 >= 0.0:
@@ -110,7 +110,7 @@ def solve_contact(W, own, S, c, b0, b1, b2, mu):
     return slide(W[own], b0, b1, b2, mu)
 
 
-@in_place
+@no_alloc
 def sweep_matrix(W, q, mu, r):
     """One Gauss–Seidel sweep in place: each contact solved exactly with the others frozen."""
     indptr, indices, data, inverse = W
@@ -131,7 +131,7 @@ def sweep_matrix(W, q, mu, r):
         r[3 * c], r[3 * c + 1], r[3 * c + 2] = solve_contact(data, own, inverse, k, b0, b1, b2, mu[c])
 
 
-@in_place
+@no_alloc
 def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
     blocks, y, diagonal, inverse = W

@@ -2,12 +2,12 @@
 
 import math
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.problem.cones import project
 from nsdyn._kernels.problem.given import velocity, velocity_of
 
 
-@in_place
+@no_alloc
 def operator(indptr, indices, data, q, mu, r, out):
     """F(r) = W r + q + mu |u_T| e_N, into out (3 nc,)."""
     velocity((indptr, indices, data), q, r, out)
@@ -16,7 +16,7 @@ def operator(indptr, indices, data, q, mu, r, out):
         out[i] += mu[c] * math.sqrt(out[i + 1] * out[i + 1] + out[i + 2] * out[i + 2])
 
 
-@in_place
+@no_alloc
 def step_on_cones(r, F, rho, mu, out):
     """P_K(r - rho F), into out (3 nc,)."""
     for c in range(mu.size):
@@ -25,7 +25,7 @@ def step_on_cones(r, F, rho, mu, out):
         out[i], out[i + 1], out[i + 2] = a
 
 
-@in_place
+@no_alloc
 def step_on_cylinders(r, F, rho, radius, out):
     """Projection of r - rho F on r_N >= 0, |r_T| <= radius, into out (3 nc,)."""
     for c in range(radius.size):
@@ -37,7 +37,7 @@ def step_on_cylinders(r, F, rho, radius, out):
         out[i + 1], out[i + 2] = s * x, s * y
 
 
-@in_place
+@no_alloc
 def cone_sweep(indptr, indices, data, q, mu, scales, r):
     """One projected Gauss–Seidel sweep of min ½ rᵀ W r + qᵀ r on the cones, in place of r."""
     for c in range(mu.size):
@@ -47,7 +47,7 @@ def cone_sweep(indptr, indices, data, q, mu, scales, r):
         r[i], r[i + 1], r[i + 2] = project(r[i] - rho * u0, r[i + 1] - rho * u1, r[i + 2] - rho * u2, mu[c])
 
 
-@in_place
+@no_alloc
 def cylinder_sweep(indptr, indices, data, q, radius, scales, normal, tangent, r):
     """One projected Gauss–Seidel sweep of min ½ rᵀ W r + qᵀ r on r_N >= 0, |r_T| <= radius, in place of r.
 

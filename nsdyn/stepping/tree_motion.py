@@ -7,26 +7,26 @@ from functools import cached_property
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _few
-from nsdyn.collision.contacts import Looked
+from nsdyn._kernels import reductions as _reductions
+from nsdyn.collision.contacts import DetectionPose
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Energies, Flow, Placement, Position
-from nsdyn.stepping.booking import tree_works
-from nsdyn.stepping.half import Callbacks, Half, corrected
-from nsdyn.stepping.instant import Instant
+from nsdyn.stepping.midpoint import Callbacks, Midpoint, corrected
+from nsdyn.stepping.scene_state import SceneState
+from nsdyn.stepping.step_result import tree_works
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Motion"]
+__all__ = ["TreeMotion"]
 
 
-class Motion:
+class TreeMotion:
     """The motion of one step, or of one move, of a scene with trees or under forces of the user.
 
     Parameters
     ----------
-    begin : Instant
-        As of `Flat.begin`.
-    half : Half
+    begin : SceneState
+        As of `FlatState.begin`.
+    mid : Midpoint
         The first half of the step.
 
     Attributes
@@ -41,8 +41,8 @@ class Motion:
         Where the last `end` was, and what led there.
     """
 
-    def __init__(self, begin: Instant, half: Half) -> None:
-        self._s, self._begin, self.half = half.s, begin, half
+    def __init__(self, begin: SceneState, mid: Midpoint) -> None:
+        self._s, self._begin, self.mid = mid.s, begin, mid
         self.begun = begin.placement.links
         self.v = self.impulse = np.empty(0)
         self.ends: tuple[Flow, ...] = ()
@@ -50,60 +50,60 @@ class Motion:
 
     def meets_nothing(self) -> bool:
         """Whether no joint is near its limits, none has dry friction, and no actuator is at its limit."""
-        return not (_few.any_below(self._begin.limits, self._s.closed) or self.has_rows())
+        return not (_reductions.any_below(self._begin.limits, self._s.gap_tol) or self.has_rows())
 
     def has_rows(self) -> bool:
         """Whether any joint has a row, by its limits, its friction or its actuator."""
-        d, half = self._s.dynamics, self.half
-        joints = d.joint_rows(half.middle.placement, half.middle.v, half.forces.v, half.h)
-        return d.with_actuators(joints, half.forces) is not None
+        d, mid = self._s.dynamics, self.mid
+        joints = d.joint_rows(mid.state.placement, mid.state.v, mid.forces.v, mid.h)
+        return d.with_actuators(joints, mid.forces) is not None
 
     def end(self, v: Array, impulse: Array) -> tuple[Position, Array, Placement, tuple[Array, Array]] | None:
         """Where the step ends whose forces leave v (n,), with the impulses H r (n,): (position, v, frames, twists).
 
         None where actuators are brought beyond their limits, and where numbers are.
         """
-        d, half = self._s.dynamics, self.half
-        if d.within_limits(half.middle, half.forces, v) is not half.forces:
+        d, mid = self._s.dynamics, self.mid
+        if d.within_limits(mid.state, mid.forces, v) is not mid.forces:
             return None
         self.impulse = impulse
-        position, v_end, place, self.ends = d.end(half.middle, half.forces, v, impulse, half.ahead, half.driven)
-        speed = _few.largest(v_end)
+        position, v_end, place, self.ends = d.end(mid.state, mid.forces, v, impulse, mid.ahead, mid.driven)
+        speed = _reductions.largest(v_end)
         if not speed * speed < math.inf:
             return None
         self.position, self.placement = position, place
         return position, v_end, place, d.twists(place, v_end)
 
-    def corrected(self, callbacks: Callbacks) -> Motion | None:
+    def corrected(self, callbacks: Callbacks) -> TreeMotion | None:
         """The motion with what callbacks say at the mean velocity of this one, v⁺ = v; None where that is the same."""
-        again = corrected(self._s, self._begin, self.half, self.v, callbacks)
-        return None if again is self.half else Motion(self._begin, again)
+        again = corrected(self._s, self._begin, self.mid, self.v, callbacks)
+        return None if again is self.mid else TreeMotion(self._begin, again)
 
-    def ended(self, v: Array, where: Looked) -> Instant | None:
+    def ended(self, v: Array, where: DetectionPose) -> SceneState | None:
         """The trees at the end, of velocity v (n,), and where contacts are looked for; None beyond limits of joints."""
         d, begin = self._s.dynamics, self._begin
         if not d.trees:
             return begin
         limits = d.limits(self.placement)
-        if limits.size and _few.least(limits) < -self._s.closed:
+        if limits.size and _reductions.least(limits) < -self._s.gap_tol:
             return None
         warm = begin.warm
         if warm.joints is not d.joints.no_impulses:
             warm = warm._replace(joints=d.joints.no_impulses)
         found = begin.contacts, limits, begin.memory, where
-        return Instant(self.position, v, self.placement, *found, warm, begin.twists, ())
+        return SceneState(self.position, v, self.placement, *found, warm, begin.twists, ())
 
     def told(self, before: Energies, own: Works) -> tuple[Works, Array, Array]:
         """Works of the trees, of loads and `own` ones, J, and `joints` and `links` as of `Impulses`.
 
         From the energies of the trees where it begins.
         """
-        s, d, own = self._s, self._s.dynamics, self.half.booked(own, self.half.middle.v, self.v)
+        s, d, own = self._s, self._s.dynamics, self.mid.booked(own, self.mid.state.v, self.v)
         if not d.trees:
             return own, d.no_impulses[1], d.no_push
         joints, links = np.zeros((7, d.n - 6 * d.free)), np.zeros((d.links, 6))
         acted = self.v, self.ends, self.impulse
-        own, self.energies = tree_works(s, before, self.half, *acted, self.position, (joints, links), own)
+        own, self.energies = tree_works(s, before, self.mid, *acted, self.position, (joints, links), own)
         return own, joints, links
 
     @cached_property

@@ -9,35 +9,35 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.dynamics.joints import NO_CLUTCHES, Rows
-from nsdyn.dynamics.values import Forces, Middle, Placement
-from nsdyn.stepping.between import Motion
-from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.flat import Found, looked, matrices, solved, vectors, velocity
-from nsdyn.stepping.half import SILENT, STILL_SURFACES, Half
-from nsdyn.stepping.instant import Instant, System
+from nsdyn.dynamics.joints import NO_CLUTCHES, ContactJacobian
+from nsdyn.dynamics.values import Forces, MidpointState, Placement
+from nsdyn.stepping.attempt import Attempt
+from nsdyn.stepping.contact_kinematics import ContactKinematics
+from nsdyn.stepping.flat_state import Found, detected_at, matrices, solved, vectors, velocity
+from nsdyn.stepping.midpoint import SILENT, STILL_SURFACES, Midpoint
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
-from nsdyn.stepping.trial import Trial
+from nsdyn.stepping.scene_state import SceneState, System
+from nsdyn.stepping.tree_motion import TreeMotion
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Made"]
+__all__ = ["KernelResult"]
 
 NOTHING = np.empty(0)
 
 
-class Made(NamedTuple):
+class KernelResult(NamedTuple):
     """What the kernel has made.
 
     Attributes
     ----------
     floats, acted, status : ndarray
-        The state at the end, as of `Flat`.
+        The state at the end, as of `FlatState`.
     work : ndarray
         What it worked with, columns of the bodies and of the contacts met.
     head : ndarray of int
         The first integers at work.
     flags : ndarray of bool, shape (FLAGS, nc)
-    found, met, end : Found
+    found, active, end : Found
         What was found where the impulses acted, what of that was met, and what was found at the end.
     whole : bool
         Whether it is all that was asked for: if not, a move as long as the step, which meets an event.
@@ -50,20 +50,20 @@ class Made(NamedTuple):
     head: Index
     flags: Bools
     found: Found
-    met: Found
+    active: Found
     end: Found
     whole: bool
 
-    def values(self, s: System, begin: Instant, t: float, h: float, motion: Motion | None) -> Trial:
+    def values(self, s: System, begin: SceneState, t: float, h: float, motion: TreeMotion | None) -> Attempt:
         """The move of h s from the time t as values; its motion where Python knows of it."""
         d, f, w, p = s.dynamics, self.floats, self.work, begin.position
         n, _ = size = d.frames, d.n
         b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
         found = self.found.contacts() if went else begin.contacts
         memory = found if went else begin.memory
-        half = self._half(s, begin, t, h) if motion is None else motion.half
-        where = looked(w, _col.LOOKED_THERE, n) if went else begin.looked
-        met = self.met.contacts() if self.head[_col.SOME] else found
+        mid = self._half(s, begin, t, h) if motion is None else motion.mid
+        where = detected_at(w, _col.DETECTED_THERE, n) if went else begin.detected_at
+        active = self.active.contacts() if self.head[_col.SOME] else found
         end, position = Placement(vectors(b, _col.X, n), matrices(b, _col.R, n), ()), p
         if motion is None or not d.trees:
             position = p.moved(end.x, b[3 * n : 7 * n].reshape(n, 4))
@@ -71,62 +71,64 @@ class Made(NamedTuple):
             end, position = motion.placement, motion.position
         twists = vectors(b, _col.LINEAR, n), vectors(b, _col.ANGULAR, n)
         found_there = found, d.limits(end), memory, where
-        moved = Instant(position, velocity(b, _col.V, size), end, *found_there, begin.warm, twists, ())
+        moved = SceneState(position, velocity(b, _col.V, size), end, *found_there, begin.warm, twists, ())
         if goes:
             end_found = self.end.contacts()
-            moved = moved._replace(contacts=end_found, memory=end_found, looked=looked(b, _col.LOOKED, n))
-        return Trial(
-            half=half,
+            moved = moved._replace(
+                contacts=end_found, memory=end_found, detected_at=detected_at(b, _col.DETECTED_AT, n)
+            )
+        return Attempt(
+            mid=mid,
             v=velocity(w, _col.V_PLUS, size),
             impulse=NOTHING if motion is None else motion.impulse,
             trees=() if motion is None else motion.ends,
             moved=moved,
-            **self._answer(s, begin, met, (half.forces.m, half.forces.minv)),
+            **self._answer(s, begin, active, (mid.forces.m, mid.forces.minv)),
         )
 
-    def _answer(self, s: System, begin: Instant, met: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:
-        """What is met, its problem, and the impulses, by the names of `Trial`."""
+    def _answer(self, s: System, begin: SceneState, active: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:
+        """What is met, its problem, and the impulses, by the names of `Attempt`."""
         n, nv = size = s.dynamics.frames, s.dynamics.n
         nc, f, w = self.status.size, self.floats, self.work
         a, own = f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :], w[_col.FRAME_WORK * n :]
         own = own[_col.COORDINATE_WORK * nv :]
-        rows = Rows(self.met.blocks(s.dynamics, masses), {}, *NO_CLUTCHES)
-        slides, stays, sticks = self.flags[:3, :nc]
-        problem, solution = solved(f, a, self.met, rows.full, s.solver.tol)
-        encounter = Encounter(
-            met,
+        rows = ContactJacobian(self.active.blocks(s.dynamics, masses), {}, *NO_CLUTCHES)
+        sliding, stays, sticks = self.flags[:3, :nc]
+        problem, solution = solved(f, a, self.active, rows.full, s.solver.tol)
+        kinematics = ContactKinematics(
+            active,
             None,
             rows,
-            self.met.frame,
-            met.mu,
-            met.restitution,
+            self.active.frame,
+            active.mu,
+            active.restitution,
             own[: 15 * nc].reshape(5, 3 * nc),
-            own[_col.FORESEEN * nc : _col.LATE * nc],
+            own[_col.FORESEEN * nc : _col.EXCESS_SPEED * nc],
             stays=stays,
             sticks=sticks,
             was=self.status,
-            late=own[_col.LATE * nc : _col.PROJECTED * nc],
+            excess_speed=own[_col.EXCESS_SPEED * nc : _col.PROJECTED * nc],
         )
         couple = NO_COUPLE
         if self.head[_col.TURNED]:
             works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, _col.TURN, size)
             couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
         return {
-            "met": encounter,
+            "kin": kinematics,
             "impact": None,
-            "slides": slides,
+            "sliding": sliding,
             "problem": problem,
             "solution": solution,
             "couple": couple,
         }
 
-    def _half(self, s: System, begin: Instant, t: float, h: float) -> Half:
+    def _half(self, s: System, begin: SceneState, t: float, h: float) -> Midpoint:
         """The first half of a move of h s of free bodies from the time t."""
         d, w = s.dynamics, self.work
         n, _ = size = d.frames, d.n
         x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
         there = Placement(x, matrices(w, _col.R_THERE, n), ())
-        middle = Middle(begin.position.moved(x, quaternion), velocity(w, _col.V_THERE, size), there, ())
+        middle = MidpointState(begin.position.moved(x, quaternion), velocity(w, _col.V_THERE, size), there, ())
         v_free = velocity(w, _col.V_FREE, size)
         forces = Forces(v_free, v_free, d.no_load, *d.masses[3:], ())
-        return Half(s, h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)
+        return Midpoint(s, h, t + h, middle, forces, v_free, STILL_SURFACES, SILENT)

@@ -1,20 +1,20 @@
-"""What a move need not leave alone. Names are those of `nsdyn.stepping.sight`."""
+"""What a move need not leave alone. Names are those of `nsdyn.stepping.active_set`."""
 
 import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.stepping.touching import approach_of, known, last_status, places, weight_of
 
 
-@in_place
+@no_alloc
 def rests_of(weight, e, bounces):
     """Speed of parting up to which a contact of restitution e rests, bounces = (½ dt, least 1 - e that counts)."""
     return bounces[0] * weight * max(1.0 - e, bounces[1])
 
 
-@in_place
+@no_alloc
 def parting(contacts, x, carried, twists, sizes, out):
     """Gaps, into out (nc,), infinite of elastic contacts that are closed, but part faster than what rests.
 
@@ -31,7 +31,7 @@ def parting(contacts, x, carried, twists, sizes, out):
 
 
 @kernel
-def caught(contacts, x, near, carried, twists, before, warm, sizes, barred, out):
+def captured(contacts, x, near, carried, twists, before, warm, sizes, located, out):
     """Which contacts a move need not leave alone, into out (nc,): those `known` of those before, and others.
 
     Those are shallow, neither of a pair barred nor elastic and striking.
@@ -52,7 +52,7 @@ def caught(contacts, x, near, carried, twists, before, warm, sizes, barred, out)
         keys, pairs, status.
     sizes : tuple
         Second half of the move, the move, s; tolerance, m/s; bounces as of `rests_of`.
-    barred : ndarray of int
+    located : ndarray of int
     out : ndarray of bool
     """
     (names, _, scalars), (inscribed, depth) = contacts, near
@@ -82,12 +82,12 @@ def caught(contacts, x, near, carried, twists, before, warm, sizes, barred, out)
             if before_gap[k] <= deep:  # what presses bears what is as near
                 for l in range(warm[1].size):
                     shallow = shallow or (warm[1][l] == pair and warm[2][l] > 0)
-        for b in barred:
+        for b in located:
             shallow = shallow and b != pair
         out[c] = shallow and (e == 0.0 or u > -(tol + rests_of(weight, e, bounces) / e))
 
 
-@in_place
+@no_alloc
 def touch(gap, u, change, sizes):
     """When a gap that ends a move with the speed u, which changed by `change`, is 0, s; infinite for never.
 
@@ -106,8 +106,8 @@ def touch(gap, u, change, sizes):
 
 
 @kernel
-def first_touch(ended, begun, met, joints, barred, sizes, wide, geoms):
-    """When a move first touches what is barred, and the least gap of that, as of `nsdyn.stepping.passage`.
+def first_touch(ended, begun, active, joints, located, sizes, wide, geoms):
+    """When a move first touches what is barred, and the least gap of that, as of `nsdyn.stepping.substepping`.
 
     Parameters
     ----------
@@ -116,10 +116,10 @@ def first_touch(ended, begun, met, joints, barred, sizes, wide, geoms):
         parting, (nc,), and twists of the free acceleration.
     begun : tuple
         Of the contacts where it begins (contacts, x, twists, what surfaces add).
-    met : (keys, normal impulses)
+    active : (keys, normal impulses)
     joints : (gaps, speeds where it ends, and where it begins)
         Of joint limits that are barred.
-    barred : ndarray of int
+    located : ndarray of int
         Pairs.
     sizes : (closed, tol, θ, h)
     wide, geoms : float, int
@@ -130,12 +130,12 @@ def first_touch(ended, begun, met, joints, barred, sizes, wide, geoms):
     key, gap = names[4], scalars[0]
     place, pressed, time, least = np.empty(key.size, np.int64), np.empty(key.size, np.int64), math.inf, wide
     places(begin_contacts[0][4], key, place)
-    places(met[0], key, pressed)
+    places(active[0], key, pressed)
     for c in range(key.size):
         apart = True
-        for code in barred:
+        for code in located:
             apart = apart and code != names[0, c] * geoms + names[1, c]
-        if apart or (pressed[c] >= 0 and met[1][pressed[c]] > 0.0):
+        if apart or (pressed[c] >= 0 and active[1][pressed[c]] > 0.0):
             continue
         u, k = approach_of(c, contacts, x, twists) + carried[c], place[c]
         if abs(gap[c]) > closed or u < -tol:

@@ -13,14 +13,14 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.ledger import Ledger, Works
 from nsdyn.problem.gauss import Certificate
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.flat import Flat
+from nsdyn.stepping.flat_state import FlatState
 from nsdyn.stepping.state import OnBodies, State, Step
 from nsdyn.tools.arrays import Array
 
 if TYPE_CHECKING:
-    from nsdyn.stepping.instant import System
+    from nsdyn.stepping.scene_state import System
 
-__all__ = ["Untold"]
+__all__ = ["LazyStep"]
 
 COLUMNS: dict[str, tuple[int, ...]] = {
     "gap": (_col.GAP_END,),
@@ -33,22 +33,22 @@ COLUMNS: dict[str, tuple[int, ...]] = {
 """What a step has of its contacts as columns of a state: the first, and the shape of one contact."""
 
 
-class Untold(NamedTuple):
+class LazyStep(NamedTuple):
     """What tells of a quiet step when it is asked for, alone or together with others.
 
     So are works and energies of trees found, which the motion does not need.
 
     Attributes
     ----------
-    flat : Flat
+    flat : FlatState
         Where it ended.
-    before : State or Flat
+    before : State or FlatState
         Where it began.
     system : System
     """
 
-    flat: Flat
-    before: State | Flat
+    flat: FlatState
+    before: State | FlatState
     system: System
 
     @property
@@ -62,7 +62,7 @@ class Untold(NamedTuple):
         if name in COLUMNS:
             return {name: _column(flat.contact(0, _col.CONTACT), self.nc, *COLUMNS[name])}
         if name in ("contacts", "frame", "contact_status", "contact_time", "contact_duration"):
-            return _told(flat.met.contacts(), flat.met.frame, flat.status, self._times(self.nc))
+            return _told(flat.active.contacts(), flat.active.frame, flat.status, self._times(self.nc))
         if name in ("problem", "solution"):
             problem, solution = flat.solved(self.system.dynamics, self.system.solver.tol)
             return {"problem": problem, "solution": solution}
@@ -101,7 +101,7 @@ class Untold(NamedTuple):
     def _wrenches(self) -> OnBodies | None:
         """What acted on free bodies besides contacts."""
         motion, ((time,), (duration,)) = self.flat.motion, self._times(1)
-        return None if motion is None else OnBodies.of([(time, duration, motion.half.wrench())])
+        return None if motion is None else OnBodies.of([(time, duration, motion.mid.wrench())])
 
     def _times(self, *shape: int) -> tuple[Array, Array]:
         """When the impulses of as many contacts acted, s after the beginning of the step, and how long it lasts."""
@@ -109,7 +109,7 @@ class Untold(NamedTuple):
         return np.full(shape, (1.0 - self.system.theta) * dt), np.full(shape, dt)
 
     @staticmethod
-    def steps(some: Sequence[Untold]) -> Step:
+    def steps(some: Sequence[LazyStep]) -> Step:
         """What m steps of a scene did but for their contacts, arrays with a leading axis of m, of joints (7, m)."""
         first, d, m, nothing = some[0].flat, some[0].system.dynamics, len(some), np.zeros(len(some))
         x = quaternion = joints = links = pieces = None
@@ -152,15 +152,15 @@ class Untold(NamedTuple):
         )
 
     @staticmethod
-    def contacts(some: Sequence[Untold]) -> Step:
+    def contacts(some: Sequence[LazyStep]) -> Step:
         """The contacts of m steps of a scene with nc each, every array with leading axes (m, nc) or (1, nc)."""
-        m, nc, met = len(some), some[0].nc, [one.flat.met for one in some]
-        if all(each is met[0] for each in met):  # what rests touches where it touched
-            met = met[:1]
-        names, points, scalars, next_keys = zip(*(each.contacts() for each in met), strict=True)
+        m, nc, active = len(some), some[0].nc, [one.flat.active for one in some]
+        if all(each is active[0] for each in active):  # what rests touches where it touched
+            active = active[:1]
+        names, points, scalars, next_keys = zip(*(each.contacts() for each in active), strict=True)
         arrays = np.stack(names, axis=1), np.stack(points, axis=1), np.stack(scalars, axis=1)
         found = ContactSet(*arrays, max(next_keys))
-        frame = np.stack([each.frame for each in met])
+        frame = np.stack([each.frame for each in active])
         acted = np.concatenate([one.flat.contact(0, _col.CONTACT) for one in some]).reshape(m, -1)
         status = np.concatenate([one.flat.status for one in some]).reshape(m, nc)
         columns = {name: _column(acted, nc, *of) for name, of in COLUMNS.items()}

@@ -12,29 +12,29 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _few
-from nsdyn._kernels.stepping import sight as _sight
+from nsdyn._kernels import reductions as _reductions
+from nsdyn._kernels.stepping import active_set as _active_set
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactSet, Poses, carry, take, united
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
-from nsdyn.stepping.encounter import Encounter
-from nsdyn.stepping.half import Half
-from nsdyn.stepping.instant import FAST, JOINT, Instant, System, among
+from nsdyn.stepping.contact_kinematics import ContactKinematics
+from nsdyn.stepping.midpoint import Midpoint
+from nsdyn.stepping.scene_state import FAST, JOINT, SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = [
-    "caught",
-    "caught_limits",
-    "followed",
-    "missed",
-    "moved_by",
-    "others",
-    "parting",
-    "reached",
-    "shown",
-    "touched",
+    "captured",
+    "captured_limits",
+    "tracked",
+    "missed_contacts",
+    "surface_normal_velocities",
+    "missed_impacts",
+    "normal_velocities",
+    "continuous_contacts",
+    "update_active_set",
+    "time_of_impact",
 ]
 
 NO_CODES = np.empty(0, np.int64)
@@ -47,7 +47,7 @@ TURN = 1.0
 """Turn in half a move, rad, to which what turns by more than half a turn is cut: it is followed at a constant rate."""
 
 
-def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: Index) -> ContactSet:
+def captured(s: System, contacts: ContactSet, begin: SceneState, mid: Midpoint, located: Index) -> ContactSet:
     """Contacts that a move need not leave alone: closed where it begins, or neither barred nor deep, and at rest soon.
 
     What parts there after a rebound is left alone, too: where bodies turn, it may strike again within the move. What
@@ -56,48 +56,50 @@ def caught(s: System, contacts: ContactSet, begin: Instant, half: Half, barred: 
     contact is there: where bodies turn, a motion without contacts brings them into each other. So it does for all
     contacts of the pair, which those that press may bear.
     """
-    d, c, before, (there, v) = s.dynamics, contacts, begin.contacts, (half.middle.placement, half.forces.foreseen)
-    gap, rate = before.gap, (v - begin.v) / half.h
-    if s.elastic and _few.any_below(gap, s.closed) and _few.most(before.restitution) > 0.0:
+    d, c, before, (there, v) = s.dynamics, contacts, begin.contacts, (mid.state.placement, mid.forces.foreseen)
+    gap, rate = before.gap, (v - begin.v) / mid.h
+    if s.elastic and _reductions.any_below(gap, s.gap_tol) and _reductions.most(before.restitution) > 0.0:
         gap, here = np.empty(gap.size), begin.placement
         motion = d.twists(here, begin.v), d.twists(here, rate)
-        carried = moved_by(d, before, begin.position.driven_x, half.surfaces[0])
-        _sight.parting(before[:3], here.x, carried, motion, (s.closed, s.solver.tol, s.bounces), gap)
+        carried = surface_normal_velocities(d, before, begin.position.driven_x, mid.surfaces[0])
+        _active_set.parting(before[:3], here.x, carried, motion, (s.gap_tol, s.solver.tol, s.bounces), gap)
     out, warm = np.empty(c.gap.size, np.bool_), begin.warm
-    if _touching.known(c.key, before.key, gap, s.closed, out):
+    if _touching.known(c.key, before.key, gap, s.gap_tol, out):
         return contacts
-    parts = parting(d, before, begin.placement, begin.v, begin.position.driven_x, half.surfaces[0])
-    _sight.caught(
+    parts = normal_velocities(d, before, begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0])
+    _active_set.captured(
         c[:3],
         there.x,
         (s.inscribed, s.depth),
-        moved_by(d, c, half.middle.position.driven_x, half.surfaces[1]),
+        surface_normal_velocities(d, c, mid.state.position.driven_x, mid.surfaces[1]),
         tuple([d.twists(there, w) for w in (begin.v, v, rate)]),
-        (before.key, gap, parts, s.closed),
+        (before.key, gap, parts, s.gap_tol),
         (warm.key, warm.pair, warm.status),
-        (half.ahead, half.h, s.solver.tol, s.bounces),
-        barred,
+        (mid.ahead, mid.h, s.solver.tol, s.bounces),
+        located,
         out,
     )
     return take(contacts, out)
 
 
-def caught_limits(
-    s: System, joints: JointRows, begin: Instant, v: Array, ahead: float, barred: Index
+def captured_limits(
+    s: System, joints: JointRows, begin: SceneState, v: Array, ahead: float, located: Index
 ) -> JointRows | None:
-    """Joint rows that a move need not leave alone, as `caught` has it of contacts."""
+    """Joint rows that a move need not leave alone, as `captured` has it of contacts."""
     laws = s.dynamics.joints
     place = np.searchsorted(laws.limits, joints.slot)
     friction = joints.mu > 0.0
-    held = begin.limits[np.where(friction, 0, place)] <= s.closed if begin.limits.size else friction
+    held = begin.limits[np.where(friction, 0, place)] <= s.gap_tol if begin.limits.size else friction
     pressed = begin.warm.joints[joints.slot, 0] > 0.0
     rate = np.where(pressed, laws.rates(joints.slot, begin.v), laws.rates(joints.slot, v))
     shallow = joints.gap + ahead * rate > -s.depth * JOINT
-    shallow &= ~among(-1 - place, barred)
+    shallow &= ~among(-1 - place, located)
     return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
 
 
-def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Array, slot: Index) -> tuple[Index, float]:
+def missed_impacts(
+    s: System, found: ContactSet, kin: ContactSet, r: Array, limits: Array, slot: Index
+) -> tuple[Index, float]:
     """What strikes, of the contacts found and the gaps of all joint limits: codes of those not met that are too deep.
 
     And how far they may run into each other, m or rad, infinite where nothing strikes. The code of a contact is that of
@@ -105,35 +107,37 @@ def others(s: System, found: ContactSet, met: ContactSet, r: Array, limits: Arra
     bodies turn it may open, and strike again when it closes. Met are some contacts with normal impulses r (nc,), N·s,
     and the joint rows of some slots.
     """
-    if found is met and not limits.size:
+    if found is kin and not limits.size:
         return NO_CODES, np.inf
     pressed, known = np.empty(found.gap.size, np.bool_), np.empty(found.gap.size, np.bool_)
-    if _touching.known(found.key, met.key, -r, -_touching.LEAST, pressed) and not limits.size:
+    if _touching.known(found.key, kin.key, -r, -_touching.LEAST, pressed) and not limits.size:
         return NO_CODES, np.inf
-    _touching.known(found.key, met.key, -r, np.inf, known)
+    _touching.known(found.key, kin.key, -r, np.inf, known)
     left, rests = take(found, ~pressed), known[~pressed]
     code, gap = s.detector.codes(left), left.gap
-    limit = np.where((left.restitution > 0.0) & ~rests, s.closed, s.deep(left))
+    limit = np.where((left.restitution > 0.0) & ~rests, s.gap_tol, s.penetration_tol(left))
     if limits.size:
         # Strikes on these are few: they are located sharply, with restitution or without.
         k = np.flatnonzero(~among(s.dynamics.joints.limits, slot))
         code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
-        limit = np.concatenate((limit, np.full(k.size, s.closed)))
+        limit = np.concatenate((limit, np.full(k.size, s.gap_tol)))
     hit = gap < -limit
     return code[hit], float(limit[hit].min(initial=np.inf))
 
 
-def parting(d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array) -> Array:
+def normal_velocities(
+    d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array
+) -> Array:
     """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s.
 
     Driven bodies are at such positions (nd, 3), they and surfaces have such twists (surfaces, 2, 3).
     """
     out = np.empty(contacts.gap.size)
     _touching.approach(contacts[:3], there.x, d.twists(there, v), out)
-    return out + moved_by(d, contacts, driven_x, surfaces)
+    return out + surface_normal_velocities(d, contacts, driven_x, surfaces)
 
 
-def moved_by(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:
+def surface_normal_velocities(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:
     """What surfaces and driven bodies add to normal velocities, as of `parting`, shape (nc,), m/s."""
     if not d.surfaces.count:
         return np.zeros(contacts.gap.size)
@@ -141,11 +145,11 @@ def moved_by(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array
     return out
 
 
-def reached(
-    s: System, contacts: ContactSet, begin: Instant, there: Placement, memory: ContactSet
+def continuous_contacts(
+    s: System, contacts: ContactSet, begin: SceneState, there: Placement, memory: ContactSet
 ) -> tuple[ContactSet, ContactSet]:
     """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
-    closed = take(begin.contacts, begin.contacts.gap <= s.closed)
+    closed = take(begin.contacts, begin.contacts.gap <= s.gap_tol)
     touches = s.touches(begin.placement, there, memory, None, closed)
     c = touches.contacts
     deep = c.gap < -FAST * np.minimum(s.inscribed[c.geom1], s.inscribed[c.geom2])
@@ -157,7 +161,7 @@ def reached(
     return united((others, first)), touches.memory
 
 
-def followed(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
+def tracked(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
     """Contacts where a move begins of pairs that do not pass through each other unseen, of the contacts at its end.
 
     The same features are on the same sides there.
@@ -170,7 +174,7 @@ def followed(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
     return take(c, same)
 
 
-def touched(
+def time_of_impact(
     s: System,
     contacts: tuple[ContactSet, ContactSet, ContactSet],
     places: tuple[Poses, Poses, Poses],
@@ -188,7 +192,7 @@ def touched(
     half brings together, is found where it touches once more.
     """
     (begin, pressed, end), (first, second, third) = contacts, places
-    known, closed = followed(s, begin, end), take(begin, begin.gap <= s.closed)
+    known, closed = tracked(s, begin, end), take(begin, begin.gap <= s.gap_tol)
     before, length = 0.0, (1.0 - s.theta) * h
     touches = s.touches(first, second, memory, known, closed, turns[0])
     turn = turns[0]
@@ -209,11 +213,11 @@ def touched(
     return at + past if at + 2.0 * past < h else h
 
 
-def shown(
+def update_active_set(
     s: System,
-    met: Encounter,
+    kin: ContactKinematics,
     r: Array,
-    moved: Instant,
+    moved: SceneState,
     memory: ContactSet,
     middle: Placement,
     fast: bool,
@@ -227,25 +231,25 @@ def shown(
     before: they stay.
     """
     found = moved.contacts
-    real = ~_ghosts(s, met, r, found) | among(met.contacts.key, kept)
-    contacts = take(met.contacts, real)
-    if not fast and _few.least(found.gap) >= -s.slow:
+    real = ~_spurious(s, kin, r, found) | among(kin.contacts.key, kept)
+    contacts = take(kin.contacts, real)
+    if not fast and _reductions.least(found.gap) >= -s.least_penetration:
         return contacts, memory, kept
     begin, end = middle, moved.placement
-    late = take(found, (found.gap < -s.deep(found)) & ~among(found.key, met.contacts.key))
-    if late.gap.size:
-        late, memory = _parting(s, late, met.contacts, end, begin), memory.joined(moved.memory, late.key)
+    missed = take(found, (found.gap < -s.penetration_tol(found)) & ~among(found.key, kin.contacts.key))
+    if missed.gap.size:
+        missed, memory = _separating(s, missed, kin.contacts, end, begin), memory.joined(moved.memory, missed.key)
     if fast:
-        (passed, _, memory, _), codes = s.touches(begin, end, memory, met.contacts), s.detector.codes
+        (passed, _, memory, _), codes = s.touches(begin, end, memory, kin.contacts), s.detector.codes
         passed = carry(passed, end, begin)
-        late = united((take(late, ~among(codes(late), codes(passed))), passed))
-    if not late.gap.size:
+        missed = united((take(missed, ~among(codes(missed), codes(passed))), passed))
+    if not missed.gap.size:
         return contacts, memory, kept
-    return united((contacts, late)), memory, np.concatenate((kept, late.key))
+    return united((contacts, missed)), memory, np.concatenate((kept, missed.key))
 
 
-def missed(
-    s: System, met: Encounter, r: Array, moved: Instant, begin: Placement, middle: Placement
+def missed_contacts(
+    s: System, kin: ContactKinematics, r: Array, moved: SceneState, begin: Placement, middle: Placement
 ) -> ContactSet | None:
     """Contacts that a move misses, of those met with normal impulses r (nc,), as they are in the `middle`.
 
@@ -253,35 +257,35 @@ def missed(
     turn about two, and another, which touched where the move begins, ends in the other body. None if there are none.
     """
     found, codes = moved.contacts, s.detector.codes
-    if found is met.contacts or _few.least(found.gap) >= -s.closed:
+    if found is kin.contacts or _reductions.least(found.gap) >= -s.gap_tol:
         return None
-    deep = (found.gap < -s.closed) & ~among(found.key, met.contacts.key)
-    deep &= among(codes(found), codes(take(met.contacts, r > 0.0)))
+    deep = (found.gap < -s.gap_tol) & ~among(found.key, kin.contacts.key)
+    deep &= among(codes(found), codes(take(kin.contacts, r > 0.0)))
     if not deep.any():
         return None
-    late, end = take(found, deep), moved.placement
-    before, there = (s.detector.carry(late, end, placement)[0] for placement in (begin, middle))
-    touched = np.abs(before.gap) <= s.closed
+    missed, end = take(found, deep), moved.placement
+    before, there = (s.detector.carry(missed, end, placement)[0] for placement in (begin, middle))
+    touched = np.abs(before.gap) <= s.gap_tol
     return take(there, touched) if touched.any() else None
 
 
-def _parting(s: System, late: ContactSet, met: ContactSet, end: Poses, middle: Poses) -> ContactSet:
+def _separating(s: System, missed: ContactSet, kin: ContactSet, end: Poses, middle: Poses) -> ContactSet:
     """Of contacts found at the end, as they are in the middle, those along whose normals bodies are parted there.
 
     Along any other, as of a face that meets the other body only after both have turned, what touches elsewhere would be
     pushed sideways. What is left out is struck when it touches.
     """
-    late, apart = s.detector.carry(late, end, middle)
-    same = s.detector.codes(late)[:, None] == s.detector.codes(met)
-    touching = np.where(same, met.gap, 0.0).min(axis=1, initial=0.0)
-    return take(late, apart >= touching - s.deep(late))
+    missed, apart = s.detector.carry(missed, end, middle)
+    same = s.detector.codes(missed)[:, None] == s.detector.codes(kin)
+    touching = np.where(same, kin.gap, 0.0).min(axis=1, initial=0.0)
+    return take(missed, apart >= touching - s.penetration_tol(missed))
 
 
-def _ghosts(s: System, met: Encounter, r: Array, found: ContactSet) -> Bools:
+def _spurious(s: System, kin: ContactKinematics, r: Array, found: ContactSet) -> Bools:
     """Contacts that have an impulse but are open where the motion ends: bodies pass there."""
-    nc = met.frame.shape[0]
-    out: Bools = (r[0 : 3 * nc : 3] > 0.0) & (met.end_gap[:nc] > s.deep(met.contacts))
+    nc = kin.frame.shape[0]
+    out: Bools = (r[0 : 3 * nc : 3] > 0.0) & (kin.end_gap[:nc] > s.penetration_tol(kin.contacts))
     if out.any():
-        real = found.key[found.gap <= s.deep(found)]
-        out &= ~among(met.contacts.key, real)
+        real = found.key[found.gap <= s.penetration_tol(found)]
+        out &= ~among(kin.contacts.key, real)
     return out

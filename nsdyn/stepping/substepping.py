@@ -6,25 +6,25 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.stepping import sight as _sight
+from nsdyn._kernels.stepping import active_set as _active_set
 from nsdyn._kernels.stepping import touching as _touching
+from nsdyn._kernels.stepping.eventless_checks import GAIN
 from nsdyn._kernels.stepping.islands import EVENT, WORK
 from nsdyn._kernels.stepping.law import TURNS
-from nsdyn._kernels.stepping.quiet_checks import GAIN
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.booking import Passage, finish
+from nsdyn.stepping.active_set import normal_velocities, surface_normal_velocities
+from nsdyn.stepping.attempt import Attempt, Known
 from nsdyn.stepping.collisions import collide
-from nsdyn.stepping.half import Loads
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.instant import DEEP, Instant, System, among
-from nsdyn.stepping.move import trial
-from nsdyn.stepping.reversal import reversal
-from nsdyn.stepping.sight import moved_by, parting
+from nsdyn.stepping.midpoint import Loads
+from nsdyn.stepping.move import try_move
+from nsdyn.stepping.scene_state import DEEP, SceneState, System, among
+from nsdyn.stepping.slip_reversal import reversal
 from nsdyn.stepping.state import State
-from nsdyn.stepping.trial import Known, Trial
+from nsdyn.stepping.step_result import StepResult, finish
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["through", "turns_far"]
+__all__ = ["integrate", "turns_far"]
 
 SOON, AGAIN = 1e-6, 0.1
 """Fractions of a move in which slip that turns round is not located: where it begins and ends, as nothing but
@@ -50,44 +50,44 @@ LEAST = 1e-12
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
-class Effort:
+class Budget:
     """What an island may still spend in a step, in contacts of moves."""
 
     def __init__(self) -> None:
         self.left = WORK
 
-    def affords(self, begin: Instant, moves: int) -> bool:
+    def affords(self, begin: SceneState, moves: int) -> bool:
         """Whether it may try so many moves from an instant."""
         return moves * _contacts(begin) <= self.left
 
-    def spend(self, begin: Instant) -> None:
+    def spend(self, begin: SceneState) -> None:
         """Try a move from an instant."""
         self.left -= _contacts(begin)
 
 
-def _contacts(begin: Instant) -> int:
+def _contacts(begin: SceneState) -> int:
     """What a move from an instant costs."""
     return max(1, begin.contacts.gap.size)
 
 
-def through(system: System, state: State, loads: Loads, begun: Known = None, meets: bool = False) -> Passage:
-    """Moves and impacts of a step: every move to its end or the first event, in halves where that is too coarse.
+def integrate(system: System, state: State, loads: Loads, begun: Known = None, meets: bool = False) -> StepResult:
+    """Moves and impacts of a step: every move to its end or the first event, in halves where that is too rejected.
 
-    What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.half` does. `begun` is what is known
+    What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.midpoint` does. `begun` is what is known
     of the step in one move, `meets` whether that is known to meet an event.
     """
     now, rate, clear, at, cut = state.instant, state.rate, True, 0.0, False
     s = system.during(state.next_t - state.dt, state.dt, now.position)
-    effort, pieces = Effort(), [(s.dt, 0)]
+    effort, pieces = Budget(), [(s.dt, 0)]
     done: list[Impulses] = []
     path = [now.placement]
     while pieces:
         end, halvings = pieces[-1]
         # In halves bodies run less far into each other before they are stopped.
         own, span = s._replace(depth=DEEP * SHALLOWER**halvings), (state.next_t - (s.dt - at), end - at)
-        move, length, coarse = _move(own, loads, now, span, rate, effort, cut, begun, meets)
+        move, length, rejected = _substep(own, loads, now, span, rate, effort, cut, begun, meets)
         begun, meets = None, False
-        if coarse and _contacts(now) << halvings <= WORK:
+        if rejected and _contacts(now) << halvings <= WORK:
             pieces[-1:] = [(end, halvings + 1), (at + 0.5 * length, halvings + 1)]
             continue
         done += [_later(acted, at) for acted in move.done]
@@ -96,21 +96,21 @@ def through(system: System, state: State, loads: Loads, begun: Known = None, mee
         cut = end - at > LEAST * s.dt
         if not cut:
             pieces.pop()
-    return Passage(now, rate, clear, done, path)
+    return StepResult(now, rate, clear, done, path)
 
 
-def _move(
+def _substep(
     s: System,
     loads: Loads,
-    begin: Instant,
+    begin: SceneState,
     span: tuple[float, float],
     rate: Array,
-    effort: Effort,
+    effort: Budget,
     cut: bool,
     begun: Known,
     meets: bool,
-) -> tuple[Passage, float, bool]:
-    """What strikes at once, and a move to the first event on its way; its length, s, and whether it is too coarse.
+) -> tuple[StepResult, float, bool]:
+    """What strikes at once, and a move to the first event on its way; its length, s, and whether it is too rejected.
 
     What strikes where no event is located is struck first only if it would become deeper than what a move catches.
 
@@ -118,35 +118,35 @@ def _move(
     ----------
     s : System
     loads : callable
-    begin : Instant
+    begin : SceneState
     span : (float, float)
         When it begins and how long it lasts at most, s.
     rate : ndarray, shape (n,)
         Free acceleration at the beginning, m/s² and rad/s².
-    effort : Effort
+    effort : Budget
     cut : bool
         Whether the move before ended at an event.
-    begun : Half or Trial, optional
-        As of `through`, of a move all the way.
+    begun : Midpoint or Attempt, optional
+        As of `integrate`, of a move all the way.
     meets : bool
-        As of `through`.
+        As of `integrate`.
     """
-    (t, h), located, now, done = span, effort.affords(begin, EVENT), begin, []
-    meets = meets or (not located and s.striking_speed(begin) < -s.slow / h)
-    if (struck := collide(s if located else s.capturing, begin, t, h, rate)) is not None:
+    (t, h), locates, now, done = span, effort.affords(begin, EVENT), begin, []
+    meets = meets or (not locates and s.striking_speed(begin) < -s.least_penetration / h)
+    if (struck := collide(s if locates else s.capturing, begin, t, h, rate)) is not None:
         now, begun, done = struck[0], None, [struck[1]]
     soon = h * (AGAIN if cut and struck is None else SOON)
-    length, tried = _until_event(s, loads, now, t, h, soon, effort, begun, meets or struck is not None)
+    length, tried = _to_event(s, loads, now, t, h, soon, effort, begun, meets or struck is not None)
     m, moved = finish(s, now, tried), tried.moved
-    path = [tried.half.middle.placement, moved.placement, m.end.placement]
+    path = [tried.mid.state.placement, moved.placement, m.end.placement]
     m = m._replace(done=done + m.done, path=path)
-    coarse = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
+    rejected = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
     if length > LEAST * s.dt and not any(_jammed(acted.solved[1]) for acted in m.done):
-        return m, length, coarse or _strains(s, begin, m, length)
+        return m, length, rejected or _gains_energy(s, begin, m, length)
     return m, length, False
 
 
-def _strains(s: System, begin: Instant, m: Passage, h: float) -> bool:
+def _gains_energy(s: System, begin: SceneState, m: StepResult, h: float) -> bool:
     """Whether bodies that touch turn far in a move of h s, or what persists in it, or is lifted, adds energy."""
     d, works = s.dynamics, [a.works for a in m.done]
     if any(turns_far(s, h, a, begin, m.end).any() for a in m.done):
@@ -162,11 +162,11 @@ def _strains(s: System, begin: Instant, m: Passage, h: float) -> bool:
     return gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
 
 
-def turns_far(s: System, h: float, acted: Impulses, begin: Instant, end: Instant) -> Bools:
+def turns_far(s: System, h: float, acted: Impulses, begin: SceneState, end: SceneState) -> Bools:
     """Contacts (nc,) that touch, of bodies that turn so far in half a move of h s that its law does not foresee it."""
     c, out = acted.contacts, np.empty(acted.status.size, np.bool_)
     spins = begin.twists[1], end.twists[1]
-    _touching.turns_far(c[:3], acted.status, s.closed, spins, TURNS / (s.theta * h), out)
+    _touching.turns_far(c[:3], acted.status, s.gap_tol, spins, TURNS / (s.theta * h), out)
     return out
 
 
@@ -180,18 +180,18 @@ def _later(acted: Impulses, begun: float) -> Impulses:
     return acted._replace(begin=begun + acted.begin) if begun > 0.0 else acted
 
 
-def _until_event(
+def _to_event(
     s: System,
     loads: Loads,
-    begin: Instant,
+    begin: SceneState,
     t: float,
     h: float,
     soon: float,
-    effort: Effort,
+    effort: Budget,
     begun: Known = None,
     meets: bool = False,
     cut: bool = False,
-) -> tuple[float, Trial]:
+) -> tuple[float, Attempt]:
     """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
 
     Or to where a slip turns round. Too long take so many moves as would be too much to try.
@@ -200,13 +200,13 @@ def _until_event(
     ----------
     s : System
     loads : callable
-    begin : Instant
+    begin : SceneState
     t, h : float
         Where it begins and how long it lasts at most, s.
     soon : float
         Before this, s, slip that turns round is not located.
-    effort : Effort
-    begun : Half or Trial, optional
+    effort : Budget
+    begun : Midpoint or Attempt, optional
         Of the move of h seconds.
     meets : bool
         Whether it is known to meet an event, or anything has just struck, and may be in a row of impacts.
@@ -214,62 +214,62 @@ def _until_event(
         Whether it ends where slip was to turn round.
     """
 
-    def capture(begun: Known) -> tuple[float, Trial]:
-        return h, trial(s.capturing, loads, begin, t, h, None, begun)
+    def capture(begun: Known) -> tuple[float, Attempt]:
+        return h, try_move(s.capturing, loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most meet no event.
     if not (affords := effort.affords(begin, EVENT)) and (meets or effort.left < WORK):
         return capture(begun)
     effort.spend(begin)
-    m = trial(s, loads, begin, t, h, NONE, begun)
-    begun, met = m.half, bool(m.hits.size)
-    if _jammed(m.solution) or (not affords and (met or m.touched < h or not m.solution.accepted)):
+    m = try_move(s, loads, begin, t, h, NONE, begun)
+    begun, kin = m.mid, bool(m.hits.size)
+    if _jammed(m.solution) or (not affords and (kin or m.touch_time < h or not m.solution.accepted)):
         return capture(begun)
-    if m.touched < h:
-        return _until_event(s, loads, begin, t, m.touched, soon, effort)
-    turned = h * reversal(m.met, s.solver, m.problem, m.solution, cut) if affords else h
+    if m.touch_time < h:
+        return _to_event(s, loads, begin, t, m.touch_time, soon, effort)
+    turned = h * reversal(m.kin, s.solver, m.problem, m.solution, cut) if affords else h
     if soon < turned < (1.0 - SOON) * h:
-        return _until_event(s, loads, begin, t, turned, soon, effort, cut=True)
-    if not met:
+        return _to_event(s, loads, begin, t, turned, soon, effort, cut=True)
+    if not kin:
         return h, m
-    barred = np.unique(m.hits)
-    if (located := _located(s, loads, begin, t, {h: m}, barred, m.limit, effort)) is not None:
-        return located
+    located = np.unique(m.hits)
+    if (found := _locate(s, loads, begin, t, {h: m}, located, m.limit, effort)) is not None:
+        return found
     # What this move caught on its way may have driven it into what it hit.
     effort.spend(begin)
-    m = trial(s, loads, begin, t, h, barred, begun)
+    m = try_move(s, loads, begin, t, h, located, begun)
     return capture(begun) if m.hits.size or begun.fast else (h, m)
 
 
-def _located(
+def _locate(
     s: System,
     loads: Loads,
-    begin: Instant,
+    begin: SceneState,
     t: float,
-    moves: dict[float, Trial],
-    barred: Index,
+    moves: dict[float, Attempt],
+    located: Index,
     limit: float,
-    effort: Effort,
-) -> tuple[float, Trial] | None:
+    effort: Budget,
+) -> tuple[float, Attempt] | None:
     """The move that ends where it first touches what is barred, and its length; None if none is found.
 
-    It begins at the time t, s. One of the `moves`, by its length, s, has run into what is `barred`, codes as of
-    `Trial`, which may run into each other by `limit`, m.
+    It begins at the time t, s. One of the `moves`, by its length, s, has run into what is `located`, codes as of
+    `Attempt`, which may run into each other by `limit`, m.
     """
     (h,) = moves
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
-    wide = float(far.max(initial=s.closed))
+    wide = float(far.max(initial=s.gap_tol))
     aims: dict[float, float] = {}
     gaps: dict[float, float] = {}
     # Of what rebounds the energy tells where it struck.
-    none = (1e-3 if limit <= s.closed else 0.5) * s.closed
+    none = (1e-3 if limit <= s.gap_tol else 0.5) * s.gap_tol
 
     def gap(time: float) -> float:
         if time not in moves:
             effort.spend(begin)
-            moves[time] = trial(s, loads, begin, t, time, barred)
+            moves[time] = try_move(s, loads, begin, t, time, located)
         if time not in aims:
-            aims[time], gaps[time] = _first_touch(s, begin, moves[time], barred, wide)
+            aims[time], gaps[time] = _first_touch(s, begin, moves[time], located, wide)
         return gaps[time]
 
     low, high, length, last, misses, gains = 0.0, h, h, h, 0, True
@@ -278,7 +278,7 @@ def _located(
         # Newton's method as long as it gains, else halves: in free flight it is exact.
         time = _next([*aims.items()][-2:])
         if len(aims) == 1 and not low < time < high:
-            time = _foreseen(s, begin, barred, t)
+            time = _foreseen(s, begin, located, t)
         aimed = gains and low < time < high
         time = time if aimed else 0.5 * (low + high)
         found = gap(time)
@@ -290,16 +290,16 @@ def _located(
         last = time
         # Beyond what the solver leaves of velocities nothing is gained. A gap that jumps, where another feature is the
         # first to touch, has no root.
-        if nearest <= none or high - low <= JUMP * h or (misses > 1 and -limit <= gap(length) <= s.closed):
+        if nearest <= none or high - low <= JUMP * h or (misses > 1 and -limit <= gap(length) <= s.gap_tol):
             break
-    return (length, moves[length]) if -limit <= gap(length) <= s.closed else None
+    return (length, moves[length]) if -limit <= gap(length) <= s.gap_tol else None
 
 
-def _foreseen(s: System, begin: Instant, barred: Index, t: float) -> float:
+def _foreseen(s: System, begin: SceneState, located: Index, t: float) -> float:
     """When contacts that are barred close at the speeds that they have at the time t, where a move begins, s."""
     c, d = begin.contacts, s.dynamics
-    u = parting(d, c, begin.placement, begin.v, begin.position.driven_x, d.surfaces.twists(t))
-    approach = among(s.detector.codes(c), barred) & (c.gap > s.closed) & (u < 0.0)
+    u = normal_velocities(d, c, begin.placement, begin.v, begin.position.driven_x, d.surfaces.twists(t))
+    approach = among(s.detector.codes(c), located) & (c.gap > s.gap_tol) & (u < 0.0)
     return float((c.gap[approach] / -u[approach]).min(initial=math.inf))
 
 
@@ -317,7 +317,7 @@ def _next(aims: list[tuple[float, float]]) -> float:
     return time + far / (1.0 - slope) if slope < 1.0 else aim
 
 
-def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float) -> tuple[float, float]:
+def _first_touch(s: System, begin: SceneState, m: Attempt, located: Index, wide: float) -> tuple[float, float]:
     """When a move first touches what is barred, s, and its least gap there, `wide` where nothing of it is near.
 
     By parabolas of gaps that end as it does. They accelerate as they did on the way, whatever else pressed there; under
@@ -325,22 +325,22 @@ def _first_touch(s: System, begin: Instant, m: Trial, barred: Index, wide: float
     nothing tells. What is closed without approaching, as where it has just begun to part, does not touch.
     """
     d, moved, c, before = s.dynamics, m.moved, m.moved.contacts, begin.contacts
-    there, joints, surfaces = moved.placement, d.joints, m.half.surfaces
-    rates, limits = d.twists(there, m.half.rate), (NOTHING, NOTHING, NOTHING)
-    slots = joints.limits[-1 - barred[barred < 0]]
+    there, joints, surfaces = moved.placement, d.joints, m.mid.surfaces
+    rates, limits = d.twists(there, m.mid.rate), (NOTHING, NOTHING, NOTHING)
+    slots = joints.limits[-1 - located[located < 0]]
     if slots.size:
         limits = joints.gaps(slots, d.angles(there)), joints.rates(slots, moved.v), joints.rates(slots, begin.v)
     carried = (
-        moved_by(d, c, moved.position.driven_x, surfaces[2]),
-        moved_by(d, before, begin.position.driven_x, surfaces[0]),
+        surface_normal_velocities(d, c, moved.position.driven_x, surfaces[2]),
+        surface_normal_velocities(d, before, begin.position.driven_x, surfaces[0]),
     )
-    time, least = _sight.first_touch(
+    time, least = _active_set.first_touch(
         (c[:3], there.x, moved.twists, carried[0], rates),
         (before[:3], begin.placement.x, begin.twists, carried[1]),
-        (m.met.contacts.key, m.normal),
+        (m.kin.contacts.key, m.normal_impulses),
         limits,
-        barred,
-        (s.closed, s.solver.tol, s.theta, m.half.h),
+        located,
+        (s.gap_tol, s.solver.tol, s.theta, m.mid.h),
         wide,
         s.inscribed.size,
     )

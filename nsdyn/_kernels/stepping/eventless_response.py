@@ -4,7 +4,7 @@ import numpy as np
 
 from nsdyn._kernels.collision import keys
 from nsdyn._kernels.collision.search import fields_of, room_of
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
@@ -12,8 +12,8 @@ from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.solvers.start import by_factors, widest
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import law, persistence, touching
-from nsdyn._kernels.stepping.quiet_meeting import DONE, SOLVE, closing_of
-from nsdyn._kernels.stepping.solving import slips_otherwise, thaw
+from nsdyn._kernels.stepping.eventless_contacts import DONE, SOLVE, gap_rule_of
+from nsdyn._kernels.stepping.solving import thaw, update_sliding
 
 AGAIN = -1
 """The problem is posed anew."""
@@ -26,10 +26,10 @@ def too_wide(num, blocks):
 
 
 @kernel
-def impulses(scene, rows, met, flags, known, label, head, room):
+def impulses(scene, rows, active, flags, known, label, head, room):
     """The impulses of the problem that is posed, or `known` to be `AGAIN`: `DONE`, or `SOLVE` until Python has."""
     (num, size), (blocks, _, scales), (out, w, own, a) = scene, rows, room
-    nc, mu, change = scales.size, met[2][1], col.velocity(w, col.CHANGE, size)
+    nc, mu, change = scales.size, active[2][1], col.velocity(w, col.CHANGE, size)
     local = own[: col.ALONE * nc].reshape((5, 3 * nc))
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     if known == DONE:
@@ -56,15 +56,21 @@ def impulses(scene, rows, met, flags, known, label, head, room):
     return DONE
 
 
-@in_place
-def pose_anew(scene, rows, met, flags, head, room):
+@no_alloc
+def pose_anew(scene, rows, active, flags, head, room):
     """The problem with other slip and gaps, and with what couples add, if any act; from the last impulses."""
-    (num, size), (blocks, _, _), (out, w, own, a), nc = scene, rows, room, met[0].shape[1]
+    (num, size), (blocks, _, _), (out, w, own, a), nc = scene, rows, room, active[0].shape[1]
     alone = own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc))
     local = own[: col.ALONE * nc].reshape((5, 3 * nc))
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     kept = own[col.KEPT * nc : (col.KEPT + 6) * nc]
-    laws = col.column(own, col.FORESEEN, nc), met[2][2], own[:0], col.column(own, col.LATE, nc), closing_of(num)
+    laws = (
+        col.column(own, col.FORESEEN, nc),
+        active[2][2],
+        own[:0],
+        col.column(own, col.EXCESS_SPEED, nc),
+        gap_rule_of(num),
+    )
     copy(r, kept[: 3 * nc])
     copy(u, kept[3 * nc :])
     for k in range(4):
@@ -82,11 +88,11 @@ def pose_anew(scene, rows, met, flags, head, room):
         for i in range(v.size):
             v[i] = v_free[i] + dv[i]
     law.offsets(local, laws, flags[col.STAYS, :nc], flags[col.SLIDES, :nc], b)
-    norm, _ = _blocks.size_of(b, met[2][1])
+    norm, _ = _blocks.size_of(b, active[2][1])
     out[col.NORM], head[col.AGAIN] = norm if norm > 0.0 else 1.0, 1
 
 
-@in_place
+@no_alloc
 def arrive(num, size, bodies, f, w):
     """The second half of a step of free bodies."""
     n, x, quaternion = size[0], col.vectors(f, col.X, size[0]), col.quaternions(f, col.QUATERNION, size[0])
@@ -97,50 +103,50 @@ def arrive(num, size, bodies, f, w):
     motion.twists(R, v, n, col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
 
 
-@in_place
-def end_gaps(geoms, met, now, f, n, gap):
+@no_alloc
+def end_gaps(geoms, active, now, f, n, gap):
     """Gaps of the contacts met where the step ends, as of `Detector.gaps`, into gap (nc,)."""
-    if not keys.kept(met[0][4], now[0][4], now[2][0], gap):
+    if not keys.kept(active[0][4], now[0][4], now[2][0], gap):
         places = col.vectors(f, col.X, n), col.rotations(f, col.R, n)
-        keys.gaps(fields_of(geoms), places, room_of(geoms), met, now, gap)
+        keys.gaps(fields_of(geoms), places, room_of(geoms), active, now, gap)
 
 
 @kernel
-def corrects(num, n, met, now, flags, room):
-    """Whether contacts that persist end with gaps that are to be closed, as of `Encounter.corrected`."""
-    (out, _, own, a), nc = room, met[0].shape[1]
+def corrects(num, n, active, now, flags, room):
+    """Whether contacts that persist end with gaps that are to be closed, as of `ContactKinematics.corrected`."""
+    (out, _, own, a), nc = room, active[0].shape[1]
     f, gap, r = out[col.RESULTS :], col.column(a, col.GAP_END, nc), a[col.IMPULSE * nc : col.U * nc]
     stays, off, alone = (
         flags[col.STAYS, :nc],
         flags[col.OFF, :nc],
         own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc)),
     )
-    closed = max(num[col.CLOSED], out[col.RESIDUAL] * num[col.STEP])
+    closed = max(num[col.GAP_TOL], out[col.RESIDUAL] * num[col.STEP])
     if not law.off(gap, r, stays, closed, off):
         return False
     parts, twists = np.empty(now[0].shape[1]), (col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
     touching.approach(now, col.vectors(f, col.X, n), twists, parts)
     ended, sizes = (now[0][4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], closed)
-    end_gap, late = col.column(own, col.FORESEEN, nc), col.column(own, col.LATE, nc)
-    return law.end_otherwise(off, gap, met[0][4], ended, alone, sizes, end_gap, late)
+    end_gap, excess_speed = col.column(own, col.FORESEEN, nc), col.column(own, col.EXCESS_SPEED, nc)
+    return law.end_otherwise(off, gap, active[0][4], ended, alone, sizes, end_gap, excess_speed)
 
 
 @kernel
-def changes(scene, bodies, rows, met, now, flags, head, room):
+def changes(scene, bodies, rows, active, now, flags, head, room):
     """Whether impulses are sought once more: contacts slip otherwise than foreseen, do work or end with gaps.
 
     scene = (numbers, size), bodies = (inverse_J, arm), now: contacts where the move ends. Then the problem is posed
     anew; else the works of couples are told.
     """
-    (num, size), (inverse_J, arm), (blocks, _, _), (out, w, own, a), nc = scene, bodies, rows, room, met[0].shape[1]
+    (num, size), (inverse_J, arm), (blocks, _, _), (out, w, own, a), nc = scene, bodies, rows, room, active[0].shape[1]
     if nc == 0:
         return False
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    local, slides = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
+    local, sliding = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
     off, other, slips = flags[col.OFF, :nc], flags[col.OTHER, :nc], np.empty(nc, np.bool_)
     again, solved, some = head[col.AGAIN] > 0, flags[col.OFF, : nc if head[col.AGAIN] > 0 else 0], False
     if head[col.PASSES_LEFT] > 0:
-        some = slips_otherwise(blocks, (r, u, b, met[2][1]), local, slides, again, solved, slips)
+        some = update_sliding(blocks, (r, u, b, active[2][1]), local, sliding, again, solved, slips)
     if not (head[col.TURNED] or some or flags[col.STAYS, :nc].any()):
         return False
     v, v_plus, mean = (
@@ -159,23 +165,23 @@ def changes(scene, bodies, rows, met, now, flags, head, room):
         exact = max(num[col.ENOUGH], out[col.RESIDUAL])
         if persistence.turn(
             blocks,
-            met,
+            active,
             mean,
             (R, inverse_J, arm, num[col.STEP]),
-            (r, u, met[2][1], own[:0], exact),
-            (flags[col.STAYS, :nc], flags[col.STICKS, :nc], slides),
+            (r, u, active[2][1], own[:0], exact),
+            (flags[col.STAYS, :nc], flags[col.STICKS, :nc], sliding),
             (couple, col.velocity(w, col.TURN, size), left, other),
         ):
             head[col.TURNED], some = 1, True
-        some = corrects(num, size[0], met, now, flags, room) or some
+        some = corrects(num, size[0], active, now, flags, room) or some
         if some:
             for c in range(nc):
                 if off[c]:
                     left[c] = np.inf
                 off[c] = off[c] or other[c] or slips[c]
             head[col.PASSES_LEFT] -= 1
-            pose_anew(scene, rows, met, flags, head, room)
+            pose_anew(scene, rows, active, flags, head, room)
             return True
     if head[col.TURNED]:
-        persistence.works(met[0], size[2], R, mean, couple, col.column(own, col.COUPLE_WORK, nc))
+        persistence.works(active[0], size[2], R, mean, couple, col.column(own, col.COUPLE_WORK, nc))
     return False

@@ -3,35 +3,35 @@
 import numpy as np
 
 from nsdyn._kernels.collision.search import LEFT, gather, seek
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics import links, motion
+from nsdyn._kernels.stepping import active_set, touching
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import sight, touching
 
-DONE, OTHERWISE, LOOK, SOLVE, LOOK_AHEAD, MORE, MOVE, EVENT = range(8)
+DONE, OTHERWISE, DETECT, SOLVE, DETECT_AHEAD, MORE, MOVE, EVENT = range(8)
 """How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
 the problem is to be solved; the geoms where it ends; there is no room for so many contacts; trees are to be moved to
 the end; the move is made, but is no whole step. After LOOK, SOLVE, LOOK_AHEAD and MOVE it goes on with what Python has
 done."""
 
 
-@in_place
+@no_alloc
 def all_twists(movers, x, R, v, linear, angular):
     """Velocities of all frames, at x (n, 3), and angular ones, world axes, into (n, 3) each; movers as of `opened`."""
     motion.twists(R, v, movers[0], linear, angular)
     links.twists(movers[1], x, v, linear, angular)
 
 
-@in_place
-def look(detection, ready, looked, begun, into, head, which, room):
-    """Find contacts, which go on from begun = (some, next key), and `DONE`; else `LOOK`, or `MORE` if they are many.
+@no_alloc
+def detect(detection, ready, detected_at, begun, into, head, which, room):
+    """Find contacts, which go on from begun = (some, next key), and `DONE`; else `DETECT`, or `MORE` if they are many.
 
     room = (most contacts, most numbers of each).
     """
     (geoms, pairs, limit, tolerance), (before, next_key), (most, wide) = detection, begun, room
-    count = seek(geoms, pairs, limit, ready, looked)
+    count = seek(geoms, pairs, limit, ready, detected_at)
     if count == LEFT:
-        return LOOK
+        return DETECT
     head[which] = head[col.NEEDED] = count
     if count > most or wide * count > into[0].size:
         return MORE
@@ -42,8 +42,8 @@ def look(detection, ready, looked, begun, into, head, which, room):
 
 
 @kernel
-def catch(scene, bodies, contacts, last, old, w, barred, out):
-    """Which contacts that are found the move meets, into out (nc,), as of `nsdyn.stepping.sight.caught`; how many.
+def catch(scene, bodies, contacts, last, old, w, located, out):
+    """Which contacts that are found the move meets, into out (nc,), as of `nsdyn.stepping.active_set.captured`; how many.
 
     scene = (numbers, size), bodies = (movers where the move begins, movers there, radii of balls inside the shapes),
     contacts = (those where it begins, those found), old: the scene where it begins.
@@ -54,13 +54,13 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
     rate, twists, gap = np.empty(v.size), np.empty((5, 2, n, 3)), before[2][0].copy()
     for i in range(rate.size):
         rate[i] = (v[i] - v_begin[i]) / h
-    closed, tol, bounces_of = num[col.CLOSED], num[col.TOL], (num[col.HALF], num[col.LEAST])
+    closed, tol, bounces_of = num[col.GAP_TOL], num[col.TOL], (num[col.HALF], num[col.LEAST])
     begun, R, R_begun = (twists[3, 0], twists[3, 1]), col.rotations(w, col.R_THERE, n), col.rotations(old, col.R, n)
     all_twists(movers_begun, at, R_begun, v_begin, *begun)
     if num[col.ELASTIC] > 0.0 and before[2][2].any():
         all_twists(movers_begun, at, R_begun, rate, twists[4, 0], twists[4, 1])
         moving = begun, (twists[4, 0], twists[4, 1])
-        sight.parting(before, at, np.zeros(gap.size), moving, (closed, tol, bounces_of), gap)
+        active_set.parting(before, at, np.zeros(gap.size), moving, (closed, tol, bounces_of), gap)
     if touching.known(found[0][4], before[0][4], gap, closed, out):
         return out.size
     parts = np.empty(gap.size)
@@ -68,7 +68,7 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
     all_twists(movers, x, R, v_begin, twists[0, 0], twists[0, 1])
     all_twists(movers, x, R, v, twists[1, 0], twists[1, 1])
     all_twists(movers, x, R, rate, twists[2, 0], twists[2, 1])
-    sight.caught(
+    active_set.captured(
         found,
         x,
         (inscribed, num[col.DEPTH]),
@@ -77,13 +77,13 @@ def catch(scene, bodies, contacts, last, old, w, barred, out):
         (before[0][4], gap, parts, closed),
         last,
         (num[col.THETA] * h, h, tol, bounces_of),
-        barred,
+        located,
         out,
     )
     return out.sum()
 
 
-@in_place
+@no_alloc
 def take(found, which, into):
     """The contacts `which` (nc,) of those found."""
     k = 0
@@ -99,22 +99,22 @@ def take(found, which, into):
             k += 1
 
 
-@in_place
-def closing_of(num):
-    """As of `Closing`."""
-    return num[col.CLOSED], num[col.SHALLOW], num[col.THETA] * num[col.STEP], num[col.UNTIL]
+@no_alloc
+def gap_rule_of(num):
+    """As of `GapRule`."""
+    return num[col.GAP_TOL], num[col.SHALLOW], num[col.THETA] * num[col.STEP], num[col.UNTIL]
 
 
 @kernel
-def strikes(num, n, movers, met, local, end_gap, rate, w):
+def strikes(num, n, movers, active, local, end_gap, rate, w):
     """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`."""
-    (names, _, scalars), x, rates = met, col.vectors(w, col.X, n), np.empty((2, n, 3))
+    (names, _, scalars), x, rates = active, col.vectors(w, col.X, n), np.empty((2, n, 3))
     all_twists(movers, x, col.rotations(w, col.R_THERE, n), rate, rates[0], rates[1])
     for c in range(names.shape[1]):
         closes = end_gap[c] + num[col.THETA] * num[col.STEP] * (local[2, 3 * c] + local[3, 3 * c]) <= 0.0
         if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0 and closes:
-            weight, bounces_of = touching.weight_of(c, met, x, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])
-            resting = num[col.TOL] + sight.rests_of(weight, scalars[2, c], bounces_of) / scalars[2, c]
+            weight, bounces_of = touching.weight_of(c, active, x, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])
+            resting = num[col.TOL] + active_set.rests_of(weight, scalars[2, c], bounces_of) / scalars[2, c]
             if local[0, 3 * c] < -resting:
                 return True
     return False

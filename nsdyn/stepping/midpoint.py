@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _few
+from nsdyn._kernels import reductions as _reductions
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.ledger import Works
-from nsdyn.dynamics.values import Forces, Middle, Position
-from nsdyn.stepping.instant import FAST, Instant, System
+from nsdyn.dynamics.values import Forces, MidpointState, Position
+from nsdyn.stepping.scene_state import FAST, SceneState, System
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["STILL_SURFACES", "Callbacks", "Given", "Half", "Loads", "corrected", "first_half"]
+__all__ = ["STILL_SURFACES", "Callbacks", "Given", "Midpoint", "Loads", "corrected", "midpoint"]
 
 STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 
@@ -39,7 +39,7 @@ Loads = Callable[[float], Callbacks]
 
 
 @dataclass(frozen=True, eq=False)
-class Half:
+class Midpoint:
     """The first half of a move.
 
     Attributes
@@ -49,7 +49,7 @@ class Half:
         The move, s.
     end : float
         Time at the end of the move, s.
-    middle : Middle
+    state : MidpointState
         Where the forces and impulses act.
     forces : Forces
     foreseen : ndarray, shape (n,)
@@ -63,7 +63,7 @@ class Half:
     s: System
     h: float
     end: float
-    middle: Middle
+    state: MidpointState
     forces: Forces
     foreseen: Array
     surfaces: tuple[Array, Array, Array]
@@ -77,22 +77,22 @@ class Half:
     @cached_property
     def rate(self) -> Array:
         """Free acceleration M̃⁻¹ f̃, shape (n,), m/s² and rad/s²."""
-        out = self.foreseen - self.middle.v
+        out = self.foreseen - self.state.v
         out /= self.h
         return out
 
     @cached_property
     def reach(self) -> Array:
         """How far points of the frames may move in the second half, shape (frames,), m."""
-        return self.s.dynamics.reach(self.middle.placement, self.foreseen, self.ahead, self.h, self.surfaces[2])
+        return self.s.dynamics.reach(self.state.placement, self.foreseen, self.ahead, self.h, self.surfaces[2])
 
     @cached_property
     def fast(self) -> bool:
         """Whether that is so far that it might go unseen."""
-        fast: bool = _few.most(self.reach) > FAST * self.s.smallest
+        fast: bool = _reductions.most(self.reach) > FAST * self.s.smallest
         return fast
 
-    def turns(self, begin: Instant, moved: Instant) -> tuple[Array, Array]:
+    def turns(self, begin: SceneState, moved: SceneState) -> tuple[Array, Array]:
         """About how far frames turn in either half from one instant to another, rotation vectors, (frames, 3) each."""
         d, ends = self.s.dynamics, (begin.twists[1], moved.twists[1])
         first, second = (d.spins(w, twist) for w, twist in zip(ends, self.surfaces[::2], strict=True))
@@ -121,12 +121,12 @@ class Half:
         if not load.any():
             return None
         force, torque = load
-        turn = np.einsum("bij,bj->bi", self.middle.placement.R[: len(torque)], torque)
+        turn = np.einsum("bij,bj->bi", self.state.placement.R[: len(torque)], torque)
         out: Array = self.h * np.concatenate((force, turn), axis=1)
         return out
 
 
-def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbacks) -> Half:
+def midpoint(s: System, begin: SceneState, t: float, h: float, callbacks: Callbacks) -> Midpoint:
     """Half a free flow from the time t, and the forces there, as callbacks say at the velocity v⁻."""
     d, surfaces = s.dynamics, STILL_SURFACES
     if d.surfaces.count:
@@ -137,22 +137,28 @@ def first_half(s: System, begin: Instant, t: float, h: float, callbacks: Callbac
     return _under(s, begin, h, t + h, middle, surfaces, given)
 
 
-def corrected(s: System, begin: Instant, half: Half, v: Array, callbacks: Callbacks) -> Half:
+def corrected(s: System, begin: SceneState, mid: Midpoint, v: Array, callbacks: Callbacks) -> Midpoint:
     """The half with what callbacks say at the mean velocity, where v⁺ = v; itself where they say the same."""
     if callbacks is None:
-        return half
-    given = callbacks(half.middle.position, 0.5 * (half.middle.v + v))
-    if _same(given, half.given):
-        return half
-    return _under(s, begin, half.h, half.end, half.middle, half.surfaces, given)
+        return mid
+    given = callbacks(mid.state.position, 0.5 * (mid.state.v + v))
+    if _same(given, mid.given):
+        return mid
+    return _under(s, begin, mid.h, mid.end, mid.state, mid.surfaces, given)
 
 
 def _under(
-    s: System, begin: Instant, h: float, end: float, middle: Middle, surfaces: tuple[Array, Array, Array], given: Given
-) -> Half:
+    s: System,
+    begin: SceneState,
+    h: float,
+    end: float,
+    state: MidpointState,
+    surfaces: tuple[Array, Array, Array],
+    given: Given,
+) -> Midpoint:
     """The first half of a move of h s until the time `end` under the forces given."""
-    forces = s.dynamics.forces(middle, end, h, *given, begin.warm.joints)
-    return Half(s, h, end, middle, forces, forces.foreseen, surfaces, given)
+    forces = s.dynamics.forces(state, end, h, *given, begin.warm.joints)
+    return Midpoint(s, h, end, state, forces, forces.foreseen, surfaces, given)
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels.stepping import reversal as _reversal
+from nsdyn._kernels.stepping import slip_reversal as _slip_reversal
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Solver
-from nsdyn.stepping.encounter import Encounter
+from nsdyn.stepping.contact_kinematics import ContactKinematics
 
 __all__ = ["endings", "reversal"]
 
@@ -26,18 +26,18 @@ SLIPS = 1.0 - 1e-9
 """Fraction of the friction that it may have with which a dry joint slides."""
 
 
-def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution, cut: bool = False) -> float:
+def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution, cut: bool = False) -> float:
     """The fraction of a move after which the first slip turns round, 1 if none does.
 
     With the slip u_k where the move begins and u_e where it would end if friction did not change its direction, the
     forces of the move being constant: u_k/(u_k - u_e). What is solved loosely tells of none. Where the move has been
     `cut` only friction that still drives, as where stiff forces change with the time, tells of one.
     """
-    local = met.begun
-    if not solution.converged or (end := endings(met, problem, solution)) is None:
+    local = kin.begun
+    if not solution.converged or (end := endings(kin, problem, solution)) is None:
         return 1.0
-    begin, _, free, drift, _ = local.reshape(5, -1, 3)[..., 1:]
-    free, turned = free + drift, end == 2
+    begin, _, free, jacobian_drift, _ = local.reshape(5, -1, 3)[..., 1:]
+    free, turned = free + jacobian_drift, end == 2
     b = problem.q.reshape(-1, 3).copy()
     if (stops := end == 1).any():
         # What stops would slide back from rest.
@@ -45,7 +45,7 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution, 
         rest[stops, 1:] = (free - begin)[stops]
         again = solver(problem.with_velocity(rest.ravel()), solution.r)
         back = -(again.u.reshape(-1, 3)[:, 1:] * begin).sum(axis=1)
-        turned |= stops & (back > _reversal.STANDS * (begin * begin).sum(axis=1))
+        turned |= stops & (back > _slip_reversal.STANDS * (begin * begin).sum(axis=1))
     now = (solution.u - problem.q).reshape(-1, 3)[:, 1:] + free
     if cut:
         turned &= (solution.r.reshape(-1, 3)[:, 1:] * (begin + now)).sum(axis=1) > 0.0
@@ -65,17 +65,17 @@ def reversal(met: Encounter, solver: Solver, problem: FC3D, solution: Solution, 
     return float(np.clip(at, 0.0, 1.0).min())
 
 
-def endings(met: Encounter, problem: FC3D, solution: Solution) -> NDArray[np.int8] | None:
+def endings(kin: ContactKinematics, problem: FC3D, solution: Solution) -> NDArray[np.int8] | None:
     """How the slip of rows that slide ends; None where all go on.
 
     0 for as it was, 1 in a stop, 2 turned round, or held by friction along the slip.
     """
-    local, slid = met.begun, NONE
-    if met.joints is not None:
-        last = met.local[4].reshape(-1, 3)[met.frame.shape[0] :]
-        dry = (met.joints.mu > 0.0) & ~met.joints.actuated
+    local, slid = kin.begun, NONE
+    if kin.joints is not None:
+        last = kin.local[4].reshape(-1, 3)[kin.frame.shape[0] :]
+        dry = (kin.joints.mu > 0.0) & ~kin.joints.actuated
         # Of what is new it is taken to slide as it moves.
         slid = dry & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
-    out = np.empty(met.mu.size, np.int8)
+    out = np.empty(kin.mu.size, np.int8)
     shown = solution.r, solution.u, problem.q
-    return out if _reversal.ending(*shown, met.mu, local, met.was, slid, out) else None
+    return out if _slip_reversal.ending(*shown, kin.mu, local, kin.was, slid, out) else None

@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels import reductions as _few
+from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels import sorting as _sorting
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn.collision.contacts import ContactSet, Looked, Poses, Touches
+from nsdyn.collision.contacts import ContactSet, DetectionPose, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Energies, Placement, Position
 from nsdyn.solvers import Solver
-from nsdyn.stepping.encounter import Closing, Encounter
+from nsdyn.stepping.contact_kinematics import ContactKinematics, GapRule
 from nsdyn.stepping.impacts import Law
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
-    from nsdyn.stepping.mover import Mover
+    from nsdyn.stepping.move_kernel import MoveKernel
 
-__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "Instant", "System", "Warm", "among"]
+__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "SceneState", "System", "WarmStart", "among"]
 
 NOTHING = np.empty(0)
 
@@ -57,7 +57,7 @@ class System(NamedTuple):
         Fraction of the move after the impulses.
     dt : float
         The step of which moves are parts, s: what bounces on for less than that rests.
-    closed : float
+    gap_tol : float
         Largest gap that counts as closed, m.
     inscribed : ndarray, shape (geoms,)
         Radii of balls inside the shapes, m; infinite of those that never move.
@@ -71,7 +71,7 @@ class System(NamedTuple):
         Whether any contact or joint limit has restitution.
     depth : float
         Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a move.
-    mover : Mover, optional
+    mover : MoveKernel, optional
         Where no surfaces move.
     """
 
@@ -80,17 +80,17 @@ class System(NamedTuple):
     solver: Solver
     theta: float
     dt: float
-    closed: float
+    gap_tol: float
     inscribed: Array
     smallest: float
     arm: Array
     impact: Law
     elastic: bool
     depth: float = DEEP
-    mover: Mover | None = None
+    mover: MoveKernel | None = None
 
     @property
-    def slow(self) -> float:
+    def least_penetration(self) -> float:
         """The least of what is `deep`."""
         return self.depth * self.smallest
 
@@ -103,14 +103,14 @@ class System(NamedTuple):
         """The same in a step of h s from t on that begins at a position."""
         return self._replace(dynamics=self.dynamics.during(t, h, begin)) if self.dynamics.surfaces.count else self
 
-    def closing(self, h: float, caught: bool) -> Closing:
+    def gap_rule(self, h: float, captured: bool) -> GapRule:
         """How gaps close in a move of h s that catches all impacts or locates them: then it ends where bodies touch.
 
         The move after it is no longer than the step. Left to close later is what gravity closes from rest in a step,
         which is of second order, and not deep; what crosses wider gaps strikes. None where impacts are located.
         """
-        shallow = min(SHALLOW * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if caught else 0.0
-        return self.closed, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt
+        shallow = min(SHALLOW * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if captured else 0.0
+        return self.gap_tol, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt
 
     def touches(
         self,
@@ -124,16 +124,16 @@ class System(NamedTuple):
         """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
         return self.detector.touches(begin, end, memory, known, FAST * self.inscribed, together, foreseen)
 
-    def look(self, looked: Looked, now: Poses, reach: Array) -> Looked | None:
+    def detection_pose(self, last: DetectionPose, now: Poses, reach: Array) -> DetectionPose | None:
         """Where to look for contacts now: where they were looked for, but for frames of which that is no longer so.
 
         None if there are none: then the contacts found are those of now, up to the gaps that `reach` (frames,) allows.
         """
-        out = Looked(np.empty_like(now.x), np.empty_like(now.R), np.empty_like(reach))
+        out = DetectionPose(np.empty_like(now.x), np.empty_like(now.R), np.empty_like(reach))
         there = now.x, now.R, reach
-        return None if _touching.look(tuple(looked), there, self.arm, STILL * self.closed, tuple(out)) else out
+        return None if _touching.detection_pose(tuple(last), there, self.arm, STILL * self.gap_tol, tuple(out)) else out
 
-    def deep(self, contacts: ContactSet) -> Array:
+    def penetration_tol(self, contacts: ContactSet) -> Array:
         """Overlaps, m, that a move may catch: deeper ones are impacts to be located; of joint limits depth JOINT."""
         out: Array = self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
@@ -145,13 +145,13 @@ class System(NamedTuple):
         out: Index = np.where(first >= 0, first, node[contacts.frame2])
         return out
 
-    def last_status(self, contacts: ContactSet, warm: Warm) -> NDArray[np.int8]:
+    def last_status(self, contacts: ContactSet, warm: WarmStart) -> NDArray[np.int8]:
         """What the contacts were in the last move, shape (nc,): 0 open, 1 stick, 2 slip."""
         out = np.empty(contacts.gap.size, np.int8)
         _touching.last_status(contacts.names, self.inscribed.size, (warm.key, warm.pair, warm.status), out)
         return out
 
-    def striking_speed(self, at: Instant) -> float:
+    def striking_speed(self, at: SceneState) -> float:
         """The least normal velocity of what may strike in no time at an instant, m/s, 0 if none is negative.
 
         Of contacts that are closed; those that pressed in the last move turn with their bodies, and close a little.
@@ -162,7 +162,7 @@ class System(NamedTuple):
         if self.depth < DEEP:
             warm = w.key, w.pair, np.zeros_like(w.status)
         least: float = _touching.striking_speed(
-            c[:3], at.placement.x, at.twists, warm, self.inscribed.size, self.closed
+            c[:3], at.placement.x, at.twists, warm, self.inscribed.size, self.gap_tol
         )
         return least
 
@@ -171,26 +171,26 @@ class System(NamedTuple):
         """Half a step, s, and the least 1 - e that counts in it, as of `resting`."""
         return 0.5 * self.dt, 1.0 / EVENTS
 
-    def resting(self, met: Encounter, there: Placement, rate: Array) -> Array:
+    def resting(self, kin: ContactKinematics, there: Placement, rate: Array) -> Array:
         """Speeds of approach up to which what strikes rests afterwards, at a free acceleration `rate` (n,), m/s.
 
         After an impact that leaves u the flight takes 2 u/a_n, with the free accelerations of both bodies along the
         normal added up, and those that follow e, e², ... times as long: they are over within a step, or the `EVENTS` of
         it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS). What the solver's tolerance leaves of a velocity is no approach.
         """
-        d, c, e = self.dynamics, met.contacts, met.restitution
+        d, c, e = self.dynamics, kin.contacts, kin.restitution
         weight = np.empty(c.gap.size)
         _touching.weights(c[:3], there.x, d.twists(there, rate), weight)
-        if met.joints is not None:
-            weight = np.concatenate((weight, np.abs(d.joints.rates(met.joints.slot, rate))))
-        half, least = self.bounces
-        parting = half * weight * np.maximum(1.0 - e, least)
+        if kin.joints is not None:
+            weight = np.concatenate((weight, np.abs(d.joints.rates(kin.joints.slot, rate))))
+        least_time, least = self.bounces
+        parting = least_time * weight * np.maximum(1.0 - e, least)
         out: Array = self.solver.tol + parting / np.where(e > 0.0, e, 1.0)
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
         """Whether bodies are in each other by more than `FAST` of the inscribed radius of the smaller shape."""
-        if _few.least(contacts.gap) >= -FAST * self.smallest:
+        if _reductions.least(contacts.gap) >= -FAST * self.smallest:
             return False
         radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return bool((contacts.gap < -FAST * radius).any())
@@ -206,7 +206,7 @@ class System(NamedTuple):
         return float(moved.max()) > FAST * self.smallest
 
 
-class Warm(NamedTuple):
+class WarmStart(NamedTuple):
     """What a step leaves to the next besides its end: a start for the solver, and what was closed.
 
     Attributes
@@ -228,7 +228,7 @@ class Warm(NamedTuple):
     joints: Array
 
 
-class Instant(NamedTuple):
+class SceneState(NamedTuple):
     """A state of the scene with all that a move begins with.
 
     Attributes
@@ -241,9 +241,9 @@ class Instant(NamedTuple):
     limits : ndarray
         Gaps of all joint limits, rad or m.
     memory : ContactSet
-    looked : Looked
+    detected_at : DetectionPose
         Where the contacts were found; not quite here if nothing has moved since.
-    warm : Warm
+    warm : WarmStart
     twists : two ndarrays of shape (frames, 3)
         Of the frames, world axes, m/s and rad/s.
     energies : tuple of (float, float)
@@ -256,8 +256,8 @@ class Instant(NamedTuple):
     contacts: ContactSet
     limits: Array
     memory: ContactSet
-    looked: Looked
-    warm: Warm
+    detected_at: DetectionPose
+    warm: WarmStart
     twists: tuple[Array, Array]
     energies: Energies
 

@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics import motion
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.gauss import certificate_of
 from nsdyn._kernels.reductions import least
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import law, reversal, touching
+from nsdyn._kernels.stepping import law, slip_reversal, touching
+from nsdyn._kernels.stepping.active_set import rests_of
+from nsdyn._kernels.stepping.eventless_contacts import all_twists
 from nsdyn._kernels.stepping.islands import located
-from nsdyn._kernels.stepping.quiet_meeting import all_twists
-from nsdyn._kernels.stepping.sight import rests_of
 from nsdyn._kernels.vectors import square
 
 GAIN = 1e-5
@@ -24,21 +24,21 @@ SURELY = 0.5
 energy, at the velocity of all or at what gravity gives them, is at least half the sum of theirs."""
 
 
-@in_place
-def strikes_at_once(num, met, last, old, n):
+@no_alloc
+def strikes_at_once(num, active, last, old, n):
     """Whether what is closed strikes where the step begins; last = (keys, pairs of shapes, states) of what acted."""
     x, twists = col.vectors(old, col.X, n), (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n))
-    least_speed = touching.striking_speed(met, x, twists, last, int(num[col.GEOMS]), num[col.CLOSED])
-    return least_speed < -num[col.SLOW] / num[col.STEP]
+    least_speed = touching.striking_speed(active, x, twists, last, int(num[col.GEOMS]), num[col.GAP_TOL])
+    return least_speed < -num[col.LEAST_PENETRATION] / num[col.STEP]
 
 
 @kernel
-def rebounds(scene, movers, met, old, w):
+def rebounds(scene, movers, active, old, w):
     """Whether anything strikes where the step begins, or parts, faster than what rests, of what may rebound.
 
     scene = (numbers, size), movers as of `opened` where it begins.
     """
-    (num, size), n, rates, (names, _, scalars) = scene, scene[1][0], np.empty((2, scene[1][0], 3)), met
+    (num, size), n, rates, (names, _, scalars) = scene, scene[1][0], np.empty((2, scene[1][0], 3)), active
     v, v_free, x = col.velocity(old, col.V, size), col.velocity(w, col.V_FREE, size), col.vectors(old, col.X, n)
     change = np.empty(v.size)
     for i in range(change.size):
@@ -47,8 +47,11 @@ def rebounds(scene, movers, met, old, w):
     twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
     for c in range(names.shape[1]):
         e = scalars[2, c]
-        if e > 0.0 and scalars[0, c] <= num[col.CLOSED]:
-            weight, u = touching.weight_of(c, met, x, (rates[0], rates[1])), touching.approach_of(c, met, x, twists)
+        if e > 0.0 and scalars[0, c] <= num[col.GAP_TOL]:
+            weight, u = (
+                touching.weight_of(c, active, x, (rates[0], rates[1])),
+                touching.approach_of(c, active, x, twists),
+            )
             rests = rests_of(weight, e, (num[col.HALF], num[col.LEAST]))
             if u > num[col.TOL] + rests or u < -(num[col.TOL] + rests / e):
                 return True
@@ -56,36 +59,36 @@ def rebounds(scene, movers, met, old, w):
 
 
 @kernel
-def turns_round(solution, mu, local, was, met, first, node):
-    """Whether any slip ends, or turns round, as of `reversal.ending`, of contacts met in an island where it is located.
+def turns_round(solution, mu, local, was, active, first, node):
+    """Whether any slip ends, or turns round, as of `slip_reversal.ending`, of contacts met in an island where it is located.
 
     solution = (r, u, b), first: contacts where the move begins, by which that is told; `node` of every frame.
     """
     ends = np.empty(was.size, np.int8)
-    if reversal.ending(*solution, mu, local, was, np.empty(0, np.bool_), ends) == 0:
+    if slip_reversal.ending(*solution, mu, local, was, np.empty(0, np.bool_), ends) == 0:
         return False
     seen = np.empty(node.max() + 1, np.bool_)
     located(node, first[2:4], seen)
     for c in range(was.size):
         for s in range(2):
-            if ends[c] > 0 and met[2 + s, c] >= 0 and node[met[2 + s, c]] >= 0 and seen[node[met[2 + s, c]]]:
+            if ends[c] > 0 and active[2 + s, c] >= 0 and node[active[2 + s, c]] >= 0 and seen[node[active[2 + s, c]]]:
                 return True
     return False
 
 
-@in_place
+@no_alloc
 def eventless(num, bodies, contacts, flags, was, spins, room):
     """Whether nothing has turned round, got deep, arrived or turned far on the way, as `passage` asks.
 
     bodies = (radii of balls inside the shapes, nodes of the frames), contacts = (met, found at the end, those where the
     move begins), spins: angular velocities of the bodies, (n, 3), at both ends.
     """
-    (inscribed, node), (met, now, first) = bodies, contacts
-    nc, (names, _, scalars), (_, _, own, a) = was.size, met, room
+    (inscribed, node), (active, now, first) = bodies, contacts
+    nc, (names, _, scalars), (_, _, own, a) = was.size, active, room
     local, stays = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    deepest, deep = least(now[2][0]), min(num[col.CLOSED], num[col.SLOW])
-    if deepest < -num[col.CLOSED] or turns_round((r, u, b), scalars[1], local, was, names, first[0], node):
+    deepest, deep = least(now[2][0]), min(num[col.GAP_TOL], num[col.LEAST_PENETRATION])
+    if deepest < -num[col.GAP_TOL] or turns_round((r, u, b), scalars[1], local, was, names, first[0], node):
         return False
     if deepest < -deep:
         # Of what is so deep all is to be pressed.
@@ -107,14 +110,14 @@ def eventless(num, bodies, contacts, flags, was, spins, room):
         for k in range(spin.shape[0]):
             fastest = max(fastest, square(spin[k, 0]) + square(spin[k, 1]) + square(spin[k, 2]))
     if fastest > most * most:
-        touching.turns_far(met, presses, num[col.CLOSED], spins, most, far)
+        touching.turns_far(active, presses, num[col.GAP_TOL], spins, most, far)
         for c in range(nc):
             if far[c]:
                 return False
     return True
 
 
-@in_place
+@no_alloc
 def may_gain(mass, works, fallen):
     """Whether contacts add any energy that matters to that of any body, at the velocity `fallen` gravity gives it."""
     most, slowest = 0.0, np.inf
@@ -128,7 +131,7 @@ def may_gain(mass, works, fallen):
 
 
 @kernel
-def gains(bodies, blocks, met, flags, status, works, velocities):
+def gains(bodies, blocks, active, flags, status, works, velocities):
     """Whether contacts that persist, and those that could only take energy, add too much to that of any island.
 
     Trees keep their own errors small: their islands are passed over. works = (normal, friction), velocities: those that
@@ -143,14 +146,14 @@ def gains(bodies, blocks, met, flags, status, works, velocities):
             nothing += friction[c]
         added[0, label[c]] += nothing
         added[1, label[c]] += normal[c] + friction[c] - nothing
-        elastic[label[c]] |= met[2][2, c] > 0.0
+        elastic[label[c]] |= active[2][2, c] > 0.0
     for k in range(found):
         if not elastic[k]:
             added[0, k] += max(0.0, added[1, k])
     energies, counted = np.zeros((2, found)), np.zeros(mass.size, np.bool_)
     for c in range(nc):
         for s in range(2):
-            k = met[0][2 + s, c]
+            k = active[0][2 + s, c]
             if k >= mass.size:
                 energies[0, label[c]] = np.inf
             elif k >= 0 and not counted[k]:
@@ -168,8 +171,8 @@ def gains(bodies, blocks, met, flags, status, works, velocities):
     return False
 
 
-@in_place
-def book(scene, bodies, rows, met, flags, direction, head, status, room):
+@no_alloc
+def book(scene, bodies, rows, active, flags, direction, head, status, room):
     """What the step did: works, states, forces, energies and the certificate.
 
     Parameters
@@ -178,7 +181,7 @@ def book(scene, bodies, rows, met, flags, direction, head, status, room):
     bodies : tuple
         mass, inertia, gravity, and an empty array.
     rows : (blocks, frame, scales)
-    met : tuple
+    active : tuple
         The contacts.
     flags : ndarray of bool, shape (FLAGS, nc)
     direction : ndarray
@@ -192,10 +195,10 @@ def book(scene, bodies, rows, met, flags, direction, head, status, room):
     (num, size), (mass, J, gravity, none) = scene, bodies
     (blocks, frame, scales), (f, w, own, acted) = rows, room
     n, nc, out, h = size[0], status.size, f, num[col.STEP]
-    b, mu, r = f[col.RESULTS :], met[2][1], acted[col.IMPULSE * nc : col.U * nc]
+    b, mu, r = f[col.RESULTS :], active[2][1], acted[col.IMPULSE * nc : col.U * nc]
     v, v_plus = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_PLUS, size)
     couples = col.column(own, col.COUPLE_WORK, nc) if head[col.TURNED] else none
-    beyond, out[col.NORMAL], out[col.FRICTION], rest = law.outcome(
+    beyond, out[col.NORMAL], out[col.FRICTION], rest = law.contact_works(
         (mass, gravity),
         (h, num[col.THETA]),
         (v, v, v_plus),

@@ -9,26 +9,26 @@ import numpy as np
 
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Energies, Flow, Placement, Position
-from nsdyn.stepping.half import Half
-from nsdyn.stepping.impulses import Impulses, account
-from nsdyn.stepping.instant import Instant, System
+from nsdyn.stepping.attempt import Attempt
+from nsdyn.stepping.impulses import Impulses, book
+from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.projection import project
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.trial import Trial
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement
 
-__all__ = ["Passage", "finish", "tree_works"]
+__all__ = ["StepResult", "finish", "tree_works"]
 
 OPEN = np.int8(0)
 
 
-class Passage(NamedTuple):
+class StepResult(NamedTuple):
     """A move, or moves and impacts one after the other.
 
     Attributes
     ----------
-    end : Instant
+    end : SceneState
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
     clear : bool
@@ -38,25 +38,25 @@ class Passage(NamedTuple):
         Where the frames were on their way: between two of them bodies go straight, turning at constant rates.
     """
 
-    end: Instant
+    end: SceneState
     rate: Array
     clear: bool
     done: list[Impulses]
     path: Sequence[Placement] = ()
 
 
-def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Passage:
+def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) -> StepResult:
     """The move to a position without overlap, and what was done on its way; of the nodes `left`, if not of all."""
-    d, half = s.dynamics, a.half
-    end, clear = project(s, a.moved, half.forces)
-    v = half.middle.v
+    d, mid = s.dynamics, a.mid
+    end, clear = project(s, a.moved, mid.forces)
+    v = mid.state.v
     velocities = v, v if a.impact is None else v + a.kick, a.v
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
-    impulses, warm = account(s, a.met, velocities, (a.problem, a.solution), half.h, a.impact, a.couple, mass)
-    impulses, own = impulses._replace(wrench=half.wrench(left)), half.booked(impulses.works, *velocities[1:], left)
+    impulses, warm = book(s, a.kin, velocities, (a.problem, a.solution), mid.h, a.impact, a.couple, mass)
+    impulses, own = impulses._replace(wrench=mid.wrench(left)), mid.booked(impulses.works, *velocities[1:], left)
     # What has just closed its gap approaches: where it would become deep in the next move it strikes before.
-    sinks = s.dt / half.ahead * a.met.end_gap[: warm.status.size] > s.deep(a.met.contacts)
-    arrived = sinks & ~a.met.stays[: sinks.size]
+    sinks = s.dt / mid.ahead * a.kin.end_gap[: warm.status.size] > s.penetration_tol(a.kin.contacts)
+    arrived = sinks & ~a.kin.stays[: sinks.size]
     if arrived.any():
         warm = warm._replace(status=np.where(arrived, OPEN, warm.status))
     works: list[Works] = []
@@ -70,18 +70,18 @@ def finish(s: System, begin: Instant, a: Trial, left: Bools | None = None) -> Pa
     energies: Energies = ()
     if d.trees:
         acted = impulses.joints, impulses.links
-        trees = begin.energies, half, a.v, a.trees, a.impulse, end.position
+        trees = begin.energies, mid, a.v, a.trees, a.impulse, end.position
         own, energies = tree_works(s, *trees, acted, own, left)
         if a.impact is not None:
             works.append(_struck(s, a, a.impact))
     end = end._replace(warm=warm, energies=energies)
-    return Passage(end, half.rate, clear, [impulses._replace(works=Works.total([own, *works]))])
+    return StepResult(end, mid.rate, clear, [impulses._replace(works=Works.total([own, *works]))])
 
 
 def tree_works(
     s: System,
     before: Energies,
-    half: Half,
+    mid: Midpoint,
     v: Array,
     ends: tuple[Flow, ...],
     impulse: Array,
@@ -97,7 +97,7 @@ def tree_works(
     s : System
     before : tuple of (float, float)
         Their energies where the move begins.
-    half : Half
+    mid : Midpoint
     v : ndarray, shape (n,)
         What the forces leave, with the impulses.
     ends : tuple of Flow
@@ -113,7 +113,7 @@ def tree_works(
         Nodes; trees that are not among them are passed over.
     """
     works, energies, (joints, links), link = [own], [], acted, 0
-    of_trees = zip(s.dynamics.trees, half.middle.trees, half.forces.trees, ends, lifted.trees, before, strict=True)
+    of_trees = zip(s.dynamics.trees, mid.state.trees, mid.forces.trees, ends, lifted.trees, before, strict=True)
     for node, (t, there, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
         k, first = t.coordinates, link
         link += t.model.njoints - 1
@@ -122,7 +122,7 @@ def tree_works(
             continue
         work, energy = t.works(there, free, v[k], end, q, impulse[k], energy, joints)
         if free.loads.wrenches is not None:
-            links[first:link] = half.h * free.loads.wrenches
+            links[first:link] = mid.h * free.loads.wrenches
         if t.driven:
             joints[6, t.columns] = t.speeding(there.begin_v, free.loads.rates)
         energies.append(energy)
@@ -130,9 +130,9 @@ def tree_works(
     return Works.total(works), tuple(energies)
 
 
-def _struck(s: System, a: Trial, impact: Impact) -> Works:
+def _struck(s: System, a: Attempt, impact: Impact) -> Works:
     """What the rows that work on the trees in two parts do, at two mean velocities, and not at that of the forces."""
-    full, v, struck = a.met.rows.full, a.half.middle.v, a.half.middle.v + a.kick
+    full, v, struck = a.kin.rows.full, a.mid.state.v, a.mid.state.v + a.kick
     first, second = full.momentum(impact.r), full.momentum(a.solution.r)
     booked = 0.5 * (first * (v + struck) + second * (struck + a.v))
     own = zip((t.coordinates for t in s.dynamics.trees), a.trees, strict=True)

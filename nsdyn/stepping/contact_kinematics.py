@@ -29,15 +29,15 @@ from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactSet, take
-from nsdyn.dynamics.joints import NO_CLUTCHES, JointRows, Rows
+from nsdyn.dynamics.joints import NO_CLUTCHES, ContactJacobian, JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
-    from nsdyn.stepping.half import Half
-    from nsdyn.stepping.instant import Instant, System, Warm
+    from nsdyn.stepping.midpoint import Midpoint
+    from nsdyn.stepping.scene_state import SceneState, System, WarmStart
 
-__all__ = ["Closing", "Encounter", "foresee"]
+__all__ = ["GapRule", "ContactKinematics", "predict_sliding"]
 
 STOPPED = 1e-13
 """Of the change of a velocity by impacts, what is left of it in some hundred of them."""
@@ -46,19 +46,19 @@ NOTHING, NEVER, UNKNOWN = np.empty(0), np.empty(0, np.bool_), np.empty(0, np.int
 NO_TRANSPORT = np.empty((2, 0))
 
 
-Closing = tuple[float, float, float, float]
+GapRule = tuple[float, float, float, float]
 """How gaps close in a move: the largest that counts as none and the largest that is left to close until the next
 impulses, m or rad; times from the impulses to the end of the move, h₂, and to the next impulses at the latest, s."""
 
 
-class Encounter(NamedTuple):
+class ContactKinematics(NamedTuple):
     """The contacts of a step, then its joint rows, where the impulses act.
 
     Attributes
     ----------
     contacts : ContactSet
     joints : JointRows or None
-    rows : Rows
+    rows : ContactJacobian
     frame : ndarray, shape (nc, 3, 3)
         Rows (n, t1, t2), world axes.
     mu, restitution : ndarray, shape (rows,)
@@ -66,62 +66,62 @@ class Encounter(NamedTuple):
         u_k, u⁻, u_f and c [m/s], and the last impulses [N·s].
     end_gap : ndarray, shape (rows,)
         G, m or rad.
-    transport : ndarray, shape (2, 3 rows)
+    surface_velocity : ndarray, shape (2, 3 rows)
         What surfaces that move add to u⁻ and u⁺, and what they would at the end of the step, m/s; empty if none move.
-    rebound : ndarray, shape (rows,)
+    u_after_impact : ndarray, shape (rows,)
         u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
         Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
         after it would be one too many, and an elastic ball would lose m g h v.
     stays, sticks, was : ndarrays of bool, bool and int8, shapes (rows,), (nc,), (nc,)
         What persists, and across its normal too; what contacts were: `nsdyn._kernels.stepping.persistence.persists`.
-    late : ndarray, shape (rows,)
+    excess_speed : ndarray, shape (rows,)
         How much faster than foreseen they part where the move ends, m/s, as far as that is known.
     """
 
     contacts: ContactSet
     joints: JointRows | None
-    rows: Rows
+    rows: ContactJacobian
     frame: Array
     mu: Array
     restitution: Array
     local: Array
     end_gap: Array
-    transport: Array = NO_TRANSPORT
-    rebound: Array = NOTHING
+    surface_velocity: Array = NO_TRANSPORT
+    u_after_impact: Array = NOTHING
     stays: Bools = NEVER
     sticks: Bools = NEVER
     was: NDArray[np.int8] = UNKNOWN
-    late: Array = NOTHING
+    excess_speed: Array = NOTHING
 
     @classmethod
     def of(
-        cls, half: Half, there: Placement, contacts: ContactSet, joints: JointRows | None, begin: Instant
-    ) -> Encounter:
+        cls, mid: Midpoint, there: Placement, contacts: ContactSet, joints: JointRows | None, begin: SceneState
+    ) -> ContactKinematics:
         """Relative velocities of a move at its contacts and joint rows, with the frames placed `there`."""
-        d, middle, forces, old, warm = half.s.dynamics, half.middle, half.forces, begin.contacts, begin.warm
+        d, middle, forces, old, warm = mid.s.dynamics, mid.state, mid.forces, begin.contacts, begin.warm
         rows, frame = d.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
-        _, here, ended = half.surfaces
-        transport = d.surfaces.transport(contacts, frame, middle.position.driven_x, nr, here, ended)
+        _, here, ended = mid.surfaces
+        surface_velocity = d.surfaces.surface_velocity(contacts, frame, middle.position.driven_x, nr, here, ended)
         carried = d.surfaces.velocities(old, begin.position.driven_x, here)
         _law.local_velocities(
             full.arrays,
             (begin.v, middle.v, forces.v),
-            (carried, *transport, rows.press),
-            (old[:3], begin.placement.x, begin.twists, (half.reach, half.s.closed)),
+            (carried, *surface_velocity, rows.joint_load),
+            (old[:3], begin.placement.x, begin.twists, (mid.reach, mid.s.gap_tol)),
             (contacts[:3], frame, there.x),
-            (warm.key, warm.force, half.h),
-            half.ahead,
+            (warm.key, warm.force, mid.h),
+            mid.ahead,
             (local, end_gap, where),
         )
         mu, restitution = contacts.mu, contacts.restitution
         if joints is not None:
-            _of_joints(half, joints, warm, local[:, 3 * nc :], end_gap[nc:])
+            _of_joints(mid, joints, warm, local[:, 3 * nc :], end_gap[nc:])
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
-        return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, transport)
+        return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, surface_velocity)
 
-    def changed(self, dv: Array, struck: Bools) -> Encounter:
+    def changed(self, dv: Array, struck: Bools) -> ContactKinematics:
         """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
         du, local = self.rows.full.relative_velocity(dv), self.local.copy()
         local[1:3] += du
@@ -129,21 +129,21 @@ class Encounter(NamedTuple):
         local[1:3][np.abs(local[1:3]) <= STOPPED * np.abs(du)] = 0.0
         local[3, np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3)] = 0.0
         end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
-        rebound = np.where(struck, np.maximum(local[1, 0::3], 0.0), 0.0)
-        return self._replace(local=local, end_gap=end_gap, rebound=rebound)
+        u_after_impact = np.where(struck, np.maximum(local[1, 0::3], 0.0), 0.0)
+        return self._replace(local=local, end_gap=end_gap, u_after_impact=u_after_impact)
 
-    def offsets(self, slides: Bools, closing: Closing) -> Array:
-        """b, shape (3 rows,), m/s, where the contacts `slides` (nc,) slide through."""
+    def offsets(self, sliding: Bools, gap_rule: GapRule) -> Array:
+        """b, shape (3 rows,), m/s, where the contacts `sliding` (nc,) slide through."""
         b = np.empty(self.local.shape[1])
-        laws = self.end_gap, self.restitution, self.rebound, self.late, closing
-        _law.offsets(self.local, laws, self.stays, slides, b)
+        laws = self.end_gap, self.restitution, self.u_after_impact, self.excess_speed, gap_rule
+        _law.offsets(self.local, laws, self.stays, sliding, b)
         return b
 
-    def take(self, kept: Bools) -> Encounter:
+    def take(self, kept: Bools) -> ContactKinematics:
         """Some of the rows, for what they did."""
         nc, full = self.contacts.gap.size, self.rows.full
         rows, contacts = np.repeat(kept, 3), take(self.contacts, kept[:nc])
-        own = Rows(full.of(kept), {}, *NO_CLUTCHES)
+        own = ContactJacobian(full.of(kept), {}, *NO_CLUTCHES)
         return self._replace(
             contacts=contacts,
             joints=self.joints and self.joints.take(kept[nc:]),
@@ -153,23 +153,25 @@ class Encounter(NamedTuple):
             restitution=self.restitution[kept],
             local=self.local[:, rows],
             end_gap=self.end_gap[kept],
-            transport=self.transport.compress(rows, axis=1) if self.transport.size else self.transport,
+            surface_velocity=self.surface_velocity.compress(rows, axis=1)
+            if self.surface_velocity.size
+            else self.surface_velocity,
             stays=self.stays[kept],
             sticks=self.sticks[kept[:nc]],
             was=self.was[kept[:nc]],
-            late=self.late[kept],
+            excess_speed=self.excess_speed[kept],
         )
 
     @property
     def begun(self) -> Array:
         """What `local` is with u⁻ as it is where the move begins, on surfaces that quicken too."""
-        if not self.transport.size:
+        if not self.surface_velocity.size:
             return self.local
         out = self.local.copy()
-        out[0] -= self.transport[1] - self.transport[0]
+        out[0] -= self.surface_velocity[1] - self.surface_velocity[0]
         return out
 
-    def lasting(self, s: System, begin: Instant, limits: Array, h: float, struck: bool) -> Encounter:
+    def lasting(self, s: System, begin: SceneState, limits: Array, h: float, struck: bool) -> ContactKinematics:
         """The same with what persists of what there was where the move of h s begins; nothing if `struck`.
 
         There joint rows have the gaps `limits`.
@@ -177,13 +179,13 @@ class Encounter(NamedTuple):
         warm, geoms = begin.warm, s.inscribed.size
         nc, rows = self.contacts.gap.size, self.end_gap.size
         stays, sticks, was = np.empty(rows, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
-        last, before = (warm.key, warm.pair, warm.status), (begin.contacts[:3], s.closed, h)
+        last, before = (warm.key, warm.pair, warm.status), (begin.contacts[:3], s.gap_tol, h)
         pressed = NEVER if self.joints is None else (warm.joints[self.joints.slot, 0] > 0.0) & (self.joints.mu == 0.0)
         given = self.contacts.names, geoms, last, before, (limits, pressed), self.begun, self.end_gap
         _persistence.persists(*given, struck, (stays, sticks, was))
-        return self._replace(stays=stays, sticks=sticks, was=was, late=np.zeros(rows))
+        return self._replace(stays=stays, sticks=sticks, was=was, excess_speed=np.zeros(rows))
 
-    def turned(self, dv: Array, r: Array) -> Encounter:
+    def turned(self, dv: Array, r: Array) -> ContactKinematics:
         """The same with couples that change v by dv (n,), and impulses to start from."""
         local = self.local.copy()
         if dv.size:
@@ -193,21 +195,21 @@ class Encounter(NamedTuple):
 
     def corrected(
         self, gap: Array, off: Bools, closed: float, ahead: float, ended: tuple[Index, Array, Array]
-    ) -> Encounter:
+    ) -> ContactKinematics:
         """The same with the gaps (rows,) that the rows that are `off` end with.
 
         The move takes `ahead` s after the impulses, and has `ended` with contacts of such names and normal speeds, m/s,
         and joint rows of such speeds. Rows whose gaps are not theirs are no longer `off`.
         """
-        end_gap, late = self.end_gap.copy(), self.late.copy()
+        end_gap, excess_speed = self.end_gap.copy(), self.excess_speed.copy()
         own = self.contacts.key, ended, self.local, (ahead, closed)
-        _law.end_otherwise(off, gap, *own, end_gap, late)
-        return self._replace(end_gap=end_gap, late=late)
+        _law.end_otherwise(off, gap, *own, end_gap, excess_speed)
+        return self._replace(end_gap=end_gap, excess_speed=excess_speed)
 
-    def sharing(self, angle: Array, r: Array) -> Encounter:
+    def sharing(self, angle: Array, r: Array) -> ContactKinematics:
         """The same with the friction of ball joints parted by angles (balls,), and impulses to start from."""
         rows, local = self.rows.sharing(angle), self.local.copy()
-        local[2] += rows.press - self.rows.press
+        local[2] += rows.joint_load - self.rows.joint_load
         local[4] = r
         return self._replace(rows=rows, local=local)
 
@@ -218,18 +220,18 @@ class Encounter(NamedTuple):
         return out
 
 
-def _of_joints(half: Half, joints: JointRows, warm: Warm, local: Array, end_gap: Array) -> None:
+def _of_joints(mid: Midpoint, joints: JointRows, warm: WarmStart, local: Array, end_gap: Array) -> None:
     """Impulses to begin from, accelerations and gaps of joint rows in a move, into local and end_gap."""
-    local[4] = half.h * warm.joints[joints.slot].ravel()
+    local[4] = mid.h * warm.joints[joints.slot].ravel()
     # As of springs, the law of actuators is on the velocity here, and that of what slips in axes that turn.
-    here = joints.actuated | half.s.dynamics.joints.turning[joints.slot]
+    here = joints.actuated | mid.s.dynamics.joints.turning[joints.slot]
     local[3].reshape(-1, 3)[here, 1:] = 0.0
-    end_gap[:] = joints.gap - 0.5 * half.ahead * local[3, ::3]
+    end_gap[:] = joints.gap - 0.5 * mid.ahead * local[3, ::3]
 
 
-def foresee(met: Encounter, warm: Warm) -> Bools:
+def predict_sliding(kin: ContactKinematics, warm: WarmStart) -> Bools:
     """Which contacts slide through the step, by what they did in the last and the friction foreseen."""
-    slides, place = np.empty(met.frame.shape[0], np.bool_), np.empty(met.frame.shape[0], np.int64)
-    _touching.places(warm.key, met.contacts.key, place)
-    _law.foresee(met.rows.full.arrays, met.mu, place, warm.status, met.local, slides)
-    return slides
+    sliding, place = np.empty(kin.frame.shape[0], np.bool_), np.empty(kin.frame.shape[0], np.int64)
+    _touching.places(warm.key, kin.contacts.key, place)
+    _law.predict_sliding(kin.rows.full.arrays, kin.mu, place, warm.status, kin.local, sliding)
+    return sliding

@@ -1,8 +1,8 @@
-"""Slip that ends, or turns round, within a move. Names are those of `nsdyn.stepping.encounter`."""
+"""Slip that ends, or turns round, within a move. Names are those of `nsdyn.stepping.contact_kinematics`."""
 
 import math
 
-from nsdyn._kernels.compiled import in_place
+from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.stepping.law import state
 from nsdyn._kernels.vectors import square
 
@@ -13,7 +13,7 @@ STANDS = 1e-6
 """Fraction of the slip where a move begins that is none at its end."""
 
 
-@in_place
+@no_alloc
 def ending(r, y, b, mu, local, was, slid, out):
     """Contacts and joint rows that slide where a move begins, and no longer that way at its end, into out (rows,).
 
@@ -21,7 +21,7 @@ def ending(r, y, b, mu, local, was, slid, out):
     most of those that are pressed. The solution is y = W r + b, was (nc,) what the contacts were in the last move, slid
     (joint rows,) which of those are dry friction that slid.
     """
-    u_begin, u_free, drift = local[0], local[2], local[3]
+    u_begin, u_free, jacobian_drift = local[0], local[2], local[3]
     nc, most = was.size, 0
     for c in range(mu.size):
         out[c] = 0
@@ -34,7 +34,7 @@ def ending(r, y, b, mu, local, was, slid, out):
         found = state(r, mu[c], 3 * c)
         onward, before, after, gain = 0.0, 0.0, 0.0, 0.0
         for j in range(3 * c + 1, 3 * c + 3):
-            end = y[j] - b[j] + u_free[j] + drift[j]
+            end = y[j] - b[j] + u_free[j] + jacobian_drift[j]
             onward, before, after = onward + u_begin[j] * end, before + square(u_begin[j]), after + square(end)
             gain += r[j] * (u_begin[j] + end)
         if before == 0.0:

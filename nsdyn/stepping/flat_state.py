@@ -1,4 +1,4 @@
-"""States as a few arrays, as `nsdyn._kernels.stepping.quiet` takes them, and what they tell."""
+"""States as a few arrays, as `nsdyn._kernels.stepping.eventless` takes them, and what they tell."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from nsdyn._kernels.compiled import plain
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn.collision.contacts import ContactSet, Looked
+from nsdyn.collision.contacts import ContactSet, DetectionPose
 from nsdyn.dynamics.values import Energies, Placement, Position
-from nsdyn.problem.blocks import Blocks
+from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.gauss import Opening
+from nsdyn.problem.gauss import SlaterDirection
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.instant import Instant, Warm
+from nsdyn.stepping.scene_state import SceneState, WarmStart
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
-    from nsdyn.stepping.between import Motion
+    from nsdyn.stepping.tree_motion import TreeMotion
 
-__all__ = ["Acted", "Flat", "Found", "looked", "matrices", "packed", "put", "solved", "vectors", "velocity"]
+__all__ = ["Acted", "FlatState", "Found", "detected_at", "matrices", "packed", "put", "solved", "vectors", "velocity"]
 
 
 VIEWS = "column", "vectors", "rotations", "velocity", "placed", "contacts", "rows"
@@ -83,13 +83,13 @@ class Found(NamedTuple):
         out: Array = column(self.floats, _col.SCALES, self.nc)
         return out
 
-    def blocks(self, d: Dynamics, masses: tuple[Array, Array]) -> Blocks:
+    def blocks(self, d: Dynamics, masses: tuple[Array, Array]) -> DelassusFactors:
         """Factors of W, with M and its inverse."""
         _, block, start, H, _, made = rows(self[:2], self.nc)
-        return Blocks(d.offset, block, start, H[: made[_col.SIZE]], d.m_start, *masses)
+        return DelassusFactors(d.offset, block, start, H[: made[_col.SIZE]], d.m_start, *masses)
 
 
-class Flat(NamedTuple):
+class FlatState(NamedTuple):
     """A state, and what the step did that led to it.
 
     Attributes
@@ -101,12 +101,12 @@ class Flat(NamedTuple):
     acted : ndarray of int, shape (2 nc,)
         Keys of these, and their pairs of shapes.
     status : ndarray of int8, shape (nc,)
-    met, found : Found
+    active, found : Found
         Where the impulses acted, and where the step ended.
-    opening : Opening, optional
-    like : Instant
+    slater : SlaterDirection, optional
+    like : SceneState
         What is no column is that of this one. With trees it is also where the next motion begins.
-    motion : Motion, optional
+    motion : TreeMotion, optional
         Of the trees in the step.
     """
 
@@ -116,11 +116,11 @@ class Flat(NamedTuple):
     floats: Array
     acted: Index
     status: NDArray[np.int8]
-    met: Found
+    active: Found
     found: Found
-    opening: Opening | None
-    like: Instant
-    motion: Motion | None
+    slater: SlaterDirection | None
+    like: SceneState
+    motion: TreeMotion | None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -146,7 +146,7 @@ class Flat(NamedTuple):
         return kinetic, potential
 
     @classmethod
-    def of(cls, state: State, wide: int) -> Flat | None:
+    def of(cls, state: State, wide: int) -> FlatState | None:
         """The same as arrays; None where contacts are remembered that are not there. Rows of W have `wide` numbers."""
         s = state.instant
         if (given := packed(s, state.rate, wide)) is None:
@@ -154,7 +154,7 @@ class Flat(NamedTuple):
         (floats, acted, status), found = given
         floats[: _col.BOUND] = 0.0
         floats[_col.KINETIC], floats[_col.POTENTIAL] = state.energies
-        own = floats, acted, status, found, found, state.opening, s, None
+        own = floats, acted, status, found, found, state.slater, s, None
         return cls(state.origin, state.dt, state.count, *own)
 
     def frame(self, first: int, width: int) -> Array:
@@ -174,7 +174,7 @@ class Flat(NamedTuple):
         begin = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv + first * nc
         return self.floats[begin : begin + width * nc]
 
-    def instant(self) -> Instant:
+    def instant(self) -> SceneState:
         """Its end."""
         nc, found = self.status.size, self.found.contacts()
         force = self.contact(_col.FORCE, 3).reshape(-1, 3)
@@ -183,19 +183,19 @@ class Flat(NamedTuple):
             placement=self.place._replace(links=self.like.placement.links),
             contacts=found,
             memory=found,
-            warm=Warm(self.acted[:nc], self.acted[nc:], force, self.status, self.like.warm.joints),
+            warm=WarmStart(self.acted[:nc], self.acted[nc:], force, self.status, self.like.warm.joints),
             twists=self.twists,
             energies=self.of_trees,
         )
 
-    def begin(self) -> Instant:
+    def begin(self) -> SceneState:
         """Where a motion begins: all but contacts, what acted on them, and energies."""
         like = self.like
         if like.position.trees:  # the last motion has left it
             return like
         found, v = (like.contacts, like.limits, like.memory), self.coordinate(_col.V)
-        where = looked(self.floats[_col.RESULTS :], _col.LOOKED, self.size[0])
-        return Instant(self.position, v, self.place, *found, where, like.warm, like.twists, ())
+        where = detected_at(self.floats[_col.RESULTS :], _col.DETECTED_AT, self.size[0])
+        return SceneState(self.position, v, self.place, *found, where, like.warm, like.twists, ())
 
     @property
     def position(self) -> Position:
@@ -217,16 +217,16 @@ class Flat(NamedTuple):
         """The problem of the step and its solution, as of the function `solved`."""
         masses = d.masses[3:]
         if self.motion is not None:
-            masses = self.motion.half.forces.m, self.motion.half.forces.minv
-        return solved(self.floats, self.contact(0, _col.CONTACT), self.met, self.met.blocks(d, masses), tol)
+            masses = self.motion.mid.forces.m, self.motion.mid.forces.minv
+        return solved(self.floats, self.contact(0, _col.CONTACT), self.active, self.active.blocks(d, masses), tol)
 
     def state(self) -> State:
         """The state as the general step takes it."""
         rate = self.coordinate(_col.RATE)
-        return State(self.origin, self.dt, self.count, self.instant(), rate, self.energies, self.opening)
+        return State(self.origin, self.dt, self.count, self.instant(), rate, self.energies, self.slater)
 
 
-def packed(s: Instant, rate: Array, wide: int) -> tuple[Acted, Found] | None:
+def packed(s: SceneState, rate: Array, wide: int) -> tuple[Acted, Found] | None:
     """A state and what was found there, as the kernel takes them; its results are not set, nor rows of W.
 
     These have `wide` numbers. None where contacts are remembered that are not there.
@@ -239,19 +239,19 @@ def packed(s: Instant, rate: Array, wide: int) -> tuple[Acted, Found] | None:
     integers = np.concatenate((c.names.ravel(), np.zeros(4 * nc + 2, np.int64)))
     found = Found(np.concatenate(floats), integers, m.next_key)
     turns = np.concatenate((p.quaternion, np.zeros((s.placement.x.shape[0] - p.x.shape[0], 4))))
-    columns = s.placement.x, turns, s.placement.R, *s.twists, *s.looked, s.v, rate, w.force
+    columns = s.placement.x, turns, s.placement.R, *s.twists, *s.detected_at, s.v, rate, w.force
     room = np.empty(_col.RESULTS), *[column.ravel() for column in columns]
     more = np.empty((_col.CONTACT - _col.IMPULSE) * w.key.size)
     return (np.concatenate((*room, more)), acted, w.status), found
 
 
-def solved(floats: Array, acted: Array, met: Found, blocks: Blocks, tol: float) -> tuple[FC3D, Solution]:
+def solved(floats: Array, acted: Array, active: Found, blocks: DelassusFactors, tol: float) -> tuple[FC3D, Solution]:
     """The problem of contacts met and its solution, to a solver's tolerance or accepted all the same.
 
     From the results and the columns of contacts of a state.
     """
-    r, u, b = (acted[k * met.nc : (k + 3) * met.nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
-    problem = FC3D.prepared(blocks, b, met.contacts().mu, met.scales, float(floats[_col.NORM]))
+    r, u, b = (acted[k * active.nc : (k + 3) * active.nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
+    problem = FC3D.prepared(blocks, b, active.contacts().mu, active.scales, float(floats[_col.NORM]))
     error, residual, count, time = floats[_col.ERROR : _col.CERTIFIED].tolist()
     status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE
     return problem, Solution(r, u, status, error, residual, int(count), time)
@@ -262,6 +262,6 @@ def put(f: Array, k: int, n: int, values: Array) -> None:
     f[k * n : k * n + values.size] = values.ravel()
 
 
-def looked(f: Array, k: int, n: int) -> Looked:
+def detected_at(f: Array, k: int, n: int) -> DetectionPose:
     """Where contacts are looked for, in the columns from k on."""
-    return Looked(*placed(f, k, n))
+    return DetectionPose(*placed(f, k, n))

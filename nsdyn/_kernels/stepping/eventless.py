@@ -6,7 +6,7 @@ Each stage is made of the kernels that the general step of `nsdyn.stepping.move`
 import numpy as np
 
 from nsdyn._kernels.clock import seconds
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics import links, motion
 from nsdyn._kernels.dynamics.rotation import flow
 from nsdyn._kernels.problem import blocks as _blocks
@@ -14,24 +14,23 @@ from nsdyn._kernels.problem.paradox import suspect
 from nsdyn._kernels.reductions import copy, most
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import law, touching
-from nsdyn._kernels.stepping.persistence import persists
-from nsdyn._kernels.stepping.quiet_checks import book, eventless, gains, may_gain, rebounds, strikes_at_once
-from nsdyn._kernels.stepping.quiet_meeting import (
+from nsdyn._kernels.stepping.eventless_checks import book, eventless, gains, may_gain, rebounds, strikes_at_once
+from nsdyn._kernels.stepping.eventless_contacts import (
+    DETECT,
+    DETECT_AHEAD,
     DONE,
     EVENT,
-    LOOK,
-    LOOK_AHEAD,
     MORE,
     MOVE,
     OTHERWISE,
     SOLVE,
     catch,
-    closing_of,
-    look,
+    detect,
+    gap_rule_of,
     strikes,
     take,
 )
-from nsdyn._kernels.stepping.quiet_response import (
+from nsdyn._kernels.stepping.eventless_response import (
     AGAIN,
     arrive,
     changes,
@@ -39,6 +38,7 @@ from nsdyn._kernels.stepping.quiet_response import (
     impulses,
     too_wide,
 )
+from nsdyn._kernels.stepping.persistence import persists
 from nsdyn._kernels.stepping.solving import PASSES
 
 
@@ -72,8 +72,8 @@ def depart(s, old, f, w):
 
 
 @kernel(inline="always")
-def set_out(s, first, warm, next_key, barred, asks, step, room):
-    """`depart`, and where contacts are looked for then: `DONE`, `LOOK`, or `OTHERWISE` where something strikes at once.
+def set_out(s, first, warm, next_key, located, asks, step, room):
+    """`depart`, and where contacts are looked for then: `DONE`, `DETECT`, or `OTHERWISE` where something strikes at once.
 
     first = contacts where the move begins, warm = (keys, pairs, states) of what acted last; room = (old state, results,
     state, what is at work, integers).
@@ -88,16 +88,16 @@ def set_out(s, first, warm, next_key, barred, asks, step, room):
     head[col.MIDDLE], head[col.KEY_MIDDLE], head[col.FAST] = first[0].shape[1], next_key, far > num[col.FASTEST]
     reach, near = col.column(w, col.REACH, n), col.column(w, col.NEAR, n)
     for k in range(n):
-        near[k] = 2.0 * reach[k] if barred.size else nowhere[k]
+        near[k] = 2.0 * reach[k] if located.size else nowhere[k]
     there = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), reach
-    looked = col.placed(b_old, col.LOOKED, n)
-    same = touching.look(looked, there, arm, num[col.STILL], col.placed(w, col.LOOKED_THERE, n))
+    detected_at = col.placed(b_old, col.DETECTED_AT, n)
+    same = touching.detection_pose(detected_at, there, arm, num[col.STILL], col.placed(w, col.DETECTED_THERE, n))
     out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
-    return LOOK if asks and not same else DONE
+    return DETECT if asks and not same else DONE
 
 
 @kernel(inline="always")
-def meet(s, contacts, warm, rooms, flags, barred, room):
+def meet(s, contacts, warm, rooms, flags, located, room):
     """Which of the contacts, (where the move begins, found), it meets, if not all: `DONE`, or `MORE` without room.
 
     rooms = (of what is met, most numbers of a contact), room = (old state, what is at work, integers).
@@ -105,16 +105,16 @@ def meet(s, contacts, warm, rooms, flags, barred, room):
     scene, (_, _, inscribed), _, _, _, _, movers, movers_begun = s
     num, (first, found), (into, wide), (b_old, w, head) = scene[0], contacts, rooms, room
     nc = found[0].shape[1]
-    head[col.MET], head[col.SOME], head[col.NEEDED] = nc, 0, nc
+    head[col.ACTIVE], head[col.SOME], head[col.NEEDED] = nc, 0, nc
     kept = flags[col.OFF, :nc]
-    if num[col.ELASTIC] == 0.0 and touching.known(found[0][4], first[0][4], first[2][0], num[col.CLOSED], kept):
+    if num[col.ELASTIC] == 0.0 and touching.known(found[0][4], first[0][4], first[2][0], num[col.GAP_TOL], kept):
         return DONE
-    head[col.MET] = catch(scene, (movers_begun, movers, inscribed), contacts, warm, b_old, w, barred, kept)
-    if head[col.MET] < nc:
-        if wide * head[col.MET] > into[0].size:
+    head[col.ACTIVE] = catch(scene, (movers_begun, movers, inscribed), contacts, warm, b_old, w, located, kept)
+    if head[col.ACTIVE] < nc:
+        if wide * head[col.ACTIVE] > into[0].size:
             return MORE
-        take(found, kept, col.contacts(into, head[col.MET]))
-        into[1][col.FOUND_NAMES * head[col.MET] + col.MADE], head[col.SOME] = 0, 1
+        take(found, kept, col.contacts(into, head[col.ACTIVE]))
+        into[1][col.FOUND_NAMES * head[col.ACTIVE] + col.MADE], head[col.SOME] = 0, 1
     return DONE
 
 
@@ -125,24 +125,24 @@ def seen(s, detection, stage, move, last, rooms, flags, room):
     stage = (stage, ready), move = (next_key, barred, asks, step), last = (what was found where it begins, warm), rooms
     = (room for what is found, and for what is met, most contacts and most numbers of one), room as of `set_out`.
     """
-    (now, ready), (next_key, barred, asks, step), (begun, warm), (all_found, some, most) = stage, move, last, rooms
+    (now, ready), (next_key, located, asks, step), (begun, warm), (all_found, some, most) = stage, move, last, rooms
     (b_old, out, _, w, head), first = room, col.contacts(begun, begun[1].size // col.FOUND_NAMES)
     if now == DONE:
-        code = set_out(s, first, warm, next_key, barred, asks, step, room)
+        code = set_out(s, first, warm, next_key, located, asks, step, room)
         if code != DONE:
             return code
     found_in = begun
     if out[col.WENT] > 0.0:
-        looked, found_in = col.placed(w, col.LOOKED_THERE, s[0][1][0]), all_found
-        code = look(detection, ready, looked, (first, next_key), all_found, head, col.MIDDLE, most)
+        detected_at, found_in = col.placed(w, col.DETECTED_THERE, s[0][1][0]), all_found
+        code = detect(detection, ready, detected_at, (first, next_key), all_found, head, col.MIDDLE, most)
         if code != DONE:
             return code
     found = col.contacts(found_in, head[col.MIDDLE])
-    return meet(s, (first, found), warm, (some, most[1]), flags, barred, (b_old, w, head))
+    return meet(s, (first, found), warm, (some, most[1]), flags, located, (b_old, w, head))
 
 
 @kernel(inline="always")
-def posed(s, first, last, met, rows, acted, flags, room):
+def posed(s, first, last, active, rows, acted, flags, room):
     """The problem of the move, as foreseen: `DONE`, or `OTHERWISE` where it is none, or something strikes.
 
     last = (warm, forces of what acted last), acted = (keys, pairs, states) of what acts, room = (old state, results and
@@ -150,45 +150,45 @@ def posed(s, first, last, met, rows, acted, flags, room):
     that were met before.
     """
     (num, size), _, _, _, _, masses, (free_bodies, trees), _ = s
-    (warm, force), (frame, block, start, H, scales, made), (names, _, scalars) = last, rows, met
+    (warm, force), (frame, block, start, H, scales, made), (names, _, scalars) = last, rows, active
     (b_old, out, a, w, own, place, head), (keys, pairs, was), nc, n = room, acted, acted[2].size, size[0]
     b, q, none, (block_of_frame, offset, m_start, m, minv) = out[col.RESULTS :], a[col.FREE * nc :], own[:0], masses
-    q, x, again = q[: 3 * nc], col.vectors(w, col.LOOKED_THERE, n), made[col.MADE] > 0
+    q, x, again = q[: 3 * nc], col.vectors(w, col.DETECTED_THERE, n), made[col.MADE] > 0
     if not again:
-        made[col.SIZE] = motion.contact_layout(met, block_of_frame, offset, frame, block, start)
+        made[col.SIZE] = motion.contact_layout(active, block_of_frame, offset, frame, block, start)
         if free_bodies < n:
             H[: made[col.SIZE]] = 0.0
-        motion.free_rows(met, frame, x, col.rotations(w, col.LOOKED_THERE + 3, n), free_bodies, start, H)
-        links.rows(trees, met, frame, start, H)
+        motion.free_rows(active, frame, x, col.rotations(w, col.DETECTED_THERE + 3, n), free_bodies, start, H)
+        links.rows(trees, active, frame, start, H)
     blocks = (offset, block, start, H[: made[col.SIZE]], m_start, m, minv)
     if not again:
         _blocks.delassus_scales(blocks, scales)
         made[col.MADE] = 1
     local, end_gap = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc)
-    late = col.column(own, col.LATE, nc)
-    slides, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
-    twists, closing = (col.vectors(b_old, col.LINEAR, n), col.vectors(b_old, col.ANGULAR, n)), closing_of(num)
+    excess_speed = col.column(own, col.EXCESS_SPEED, nc)
+    sliding, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
+    twists, gap_rule = (col.vectors(b_old, col.LINEAR, n), col.vectors(b_old, col.ANGULAR, n)), gap_rule_of(num)
     law.local_velocities(
         blocks,
         (col.velocity(b_old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
-        (met[1][0][:0], none, none, none),
-        (first, col.vectors(b_old, col.X, n), twists, (col.column(w, col.REACH, n), num[col.CLOSED])),
-        (met, frame, x),
+        (active[1][0][:0], none, none, none),
+        (first, col.vectors(b_old, col.X, n), twists, (col.column(w, col.REACH, n), num[col.GAP_TOL])),
+        (active, frame, x),
         (warm[0], force, num[col.STEP]),
-        closing[2],
+        gap_rule[2],
         (local, end_gap, place),
     )
-    law.foresee(blocks, scalars[1], place, warm[2], local, slides)
-    late[:], geoms, begin = 0.0, int(num[col.GEOMS]), (first, num[col.CLOSED], num[col.STEP])
+    law.predict_sliding(blocks, scalars[1], place, warm[2], local, sliding)
+    excess_speed[:], geoms, begin = 0.0, int(num[col.GEOMS]), (first, num[col.GAP_TOL], num[col.STEP])
     for c in range(nc):
         keys[c], pairs[c] = names[4, c], names[0, c] * geoms + names[1, c]
-    persists(names, geoms, warm, begin, (none, slides[:0]), local, end_gap, False, (stays, sticks, was))
-    law.offsets(local, (end_gap, scalars[2], none, late, closing), stays, slides, q)
+    persists(names, geoms, warm, begin, (none, sliding[:0]), local, end_gap, False, (stays, sticks, was))
+    law.offsets(local, (end_gap, scalars[2], none, excess_speed, gap_rule), stays, sliding, q)
     norm, good = _blocks.size_of(q, scalars[1])
     if not (good and _blocks.in_range(scales)):
         return OTHERWISE
     rate = col.velocity(b, col.RATE, size)
-    if num[col.ELASTIC] > 0.0 and strikes(num, n, (free_bodies, trees), met, local, end_gap, rate, w):
+    if num[col.ELASTIC] > 0.0 and strikes(num, n, (free_bodies, trees), active, local, end_gap, rate, w):
         return OTHERWISE
     copy(own[: col.ALONE * nc], own[col.ALONE * nc : col.FORESEEN * nc])
     a[col.COUPLE * nc : (col.COUPLE + 3) * nc] = 0.0
@@ -200,15 +200,15 @@ def posed(s, first, last, met, rows, acted, flags, room):
 
 
 @kernel(inline="always")
-def solved(s, rows, met, flags, known, label, head, room):
+def solved(s, rows, active, flags, known, label, head, room):
     """Impulses, and the motion to the end of the move; how that ends, `known` as of `impulses`.
 
     `DONE` where free bodies are at the end of the move, `MOVE` where trees are to be moved there.
     """
     scene, _, _, bodies, _, _, movers, _ = s
-    (num, size), nc, (out, w, _, a) = scene, met[0].shape[1], room
+    (num, size), nc, (out, w, _, a) = scene, active[0].shape[1], room
     began = seconds(head[col.CLOCK :])
-    if impulses(scene, rows, met, flags, known, label, head, room) == SOLVE:
+    if impulses(scene, rows, active, flags, known, label, head, room) == SOLVE:
         return SOLVE
     out[col.TIME] += seconds(head[col.CLOCK :]) - began
     v_turned, change, v_plus = (
@@ -231,8 +231,8 @@ def goes(s, b, w, out):
     (num, size), (arm, _, _) = s[0], s[1]
     n = size[0]
     there = col.vectors(b, col.X, n), col.rotations(b, col.R, n), col.column(w, col.NEAR, n)
-    looked = col.placed(w, col.LOOKED_THERE, n)
-    same = touching.look(looked, there, arm, num[col.STILL], col.placed(b, col.LOOKED, n))
+    detected_at = col.placed(w, col.DETECTED_THERE, n)
+    same = touching.detection_pose(detected_at, there, arm, num[col.STILL], col.placed(b, col.DETECTED_AT, n))
     out[col.GOES] = 0.0 if same else 1.0
     return out[col.GOES] > 0.0
 
@@ -245,16 +245,16 @@ def told(s, rows, contacts, begun, flags, status, head, room):
     """
     scene, (_, nowhere, inscribed), inertia, _, (gravity, _), masses, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
-    (met, now), (b_old, first, direction) = contacts, begun
+    (active, now), (b_old, first, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
-    if not eventless(num, (inscribed, masses[0]), (met, now, first), flags, status, spins, room):
+    if not eventless(num, (inscribed, masses[0]), (active, now, first), flags, status, spins, room):
         return EVENT
-    book(scene, (*inertia, gravity, nowhere[:0]), rows, met, flags, direction, head, status, room)
+    book(scene, (*inertia, gravity, nowhere[:0]), rows, active, flags, direction, head, status, room)
     out[col.SUSPECT] = 0.0
     if nc > 0 and num[col.FEWEST] >= 0.0:
         r, u, q = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-        out[col.SUSPECT] = suspect(rows[0], met[2][1], q, u, r, int(num[col.FEWEST]))
+        out[col.SUSPECT] = suspect(rows[0], active[2][1], q, u, r, int(num[col.FEWEST]))
     works, fallen = (
         (col.column(a, col.NORMAL_WORK, nc), col.column(a, col.FRICTION_WORK, nc)),
         col.velocity(w, col.CHANGE, size),
@@ -263,13 +263,13 @@ def told(s, rows, contacts, begun, flags, status, head, room):
     for i in range(fallen.size):
         fallen[i] = num[col.STEP] * rate[i]
     velocities = col.velocity(b_old, col.V, size), fallen
-    if may_gain(inertia[0], works, fallen) and gains(inertia, rows[0], met, flags, status, works, velocities):
+    if may_gain(inertia[0], works, fallen) and gains(inertia, rows[0], active, flags, status, works, velocities):
         return OTHERWISE
     return DONE
 
 
-@in_place
-def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred, work, call):
+@no_alloc
+def quiet(system, detection, old, begun, new, rooms, next_key, direction, located, work, call):
     """A move, or a whole step that is to meet no event, or as far as it goes without Python.
 
     Parameters
@@ -289,8 +289,8 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     next_key : int
     direction : ndarray
         On which the last certificate rests.
-    barred : ndarray of int
-        Pairs of shapes that are left alone where they are open, as of `nsdyn.stepping.move.trial`.
+    located : ndarray of int
+        Pairs of shapes that are left alone where they are open, as of `nsdyn.stepping.move.try_move`.
     work : tuple
         Room: floats, integers, flags (FLAGS, nc).
     call : tuple
@@ -301,7 +301,7 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     Returns
     -------
     int
-        `DONE`, `OTHERWISE`, `LOOK`, `SOLVE`, `LOOK_AHEAD`, `MORE`, `MOVE` or `EVENT`.
+        `DONE`, `OTHERWISE`, `DETECT`, `SOLVE`, `DETECT_AHEAD`, `MORE`, `MOVE` or `EVENT`.
     """
     s, (out, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = col.opened(system), new, old, work
     stage, ready, asks, step = call
@@ -311,10 +311,10 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     b, b_old, a = out[col.RESULTS : last], f_old[col.RESULTS : last], out[last:]
     own = w[col.FRAME_WORK * n + col.COORDINATE_WORK * size[1] :]
     first, warm = col.contacts(begun, begun[1].size // col.FOUND_NAMES), (acted_old[:was], acted_old[was:], status_old)
-    starts, work_room = stage == DONE or stage == LOOK, (out, w, own, a)
+    starts, work_room = stage == DONE or stage == DETECT, (out, w, own, a)
 
     if starts:
-        move, into = (next_key, barred, asks, step), (rooms[0], rooms[1], (room, wide))
+        move, into = (next_key, located, asks, step), (rooms[0], rooms[1], (room, wide))
         code = seen(s, detection, (stage, ready), move, (begun, warm), into, flags, (b_old, out, b, w, head))
         if code != DONE:
             return code
@@ -322,15 +322,15 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
     if out[col.WENT] > 0.0:
         met_of = rooms[0]
     found = col.contacts(met_of, head[col.MIDDLE])
-    nc = head[col.MET]
+    nc = head[col.ACTIVE]
     if head[col.SOME]:
         met_of = rooms[1]
-    met, (frame, block, start, H, scales, made) = col.contacts(met_of, nc), col.rows(met_of, nc)
+    active, (frame, block, start, H, scales, made) = col.contacts(met_of, nc), col.rows(met_of, nc)
     gap, acted = col.column(a, col.GAP_END, nc), (keys_of[:nc], keys_of[nc : 2 * nc], states[:nc])
     if starts:
         before, place = (warm, col.vectors(f_old[last:], col.FORCE, was)), whole[col.HEAD : col.HEAD + nc]
         of_rows = frame, block, start, H, scales, made
-        code = posed(s, first, before, met, of_rows, acted, flags, (b_old, out, a, w, own, place, head))
+        code = posed(s, first, before, active, of_rows, acted, flags, (b_old, out, a, w, own, place, head))
         if code != DONE:
             return code
     blocks, now = (masses[1], block, start, H[: made[col.SIZE]], *masses[2:]), found
@@ -339,24 +339,26 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, barred
         return OTHERWISE
     known = DONE if starts else SOLVE
     while True:
-        if stage != LOOK_AHEAD:
+        if stage != DETECT_AHEAD:
             if stage != MOVE:
-                code = solved(s, rows, met, flags, known, label, head, work_room)
+                code = solved(s, rows, active, flags, known, label, head, work_room)
                 if code != DONE:
                     return code
             if goes(s, b, w, out) and asks:
-                return LOOK_AHEAD
+                return DETECT_AHEAD
         now = found
         if out[col.GOES] > 0.0:
-            placed, looked = ready and stage == LOOK_AHEAD, col.placed(b, col.LOOKED, n)
-            code = look(detection, placed, looked, (found, head[col.KEY_MIDDLE]), rooms[2], head, col.END, (room, wide))
+            placed, detected_at = ready and stage == DETECT_AHEAD, col.placed(b, col.DETECTED_AT, n)
+            code = detect(
+                detection, placed, detected_at, (found, head[col.KEY_MIDDLE]), rooms[2], head, col.END, (room, wide)
+            )
             if code != DONE:
-                return LOOK_AHEAD if code == LOOK else code
+                return DETECT_AHEAD if code == DETECT else code
             now = col.contacts(rooms[2], head[col.END])
-            end_gaps(detection[0], met, now, b, n, gap)
+            end_gaps(detection[0], active, now, b, n, gap)
         else:
-            copy(met[2][0], gap)
-        if not changes(s[0], (s[3][3], s[1][0]), rows, met, now, flags, head, work_room):
+            copy(active[2][0], gap)
+        if not changes(s[0], (s[3][3], s[1][0]), rows, active, now, flags, head, work_room):
             break
         stage, known = DONE, AGAIN
-    return told(s, rows, (met, now), (b_old, first, direction), flags, acted[2], head, work_room) if step else DONE
+    return told(s, rows, (active, now), (b_old, first, direction), flags, acted[2], head, work_room) if step else DONE

@@ -12,22 +12,22 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nsdyn._kernels.dynamics import motion as _motion
-from nsdyn.collision.contacts import ContactSet, Looked, take, united
+from nsdyn.collision.contacts import ContactSet, DetectionPose, take, united
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
-from nsdyn.stepping.half import Callbacks, Given, Loads
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.instant import Instant, System, Warm, among
-from nsdyn.stepping.mover import Mover
+from nsdyn.stepping.midpoint import Callbacks, Given, Loads
+from nsdyn.stepping.move_kernel import MoveKernel
+from nsdyn.stepping.scene_state import SceneState, System, WarmStart, among
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Part", "driven", "merged"]
+__all__ = ["Subsystem", "driven", "merged"]
 
 T = TypeVar("T")
 
 
-class Part:
+class Subsystem:
     """Some nodes of a scene, ascending, as a system of their own.
 
     Attributes
@@ -64,7 +64,7 @@ class Part:
             inscribed=whole.inscribed[self.geoms],
             arm=whole.arm[frames],
         )
-        self.system = own._replace(mover=Mover(own)) if whole.mover is not None else own
+        self.system = own._replace(mover=MoveKernel(own)) if whole.mover is not None else own
 
     def _has(self, frame1: Index, frame2: Index) -> Bools:
         """Which contacts of such frames are of the part."""
@@ -72,7 +72,7 @@ class Part:
         out: Bools = among(np.where(first >= 0, first, self._node[frame2]), self.nodes)
         return out
 
-    def cut(self, at: Instant, next_key: int) -> Instant:
+    def cut(self, at: SceneState, next_key: int) -> SceneState:
         """The instant of the part, whose new contacts get names from a number on."""
         p, place, w, frames, trees = at.position, at.placement, at.warm, self._frames[:-1], self._trees.tolist()
         position = Position(
@@ -88,16 +88,18 @@ class Part:
         geoms = np.divmod(w.pair, self._geom.size)
         kept = self._has(*(self._frame_of_geom[g] for g in geoms))
         first, second = (self._geom[g[kept]] for g in geoms)
-        warm = Warm(w.key[kept], first * self.geoms.size + second, w.force[kept], w.status[kept], w.joints[self._slots])
+        warm = WarmStart(
+            w.key[kept], first * self.geoms.size + second, w.force[kept], w.status[kept], w.joints[self._slots]
+        )
         there = Placement(place.x[frames], place.R[frames], tuple([place.links[k] for k in trees]))
-        return Instant(
+        return SceneState(
             position,
             at.v[self.coordinates],
             there,
             contacts,
             at.limits[self._limits],
             memory,
-            Looked._make([column[frames] for column in at.looked]),
+            DetectionPose._make([column[frames] for column in at.detected_at]),
             warm,
             (at.twists[0][frames], at.twists[1][frames]),
             tuple([at.energies[k] for k in trees]),
@@ -117,7 +119,7 @@ class Part:
         pushed = {j: applied[k] for j, k in enumerate(trees) if k in applied}
         return ({name: load[:, self._bodies] for name, load in loads.items()}, pushed), own
 
-    def loads(self, loads: Loads, at: Instant) -> Loads:
+    def loads(self, loads: Loads, at: SceneState) -> Loads:
         """What the user has to say of the part: of the whole, whose other nodes are where they are at an instant."""
 
         def of_part(t: float) -> Callbacks:
@@ -144,7 +146,7 @@ class Part:
         """Contacts of the part as those of the whole."""
         return _renamed(c, self.geoms, self._frames)
 
-    def warm(self, w: Warm) -> Warm:
+    def warm(self, w: WarmStart) -> WarmStart:
         """The warm start of the part as that of the whole, but for the joints."""
         first, second = np.divmod(w.pair, self.geoms.size)
         return w._replace(pair=self.geoms[first] * self._geom.size + self.geoms[second])
@@ -165,12 +167,12 @@ class Part:
         out[self._bodies] = own
         return out
 
-    def fill(self, at: Instant, end: Instant) -> None:
+    def fill(self, at: SceneState, end: SceneState) -> None:
         """Put what is of the nodes of the part where it is in arrays of the whole, but for contacts."""
         p, own, mine = at.position, end.position, self._frame[self._moved]
         p.x[self._bodies], p.quaternion[self._bodies], at.v[self.coordinates] = own.x, own.quaternion, end.v
         at.limits[self._limits], at.warm.joints[self._slots] = end.limits, end.warm.joints
-        of_frames = [(*i.placement[:2], *i.looked, *i.twists) for i in (at, end)]
+        of_frames = [(*i.placement[:2], *i.detected_at, *i.twists) for i in (at, end)]
         for column, given in zip(*of_frames, strict=True):
             column[self._moved] = given[mine]
 
@@ -182,7 +184,7 @@ class Part:
         return tuple(out)
 
 
-def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part, Instant]]) -> Instant:
+def merged(whole: System, base: SceneState, left: Bools, parts: Sequence[tuple[Subsystem, SceneState]]) -> SceneState:
     """An instant of the whole from those of parts, and what is left of a `base`: its nodes `left` (nodes,)."""
     d, detector = whole.dynamics, whole.detector
     out, p = _copied(base), base.position.trees
@@ -211,7 +213,7 @@ def merged(whole: System, base: Instant, left: Bools, parts: Sequence[tuple[Part
         energies=energies,
         contacts=united(contacts),
         memory=united(memory),
-        warm=Warm(key, pair, force, status, out.warm.joints),
+        warm=WarmStart(key, pair, force, status, out.warm.joints),
     )
 
 
@@ -220,21 +222,21 @@ def _renamed(c: ContactSet, geoms: Index, frames: Index) -> ContactSet:
     return c._replace(names=np.concatenate((geoms[c.names[:2]], frames[c.names[2:4]], c.names[4:])))
 
 
-def driven(at: Instant, x: Array, quaternion: Array) -> Instant:
+def driven(at: SceneState, x: Array, quaternion: Array) -> SceneState:
     """The instant with the driven bodies at such poses (nd, 3), (nd, 4)."""
     out, own = _copied(at), slice(-len(x), None)
     out.placement.x[own] = x
     _motion.rotations(quaternion, out.placement.R[own])
-    out.looked.x[own], out.looked.R[own], out.looked.reach[own] = x, out.placement.R[own], 0.0
+    out.detected_at.x[own], out.detected_at.R[own], out.detected_at.reach[own] = x, out.placement.R[own], 0.0
     return out._replace(position=out.position._replace(driven_x=x, driven_quaternion=quaternion))
 
 
-def _columns(w: Warm) -> list[Any]:
+def _columns(w: WarmStart) -> list[Any]:
     """What a warm start has of every contact."""
     return [w.key, w.pair, w.force, w.status]
 
 
-def _copied(at: Instant) -> Instant:
+def _copied(at: SceneState) -> SceneState:
     """The same with arrays of its own where parts put theirs."""
     p, w = at.position, at.warm
     return at._replace(
@@ -242,7 +244,7 @@ def _copied(at: Instant) -> Instant:
         v=at.v.copy(),
         limits=at.limits.copy(),
         placement=at.placement._replace(x=at.placement.x.copy(), R=at.placement.R.copy()),
-        looked=Looked._make([column.copy() for column in at.looked]),
+        detected_at=DetectionPose._make([column.copy() for column in at.detected_at]),
         warm=w._replace(joints=w.joints.copy()),
         twists=(at.twists[0].copy(), at.twists[1].copy()),
     )

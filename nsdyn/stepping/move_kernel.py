@@ -1,4 +1,4 @@
-"""Moves in one call of a kernel, `nsdyn._kernels.stepping.quiet`, but for the motion of trees and the user's forces."""
+"""Moves in one call of a kernel, `nsdyn._kernels.stepping.eventless`, but for the motion of trees and the user's forces."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 from nsdyn._kernels.compiled import is_ready
 from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn._kernels.stepping import quiet as _quiet
-from nsdyn._kernels.stepping import quiet_meeting as _meeting
+from nsdyn._kernels.stepping import eventless as _eventless
+from nsdyn._kernels.stepping import eventless_contacts as _contacts
 from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto
-from nsdyn.stepping.between import Motion
-from nsdyn.stepping.flat import Acted, Found, looked, packed, put, solved, velocity
-from nsdyn.stepping.half import Half
-from nsdyn.stepping.instant import FAST, STILL, Instant, System
-from nsdyn.stepping.made import Made
+from nsdyn.stepping.attempt import Attempt
+from nsdyn.stepping.flat_state import Acted, Found, detected_at, packed, put, solved, velocity
+from nsdyn.stepping.kernel_result import KernelResult
+from nsdyn.stepping.midpoint import Midpoint
+from nsdyn.stepping.scene_state import FAST, STILL, SceneState, System
 from nsdyn.stepping.solving import again
-from nsdyn.stepping.trial import Trial
+from nsdyn.stepping.tree_motion import TreeMotion
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["NO_PAIRS", "Mover"]
+__all__ = ["NO_PAIRS", "MoveKernel"]
 
 NO_PAIRS, NOTHING = np.empty(0, np.int64), np.empty(0)
 
@@ -32,8 +32,8 @@ NO_PAIRS, NOTHING = np.empty(0, np.int64), np.empty(0)
 Rooms = tuple[tuple[Array, Index], tuple[Array, Index], tuple[Array, Index]]
 
 
-class Mover:
-    """Moves of a system, of free bodies under gravity alone, or of others by what a `Motion` has.
+class MoveKernel:
+    """Moves of a system, of free bodies under gravity alone, or of others by what a `TreeMotion` has.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Mover:
 
     Attributes
     ----------
-    given : (Instant, (Acted, Found))
+    given : (SceneState, (Acted, Found))
         Where a move last began, and that as the kernel takes it.
     """
 
@@ -50,20 +50,20 @@ class Mover:
 
     def __init__(self, s: System) -> None:
         d, solver, own = s.dynamics, s.solver, isinstance(s.solver, Auto)
-        _, shallow, _, until = s.closing(s.dt, False)
+        _, shallow, _, until = s.gap_rule(s.dt, False)
         block_of_frame, offset, m_start, m, minv = d.masses
         self.wide = 6 * int(np.diff(offset).max())
         numbers = (
             d.weight,
             s.dt,
             s.theta,
-            s.closed,
+            s.gap_tol,
             shallow,
             until,
             s.depth,
             FAST * s.smallest,
-            s.slow,
-            STILL * s.closed,
+            s.least_penetration,
+            STILL * s.gap_tol,
             s.elastic,
             *s.bounces,
             solver.tol,
@@ -93,7 +93,7 @@ class Mover:
         self._own = _col.FRAME_WORK * n + _col.COORDINATE_WORK * nv
         self._work, self._none = self._for_work(0), (self._room(0),) * 3
         self._solution: Solution | None = None
-        self.given: tuple[Instant | None, tuple[Acted, Found] | None] = None, None
+        self.given: tuple[SceneState | None, tuple[Acted, Found] | None] = None, None
 
     def __call__(
         self,
@@ -101,11 +101,11 @@ class Mover:
         begun: Found,
         length: tuple[float, float],
         direction: Array = NOTHING,
-        barred: Index = NO_PAIRS,
+        located: Index = NO_PAIRS,
         step: bool = False,
         moves: bool = True,
-        motion: Motion | None = None,
-    ) -> Made | None:
+        motion: TreeMotion | None = None,
+    ) -> KernelResult | None:
         """The move of length = (h [s], depth) from a state; None where the kernel does not make it.
 
         It begins at `old`, with the contacts `begun`. Direction, what is barred and whether it is a `step` are as of
@@ -118,14 +118,14 @@ class Mover:
         self.numbers[_col.GIVEN] = motion is not None
         self._set(length)
         self._most = max(self._most, begun.nc)
-        code, room = _meeting.MORE, moves
+        code, room = _contacts.MORE, moves
         while True:
-            if code == _meeting.MORE:
+            if code == _contacts.MORE:
                 new, rooms, work = self._rooms(room, step)
                 if motion is not None:
                     self._load(motion, work[0])
-                stage, ready, head = _meeting.DONE, False, work[1]
-            code = _quiet.quiet(
+                stage, ready, head = _contacts.DONE, False, work[1]
+            code = _eventless.quiet(
                 self._arrays,
                 detector.searches,
                 old,
@@ -134,22 +134,22 @@ class Mover:
                 rooms,
                 begun.next_key,
                 direction,
-                barred,
+                located,
                 work,
                 (stage, ready, detector.asks, step),
             )
-            if code in (_meeting.DONE, _meeting.EVENT):
-                if code == _meeting.EVENT:  # whose values are views of it
+            if code in (_contacts.DONE, _contacts.EVENT):
+                if code == _contacts.EVENT:  # whose values are views of it
                     self._work = self._for_work(0)
-                if constrained and head[_col.MET]:
+                if constrained and head[_col.ACTIVE]:
                     return None
                 if motion is not None:
                     motion.v = velocity(work[0], _col.V_PLUS, self._size).copy()
-                return self._made(new, rooms, work, begun, code == _meeting.DONE)
-            if code == _meeting.MORE:
+                return self._made(new, rooms, work, begun, code == _contacts.DONE)
+            if code == _contacts.MORE:
                 self._most, room = max(self._most, int(head[_col.NEEDED])), True
                 continue
-            if code == _meeting.SOLVE:
+            if code == _contacts.SOLVE:
                 good = not constrained and self._solve(self._made(new, rooms, work, begun, False))
             else:
                 good = self._go_on(code, motion, new[0], work[0])
@@ -157,35 +157,35 @@ class Mover:
                 return None
             stage, ready = code, True
 
-    def _go_on(self, code: int, motion: Motion | None, floats: Array, work: Array) -> bool:
+    def _go_on(self, code: int, motion: TreeMotion | None, floats: Array, work: Array) -> bool:
         """Do what the kernel asks for, but for a solve; whether the move goes on."""
-        if code == _meeting.OTHERWISE:
+        if code == _contacts.OTHERWISE:
             return False
-        if code == _meeting.MOVE:
+        if code == _contacts.MOVE:
             return motion is not None and self._move(motion, floats, work)
-        ahead = code == _meeting.LOOK_AHEAD
+        ahead = code == _contacts.DETECT_AHEAD
         columns = floats[_col.RESULTS :] if ahead else work
-        self._detector.ask(*looked(columns, _col.LOOKED if ahead else _col.LOOKED_THERE, self._size[0]))
+        self._detector.ask(*detected_at(columns, _col.DETECTED_AT if ahead else _col.DETECTED_THERE, self._size[0]))
         return True
 
-    def _load(self, motion: Motion, work: Array) -> None:
+    def _load(self, motion: TreeMotion, work: Array) -> None:
         """Where a step has come to halfway, and what acts there."""
-        half, n, views = motion.half, self._size[0], self._views
-        (x, R, links), forces = half.middle.placement, half.forces
+        mid, n, views = motion.mid, self._size[0], self._views
+        (x, R, links), forces = mid.state.placement, mid.forces
         put(work, _col.X, n, x)
         put(work, _col.R_THERE, n, R)
-        velocity(work, _col.V_THERE, self._size)[:] = half.middle.v
+        velocity(work, _col.V_THERE, self._size)[:] = mid.state.v
         velocity(work, _col.V_FREE, self._size)[:] = forces.v
         views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
         if self._dynamics.free:
-            put(work, _col.QUATERNION, n, half.middle.position.quaternion)
+            put(work, _col.QUATERNION, n, mid.state.position.quaternion)
         first = 0
         for begun, there in zip(motion.begun, links, strict=True):
             last = first + there.J.shape[1]
             views[_col.BEGUN][first:last], views[_col.JACOBIAN][first:last] = begun.J.T, there.J.T
             first = last
 
-    def _move(self, motion: Motion, floats: Array, work: Array) -> bool:
+    def _move(self, motion: TreeMotion, floats: Array, work: Array) -> bool:
         """Bring the scene to the end of its step; whether it goes there."""
         n, b = self._size[0], floats[_col.RESULTS :]
         found = motion.end(
@@ -202,15 +202,15 @@ class Mover:
         return True
 
     def respond(
-        self, s: System, begin: Instant, t: float, h: float, barred: Index, half: Half | None = None
-    ) -> Trial | None:
-        """The move of h s from the time t, with `barred` as of `trial`; None where the kernel does not make it.
+        self, s: System, begin: SceneState, t: float, h: float, located: Index, mid: Midpoint | None = None
+    ) -> Attempt | None:
+        """The move of h s from the time t, with `located` as of `try_islands`; None where the kernel does not make it.
 
-        Its first `half` is known where there are trees, or forces of the user.
+        Its first `midpoint` is known where there are trees, or forces of the user.
         """
-        if not Mover.ready:
+        if not MoveKernel.ready:
             return None
-        motion = None if half is None else Motion(begin, half)
+        motion = None if mid is None else TreeMotion(begin, mid)
         if motion is not None and motion.has_rows():
             return None
         if self.given[0] is not begin:
@@ -219,7 +219,7 @@ class Mover:
             return None
         old, begun = given
         begun = begun.anew() if self._dynamics.trees else begun
-        made = self(old, begun, (h, s.depth), barred=barred, motion=motion)
+        made = self(old, begun, (h, s.depth), located=located, motion=motion)
         return None if made is None else made.values(s, begin, t, h, motion)
 
     def _set(self, length: tuple[float, float]) -> None:
@@ -227,7 +227,7 @@ class Mover:
         if length == self._length:
             return
         (h, depth), num, self._length = length, self.numbers, length
-        num[_col.STEP], num[_col.DEPTH], num[_col.SLOW] = h, depth, depth * self._smallest
+        num[_col.STEP], num[_col.DEPTH], num[_col.LEAST_PENETRATION] = h, depth, depth * self._smallest
         num[_col.UNTIL] = num[_col.THETA] * h + (1.0 - num[_col.THETA]) * self._dt
 
     def is_ready(self, old: Acted, begun: Found) -> bool:
@@ -235,8 +235,8 @@ class Mover:
         found, detector = begun[:2], self._detector
         given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
         work = self._rooms(False, False)[2]
-        Mover.ready = is_ready(_quiet.quiet, *given, work, (_meeting.DONE, False, detector.asks, False))
-        return Mover.ready
+        MoveKernel.ready = is_ready(_eventless.quiet, *given, work, (_contacts.DONE, False, detector.asks, False))
+        return MoveKernel.ready
 
     def _rooms(self, moves: bool, step: bool) -> tuple[Acted, Rooms, tuple[Array, Index, Bools]]:
         """Room for a state, for what is found on the way there, if anything moves, and to work in."""
@@ -264,14 +264,14 @@ class Mover:
         work: tuple[Array, Index, Bools],
         begun: Found,
         whole: bool,
-    ) -> Made:
+    ) -> KernelResult:
         """What is made so far, as large as it is."""
         (floats, acted, status), (own, head, flags) = new, work
-        nc, went, goes = int(head[_col.MET]), floats[_col.WENT] > 0.0, floats[_col.GOES] > 0.0
+        nc, went, goes = int(head[_col.ACTIVE]), floats[_col.WENT] > 0.0, floats[_col.GOES] > 0.0
         found = Found(*rooms[0], int(head[_col.KEY_MIDDLE])).of(int(head[_col.MIDDLE])) if went else begun
         if nc != status.size:
             floats, acted, status = floats[: self._acted + _col.CONTACT * nc], acted[: 2 * nc], status[:nc]
-        return Made(
+        return KernelResult(
             floats,
             acted,
             status,
@@ -284,11 +284,11 @@ class Mover:
             whole,
         )
 
-    def _solve(self, made: Made) -> bool:
+    def _solve(self, made: KernelResult) -> bool:
         """Solve the problem of a step where the kernel does not; whether that is an answer."""
-        nc, floats, met, masses = made.status.size, made.floats, made.met, self._views[_col.M : _col.MINV + 1]
+        nc, floats, active, masses = made.status.size, made.floats, made.active, self._views[_col.M : _col.MINV + 1]
         own, a = made.work[self._own :], floats[self._acted :]
-        problem, _ = solved(floats, a, met, met.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)
+        problem, _ = solved(floats, a, active, active.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)
         last, start = self._solution if made.head[_col.SOLVED] else None, own[12 * nc : 15 * nc]
         solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], math.inf)
         if not solution.accepted:
