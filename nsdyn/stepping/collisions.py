@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, ordered, take
 from nsdyn.dynamics.values import MidpointState, Placement
 from nsdyn.stepping.active_set import normal_velocities
@@ -14,7 +15,7 @@ from nsdyn.stepping.impulses import Impulses, book
 from nsdyn.stepping.midpoint import SILENT, Midpoint
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
-from nsdyn.stepping.scene_state import DEEP, JOINT, SceneState, System, among
+from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["captured_impacts", "collide", "limits_struck", "striking"]
@@ -81,9 +82,9 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
     )
     kin = ContactKinematics.of(mid, at.placement, contacts, joints, at._replace(contacts=contacts))
     resting = s.resting(kin, at.placement, rate)
-    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
+    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * OPTIONS.joint)
     depth[:nc] = s.penetration_tol(contacts)
-    if s.depth >= DEEP:
+    if s.depth >= OPTIONS.depth_located:
         # What was pressed before turns with its bodies: it closes a little without striking. But what has just closed
         # its gap still approaches, and where that gains energy it is stopped first.
         depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
@@ -134,5 +135,5 @@ def limits_struck(s: System, at: SceneState, h: float) -> Index:
     if not _reductions.any_below(at.limits, s.gap_tol):
         return NO_SLOTS
     joints, slots = s.dynamics.joints, s.dynamics.joints.limits
-    limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * JOINT / h)
+    limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * OPTIONS.joint / h)
     return slots[(at.limits <= s.gap_tol) & (joints.rates(slots, at.v) < -limit)]

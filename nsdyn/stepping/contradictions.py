@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -15,7 +16,6 @@ from nsdyn.dynamics.trees import Tree
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.scene import checks, pairs
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.scene_state import JOINT
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
@@ -35,7 +35,7 @@ class Prescribed:
     """Bodies, links and joints of a scene that nothing but prescribed motion moves, and what they may run into.
 
     Shapes reach `arm` (frames,) from the origins of their frames, m. The deepest `overlap` that is taken is a fraction
-    of the inscribed radius of the smaller body, of joint limits one of `JOINT`. ValueError where they contradict each
+    of the inscribed radius of the smaller body, of joint limits one of `Options.joint`. ValueError where they contradict each
     other from the start, as of `check`.
     """
 
@@ -118,7 +118,7 @@ class Prescribed:
             lower, upper = tree.limits()
             beyond = np.where(tree.held, np.maximum(lower - links.angle, links.angle - upper), -math.inf)
             j = int(beyond.argmax())
-            if beyond[j] > self._overlap * JOINT:
+            if beyond[j] > self._overlap * OPTIONS.joint:
                 joint = tree.joint_of(j)
                 raise ValueError(
                     f"prescribed motions contradict: joint '{tree.name}/{joint}' is {beyond[j]:.3g} rad or m beyond "

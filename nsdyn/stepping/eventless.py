@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn._kernels.stepping.islands import EVENT, WORK
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -70,7 +70,9 @@ class EventlessSteps:
             if (new := self._next(old, certify)) is not None:
                 self._pause = 0
                 return old, new
-            if self._tried[1] is not None and EVENT * old.found.nc <= WORK:  # in larger scenes little of it serves
+            if (
+                self._tried[1] is not None and OPTIONS.event * old.found.nc <= OPTIONS.work
+            ):  # in larger scenes little of it serves
                 self._pause = 0
                 return None
         self._left, self._pause = self._pause, min(2 * self._pause + 1, PAUSE)

@@ -12,6 +12,7 @@ from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn._kernels.stepping import eventless as _eventless
 from nsdyn._kernels.stepping import eventless_contacts as _contacts
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto
@@ -19,7 +20,7 @@ from nsdyn.stepping.attempt import Attempt
 from nsdyn.stepping.flat_state import Acted, Found, detected_at, packed, put, solved, velocity
 from nsdyn.stepping.kernel_result import KernelResult
 from nsdyn.stepping.midpoint import Midpoint
-from nsdyn.stepping.scene_state import FAST, STILL, SceneState, System
+from nsdyn.stepping.scene_state import STILL, SceneState, System
 from nsdyn.stepping.solving import again
 from nsdyn.stepping.tree_motion import TreeMotion
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -61,7 +62,7 @@ class MoveKernel:
             shallow,
             until,
             s.depth,
-            FAST * s.smallest,
+            OPTIONS.unseen * s.smallest,
             s.least_penetration,
             STILL * s.gap_tol,
             s.elastic,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels import sorting as _sorting
 from nsdyn._kernels.stepping import touching as _touching
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, DetectionPose, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -22,24 +23,9 @@ from nsdyn.tools.arrays import Array, Bools, Index
 if TYPE_CHECKING:
     from nsdyn.stepping.move_kernel import MoveKernel
 
-__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "SceneState", "System", "WarmStart", "among"]
+__all__ = ["SceneState", "System", "WarmStart", "among"]
 
 NOTHING = np.empty(0)
-
-FAST = 0.1
-"""Fraction of the inscribed radius of the smallest shape beyond which bodies may get so far into each other in half a
-move that only the way there tells which sides met."""
-
-DEEP, SHALLOW = 1e-5, 1e-3
-"""Fractions of the inscribed radius of the smaller shape up to which bodies may run into each other within a step, in
-scenes whose impacts are located, and in those that catch them. What falls so far is lifted again at the end, and the
-energy of that is numerical; what else carries the body when it lands is struck too late."""
-
-JOINT = 0.1
-"""What counts for joint limits as the inscribed radius of a shape does, rad or m."""
-
-EVENTS = 16
-"""Most impacts at which one step is cut, and bounces in a step that count as infinitely many."""
 
 STILL = 0.5
 """Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
@@ -86,7 +72,7 @@ class System(NamedTuple):
     arm: Array
     impact: Law
     elastic: bool
-    depth: float = DEEP
+    depth: float = OPTIONS.depth_located
     mover: MoveKernel | None = None
 
     @property
@@ -97,7 +83,7 @@ class System(NamedTuple):
     @property
     def capturing(self) -> System:
         """The same in a move that catches what it meets, and what strikes as slowly where it begins."""
-        return self._replace(depth=max(self.depth, SHALLOW))
+        return self._replace(depth=max(self.depth, OPTIONS.depth_captured))
 
     def during(self, t: float, h: float, begin: Position) -> System:
         """The same in a step of h s from t on that begins at a position."""
@@ -109,7 +95,11 @@ class System(NamedTuple):
         The move after it is no longer than the step. Left to close later is what gravity closes from rest in a step,
         which is of second order, and not deep; what crosses wider gaps strikes. None where impacts are located.
         """
-        shallow = min(SHALLOW * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if captured else 0.0
+        shallow = (
+            min(OPTIONS.depth_captured * min(self.smallest, OPTIONS.joint), self.dynamics.weight * self.dt**2)
+            if captured
+            else 0.0
+        )
         return self.gap_tol, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt
 
     def touches(
@@ -121,8 +111,8 @@ class System(NamedTuple):
         together: ContactSet | None = None,
         foreseen: Array | None = None,
     ) -> Touches:
-        """Contacts of `Detector.touches` of pairs so `FAST` that where they end does not tell which sides met."""
-        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed, together, foreseen)
+        """Contacts of `Detector.touches` of pairs so `Options.unseen` that where they end does not tell which sides met."""
+        return self.detector.touches(begin, end, memory, known, OPTIONS.unseen * self.inscribed, together, foreseen)
 
     def detection_pose(self, last: DetectionPose, now: Poses, reach: Array) -> DetectionPose | None:
         """Where to look for contacts now: where they were looked for, but for frames of which that is no longer so.
@@ -159,7 +149,7 @@ class System(NamedTuple):
         c, w = at.contacts, at.warm
         warm = w.key, w.pair, w.status
         # But where such a contact has just closed its gap and that gains energy, it is stopped first.
-        if self.depth < DEEP:
+        if self.depth < OPTIONS.depth_located:
             warm = w.key, w.pair, np.zeros_like(w.status)
         least: float = _touching.striking_speed(
             c[:3], at.placement.x, at.twists, warm, self.inscribed.size, self.gap_tol
@@ -169,13 +159,13 @@ class System(NamedTuple):
     @property
     def bounces(self) -> tuple[float, float]:
         """Half a step, s, and the least 1 - e that counts in it, as of `resting`."""
-        return 0.5 * self.dt, 1.0 / EVENTS
+        return 0.5 * self.dt, 1.0 / OPTIONS.bounces
 
     def resting(self, kin: ContactKinematics, there: Placement, rate: Array) -> Array:
         """Speeds of approach up to which what strikes rests afterwards, at a free acceleration `rate` (n,), m/s.
 
         After an impact that leaves u the flight takes 2 u/a_n, with the free accelerations of both bodies along the
-        normal added up, and those that follow e, e², ... times as long: they are over within a step, or the `EVENTS` of
+        normal added up, and those that follow e, e², ... times as long: they are over within a step, or the `Options.bounces` of
         it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS). What the solver's tolerance leaves of a velocity is no approach.
         """
         d, c, e = self.dynamics, kin.contacts, kin.restitution
@@ -189,21 +179,21 @@ class System(NamedTuple):
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
-        """Whether bodies are in each other by more than `FAST` of the inscribed radius of the smaller shape."""
-        if _reductions.least(contacts.gap) >= -FAST * self.smallest:
+        """Whether bodies are in each other by more than `Options.unseen` of the inscribed radius of the smaller shape."""
+        if _reductions.least(contacts.gap) >= -OPTIONS.unseen * self.smallest:
             return False
         radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
-        return bool((contacts.gap < -FAST * radius).any())
+        return bool((contacts.gap < -OPTIONS.unseen * radius).any())
 
     def shifted(self, before: Position, after: Position) -> bool:
-        """Whether a projection moved points of a free body by more than `FAST` of the least inscribed radius."""
+        """Whether a projection moved points of a free body by more than `Options.unseen` of the least inscribed radius."""
         free = before.x.shape[0]
         if after is before or not free:
             return False
         # Of a small turn the quaternion changes by half.
         turn = 2.0 * np.linalg.norm(after.quaternion - before.quaternion, axis=1)
         moved = np.linalg.norm(after.x - before.x, axis=1) + self.arm[:free] * turn
-        return float(moved.max()) > FAST * self.smallest
+        return float(moved.max()) > OPTIONS.unseen * self.smallest
 
 
 class WarmStart(NamedTuple):

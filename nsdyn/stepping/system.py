@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.scene.bodies import Geom
@@ -19,15 +20,6 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import is_number
 
 __all__ = ["check_flags", "check_options", "check_seconds", "system_of"]
-
-GAP_TOL = 1e-9
-"""Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
-that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
-body at rest in every step."""
-
-SLOW = 0.01
-"""m/s. In a step in which a body at this speed moves farther than its size a contact may sink only for as long as that
-takes: grains of 1e-5 m gained 1e-6 of their energy from gaps that counted as closed."""
 
 
 def check_seconds(**given: Any) -> None:
@@ -69,7 +61,7 @@ def system_of(
     # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
     size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
     # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
-    closed = max(GAP_TOL * size, solver.tol * min(scheme[1], size / SLOW))
+    closed = max(OPTIONS.gap_tol * size, solver.tol * min(scheme[1], size / OPTIONS.slow))
     inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
     rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
     elastic = any(e > 0.0 for e in rebounds) or bool(dynamics.joints.restitution.any())

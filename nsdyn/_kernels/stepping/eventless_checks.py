@@ -14,10 +14,10 @@ from nsdyn._kernels.stepping import law, slip_reversal, touching
 from nsdyn._kernels.stepping.active_set import rests_of
 from nsdyn._kernels.stepping.eventless_contacts import all_twists
 from nsdyn._kernels.stepping.islands import located
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.vectors import square
 
-GAIN = 1e-5
-"""Of the kinetic energy with which it begins, most that contacts that persist and projections may add in a step."""
+GAIN = OPTIONS.gain
 
 SURELY = 0.5
 """Part of `GAIN` that contacts joined by bodies may add, so that those of any larger island add less than that: its

@@ -8,11 +8,10 @@ from nsdyn._kernels.collision.broadphase import bounds
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import number, unite
 from nsdyn._kernels.sorting import order as order_of
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.vectors import square
 
-WORK, EVENT = 400, 8
-"""Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
-the moves that one takes, about; what it cannot afford it catches within the rest of the step."""
+WORK, EVENT = OPTIONS.work, OPTIONS.event
 
 
 @kernel

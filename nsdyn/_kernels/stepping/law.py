@@ -11,16 +11,11 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics.motion import beyond_potential
 from nsdyn._kernels.problem.blocks import diagonal_block, relative_velocity, widest
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
-TILTS = math.cos(0.2)
-"""Cosine of the angle by which the normal of a contact may turn in half a move: from one feature of corners to the next
-it jumps, and how fast what was there parted says nothing of what is here."""
-
-TURNS = 0.5
-"""Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
-the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
+TILTS, TURNS = math.cos(OPTIONS.tilt), OPTIONS.turn
 
 NO_SLIP = 1e-14
 """Slip, m/s, that is round-off: what rests on the edge of its cone slips on by less for good."""
