@@ -35,13 +35,13 @@ def captured_impacts(
         return kin, None
     # Rows that turn with their bodies are no approach.
     resting = s.resting(kin, there, rate)
-    resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.local[3, 0::3]))
+    resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.jacobian_drift[0::3]))
     closed = struck | (kin.end_gap <= s.gap_tol)
     while True:
         impact = _strike(s, kin, closed, resting, resting)
         after = kin.changed(kin.rows.velocity_change(impact.r), struck)
         # What is so driven against others strikes them too.
-        driven = ~closed & (kin.restitution > 0.0) & (after.local[1, 0::3] < -resting) & _closes(s, after, h)
+        driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, h)
         if not driven.any():
             return after, impact
         closed, struck = closed | driven, struck | driven
@@ -49,7 +49,7 @@ def captured_impacts(
 
 def _closes(s: System, kin: ContactKinematics, h: float) -> Bools:
     """Which gaps close within a move of h s if nothing else acts."""
-    u_free, jacobian_drift = kin.local[2:4, 0::3]
+    u_free, jacobian_drift = kin.u_free[0::3], kin.jacobian_drift[0::3]
     out: Bools = kin.end_gap + s.theta * h * (u_free + jacobian_drift) <= 0.0
     return out
 
@@ -58,7 +58,7 @@ def striking(s: System, kin: ContactKinematics, there: Placement, rate: Array, h
     """Which rows strike within a move of h s, as of `captured_impacts`; None if none does."""
     if not s.elastic or not kin.mu.size:
         return None
-    u_begin, u = kin.local[:2, 0::3]
+    u_begin, u = kin.u_begin[0::3], kin.u[0::3]
     resting = s.resting(kin, there, rate)
     struck: Bools = (kin.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, kin, h)
     return struck if struck.any() else None
@@ -126,7 +126,7 @@ def _passing(s: System, at: SceneState, closed: ContactSet, surfaces: Array, lim
 
 def _strike(s: System, kin: ContactKinematics, closed: Bools, resting: Array, slow: Array) -> Impact:
     """Impacts of the closed contacts and joint limits."""
-    at = Round(kin.rows.blocks, kin.local[1], kin.mu, kin.restitution, closed, s.solver)
+    at = Round(kin.rows.blocks, kin.u, kin.mu, kin.restitution, closed, s.solver)
     return strike(s.impact, at, resting, slow)
 
 
