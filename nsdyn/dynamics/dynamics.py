@@ -94,8 +94,7 @@ class Dynamics(Kinematics):
         return self._with_trees(v.copy(), self.no_load, motions)
 
     def _with_trees(self, v: Array, load: Array, motions: list[FreeMotion]) -> Forces:
-        """Join the forces of the trees and the load on the free bodies; write the velocities of the trees into v (n,).
-        """
+        """Join the forces of trees and the load on the free bodies; write the velocities of the trees into v (n,)."""
         if self._lone:
             only = motions[0]
             return Forces(only.v, only.foreseen, load, only.m.ravel(), only.minv.ravel(), (only,))
@@ -197,8 +196,7 @@ class Dynamics(Kinematics):
     # -- energies ---------------------------------------------------------------------------------------------------
 
     def energies(self, position: Position, v: Array, trees: Energies) -> tuple[float, float]:
-        """(kinetic, potential) energy, J, with `trees` of `tree_energies`; potential energy is 0 at the world's origin.
-        """
+        """(kinetic, potential) energy, J, with `trees` of `tree_energies`; potential energy 0 at the world's origin."""
         kinetic = potential = 0.0
         if self.free:
             kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)

@@ -177,8 +177,7 @@ class JointLaws:
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, nv: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, (slots, 3); and (7, nv) with actuators, limits and friction in rows 0, 1 and 2.
-        """
+        """Impulses r (nj, 3) by slot, (slots, 3); and (7, nv): actuators, limits and friction in rows 0, 1 and 2."""
         on_coordinates = np.zeros((7, nv))
         if rows is None:
             return self.no_impulses, on_coordinates
@@ -269,8 +268,7 @@ class ContactJacobian:
         return out
 
     def held(self, r: Array) -> Array:
-        """Impulses r (3 nc,) with exact clutches: the prescribed pressing, and a tangential part of at most its size.
-        """
+        """Impulses r (3 nc,) with exact clutches: the prescribed pressing, and a tangential part of at most that."""
         if not self._pressed.size:
             return r
         rows, most, out = self._pressed, self._impulse, r.copy()
