@@ -91,7 +91,7 @@ class Kinematics(Layout):
         return self._with_others(position, x, R, links)
 
     def _with_others(self, position: Position, x: Array, R: Array, links: list[Links]) -> Placement:
-        """Complete a placement: `x` and `R` hold the frames of free bodies, those of all others are added."""
+        """Complete a placement: add all other frames to `x` and `R`, which hold those of the free bodies."""
         if position.driven_x.size:
             nd = len(position.driven_x)
             _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
