@@ -132,8 +132,7 @@ class Search:
         return operator(self.problem)
 
     def _note(self, best: float, count: int, spent: float, x: Array | None = None) -> None:
-        """Record the work done, and the impulse x it ended in if x is better than the best even with round-off counted.
-        """
+        """Record the work done, and keep its result x if it is better than the best, even with round-off counted."""
         before, self.count, self.spent = self.best, self.count + count, self.spent + spent
         if x is not None and best < before:
             best = max(best, self.problem.round_off(x))
@@ -199,8 +198,7 @@ class Search:
         self._note(path.best, path.count, path.count, path.r)
 
     def converge(self, tol: float) -> None:
-        """Run Newton's method to the sharp tolerance, a few steps at a time, until `tol` is met or it no longer gains.
-        """
+        """Run Newton's method to the sharp tolerance, a few steps at a time, until `tol` is met or gains cease."""
         before = np.inf
         while self.best > tol and self.best <= TUNING.gain * before:
             before = self.best
