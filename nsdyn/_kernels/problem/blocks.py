@@ -26,7 +26,7 @@ def relative_velocity_of(blocks, v, c):
     for s in range(2):
         k = block[c, s]
         if k >= 0:
-            # Unsigned indices spare the test whether they count from the end: a third of the time.
+            # Unsigned indices spare the test for negative ones, a third of the time.
             o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
             d, e = a + n, a + n + n
             for j in range(n):

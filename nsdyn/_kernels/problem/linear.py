@@ -39,7 +39,7 @@ def factorise(S, pivot, low, end):
                 f = S[i, k] * inverse
                 S[i, k] = f
                 end[i] = max(end[i], last)
-                # Unsigned indices spare the test whether they count from the end: a third of the time.
+                # Unsigned indices spare the test for negative ones, a third of the time.
                 row, top = np.uint64(i), np.uint64(k)
                 for j in range(np.uint64(k + 1), np.uint64(last)):
                     S[row, j] -= f * S[top, j]

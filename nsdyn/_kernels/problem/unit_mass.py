@@ -78,7 +78,7 @@ def unit_rows(blocks, G, mu, order):
 @no_alloc(inline="always")
 def read(rows, c, body, v):
     """Ĥ_cᵀ v̂: normal, first and second tangent."""
-    # Unsigned: the compiler need not ask whether an index counts from the end.
+    # Unsigned indices spare the test for negative ones.
     o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
     return dot(rows, o, v, a, b), dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
 
