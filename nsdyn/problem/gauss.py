@@ -56,8 +56,7 @@ RESOLVED = 100.0 * ROUNDING
 """Least value of that unit over the largest velocity."""
 
 FEWER = 0.9
-"""Fraction of the number of contacts at which no direction opened all. Once fewer contacts are left, the search is
-repeated."""
+"""Where no direction opened all contacts, the search is repeated once at most this fraction of their number is left."""
 
 PENALTY, GROWTH, LARGEST = 10.0, 10.0, 1e9
 """Penalty times λ_max(W_cc) of the first Newton step, its growth with every full step, and its limit."""

@@ -238,7 +238,7 @@ class Search:
 
 
 def sharp(tol: float) -> float:
-    """Return the measure to which a problem is solved if Newton's method reaches it, for a tolerance `tol`."""
+    """Return the sharp tolerance: the measure to which a problem is solved if Newton's method reaches it."""
     return max(TUNING.polish * tol, FLOOR)
 
 

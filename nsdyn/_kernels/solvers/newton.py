@@ -25,10 +25,10 @@ from nsdyn._kernels.problem.sparse import assemble, dense_pattern
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.vectors import square
 
-PATIENCE, DIVERGED = 5, 10.0  # a penalty is too large after so many steps without settling, or such growth of defect²
+PATIENCE, DIVERGED = 5, 10.0  # a penalty is too large beyond these steps without settling, or this growth of defect²
 SHRINKAGE, LEAST = 0.1, 1e-3  # factor on a penalty that is too large, and penalty below which the search ends
 GROWTH, LARGEST = 2.0, 1e10  # factor on a penalty that settles in two steps, and its limit: large ones cost digits
-HALF, IDLE = 0.5, 4  # a measure that is near and not halved in so many Newton steps is round-off
+HALF, IDLE = 0.5, 4  # a measure that is near is round-off if it is not halved in this number of Newton steps
 PART = 1e-2  # F has settled if its squared defect is at most this part of the squared multiplier step
 
 GOES_ON, SETTLED, FAILED = range(3)
