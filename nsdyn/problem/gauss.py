@@ -1,17 +1,17 @@
 """Error bound of a step from Gauss's principle, its certificate.
 
 For any r ∈ K put v = v_f + M⁻¹ H r, u = Hᵀ v + w, freeze s = μ‖u_T‖, and write û(x) = Hᵀ x + w + s e_N. The velocity v*
-of least constraint, min ½‖x - v_f‖²_M under û(x) ∈ K*, is unique although impulses are not. For any direction d and λ ≥
-0 with û(v + λ d) ∈ K*,
+of least constraint, min ½‖x - v_f‖²_M under û(x) ∈ K*, is unique although impulses are not. For any direction d and
+λ ≥ 0 with û(v + λ d) ∈ K*,
 
     ‖v - v*‖_M ≤ ½ λ‖d‖_M + (G + ¼ λ²‖d‖²_M)^½,   G = Σ r·û(v + λ d) = Σ r·(u + s e_N) + λ r·Hᵀ d ≥ 0.
 
 Proof. Let f be the objective and a = v + λ d. As M (v - v_f) = H r, f(x) = f(v) + r·Hᵀ(x - v) + ½‖x - v‖²_M. At x = v*
-this gives f(v*) ≥ f(v) - r·û(v) + ½‖v* - v‖²_M, for r·û(v*) ≥ 0; at x = a it gives f(a); and f(a) ≥ f(v*) + ½‖a -
-v*‖²_M, since v* is the minimum over a convex set that a belongs to. Together, ‖v - v*‖²_M + ‖v + λ d - v*‖²_M ≤ 2 G +
-λ²‖d‖²_M: the ball of centre v + ½ λ d and radius (G + ¼ λ²‖d‖²_M)^½ holds v*. The terms of Σ r·(u + s e_N) are negative
-where u_N < 0, and every r·û(a) is ≥ 0 again because r and û(a) are in cones that are dual to each other. (Without the
-term ½‖a - v*‖²_M the same lines give the weaker √(2 G + λ²‖d‖²_M).)
+this gives f(v*) ≥ f(v) - r·û(v) + ½‖v* - v‖²_M, for r·û(v*) ≥ 0; at x = a it gives f(a); and
+f(a) ≥ f(v*) + ½‖a - v*‖²_M, since v* is the minimum over a convex set that a belongs to. Together,
+‖v - v*‖²_M + ‖v + λ d - v*‖²_M ≤ 2 G + λ²‖d‖²_M: the ball of centre v + ½ λ d and radius (G + ¼ λ²‖d‖²_M)^½ holds v*.
+The terms of Σ r·(u + s e_N) are negative where u_N < 0, and every r·û(a) is ≥ 0 again because r and û(a) are in cones
+that are dual to each other. (Without the term ½‖a - v*‖²_M the same lines give the weaker √(2 G + λ²‖d‖²_M).)
 
 Where u_N ≥ 0 at every contact, λ = 0 is enough and the bound is the root of the duality gap. Otherwise û(v) + λ Hᵀ d is
 in K* if u_N + λ κ ≥ 0 at every contact, with κ = (Hᵀ d)_N - μ‖(Hᵀ d)_T‖. So d must open contacts that approach, and may
@@ -114,7 +114,7 @@ class SlaterDirection(NamedTuple):
     wedged: int = 0
 
     def hopeless(self, nc: int, speed: float) -> bool:
-        """Whether a new search is not worth its cost, since one failed for as many contacts and hardly more `speed`."""
+        """Whether a search is not worth its cost: one failed for as many contacts and up to 10 times the `speed`."""
         return not self.d.size and nc == self.nc and speed > 0.1 * self.speed
 
 

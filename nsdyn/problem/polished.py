@@ -10,8 +10,8 @@ of the energy at play, the root of round-off. The frozen problem is convex, and 
 Newton steps.
 
 v* is not a solution of Coulomb's problem: its slip differs from that of v, so that it has another shift s'. The
-distance of v*(s') from v*(s) is the defect in Coulomb's law. It is 0 at solutions of Coulomb's problem, where v*(s) =
-v. It does not bound the distance to a solution, which need not be unique, or exist.
+distance of v*(s') from v*(s) is the defect in Coulomb's law. It is 0 at solutions of Coulomb's problem, where
+v*(s) = v. It does not bound the distance to a solution, which need not be unique, or exist.
 """
 
 from __future__ import annotations

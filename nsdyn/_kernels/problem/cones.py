@@ -134,8 +134,8 @@ def _slip(W, q0, q1, q2, alpha):
 def _quartic(W, q0, q1, q2, mu):
     """Find the root alpha of |r_T| = mu r_N along `_slip` by Newton's method, which may fail.
 
-    By Cramer's rule r_N = P / D and r_T = T / D with P quadratic and T linear in alpha. Newton's method is applied to 1
-    - mu P / |T|, which is linear where the contact is isotropic. It starts from the root of the asymptote.
+    By Cramer's rule r_N = P / D and r_T = T / D with P quadratic and T linear in alpha. Newton's method is applied to
+    1 - mu P / |T|, which is linear where the contact is isotropic. It starts from the root of the asymptote.
     """
     p1 = W[0, 1] * q1 + W[0, 2] * q2 - q0 * (W[1, 1] + W[2, 2])
     p0 = (

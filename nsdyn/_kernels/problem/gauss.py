@@ -173,9 +173,9 @@ def relax(blocks, mu, b, aim, enough, sweeps, d):
     """Change d (n,) by projections until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact; return whether it succeeded.
 
     Contacts with a smaller κ are treated in turn. Each gets the shortest change, in the kinetic norm, that brings the
-    linearised κ to `aim`. With o = Hᵀ d - b, the change is along the impulse g = (1, -μ o_T/|o_T|), the gradient of κ =
-    o_N - μ|o_T|. Where directions with κ > `aim` exist, every change brings d closer to all of them, and finitely many
-    changes suffice.
+    linearised κ to `aim`. With o = Hᵀ d - b, the change is along the impulse g = (1, -μ o_T/|o_T|), the gradient of
+    κ = o_N - μ|o_T|. Where directions with κ > `aim` exist, every change brings d closer to all of them, and finitely
+    many changes suffice.
     """
     offset, block, start, H = blocks[:4]
     y, now = weighted_rows(blocks), False
