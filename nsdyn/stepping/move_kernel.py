@@ -1,4 +1,4 @@
-"""Moves in one call of the kernel `nsdyn._kernels.stepping.eventless`; motion of trees and user forces are in Python."""
+"""Moves in one call of the kernel `nsdyn._kernels.stepping.eventless`; motion of trees, user forces are in Python."""
 
 from __future__ import annotations
 
