@@ -97,7 +97,7 @@ class Prescribed:
         return float(reach * moved[tree.turns].sum() + moved[shifts].sum()), place
 
     def _of_bodies(self, begin: Position, end: Position, times: tuple[float, float]) -> Way:
-        """Length of the way of the kinematic bodies, and their poses on it: a straight line and one axis of rotation."""
+        """Length of the way of the kinematic bodies, and their poses on it: straight, with one axis of rotation."""
         surfaces, count = self._dynamics.surfaces, len(begin.driven_x)
         if not count:
             return STAYS

@@ -113,7 +113,7 @@ def _is_none(solution: Solution) -> bool:
 
 
 def worst(solved: list[tuple[FC3D, Solution]]) -> int:
-    """Index of the problem that represents a step: the last, or, if any missed its tolerance, the one furthest from it."""
+    """Index of the problem that represents a step: the last, or the furthest from its tolerance if any missed it."""
 
     def badness(k: int) -> tuple[bool, bool, float]:
         solution = solved[k][1]

@@ -28,9 +28,9 @@ FEW = 8
 class Paradoxes:
     """Find jams and further velocities in scenes where they are possible.
 
-    A body of mass m, whose least moment of inertia is J and whose shapes reach b from its centre, has
-    W_NN - μ‖W_NT‖ ≥ 1/m - μ² b²/4 J. The left side is negative only if μ > 2 (J/m)^½/b. For articulations there is no
-    such bound in advance. Shapes reach `arm` (frames,) from the origins of their frames, m, and μ is at most `mu`.
+    A body of mass m, whose least moment of inertia is J and whose shapes reach b from its centre, has W_NN - μ‖W_NT‖ ≥
+    1/m - μ² b²/4 J: friction turns it fast enough for a paradox only if μ > 2 (J/m)^½/b. For articulations no such
+    bound is known in advance. Shapes reach `arm` (frames,) from the origins of their frames, m, and μ is at most `mu`.
     """
 
     def __init__(self, dynamics: Dynamics, solver: Solver, arm: Array, mu: float) -> None:
@@ -82,7 +82,7 @@ class Paradoxes:
         return done, works, status
 
     def _jam(self, problem: FC3D, solution: Solution, nc: int, dt: float, rate: Array) -> Bools | None:
-        """Contacts that jam, of the first nc rows of a problem; None if no velocity change is large enough for a jam."""
+        """Contacts that jam, of the first nc of a problem; None if no velocity change is large enough for a jam."""
         load, change = _kernels.stopped(problem.q, solution.u, solution.r, nc)
         if change <= _kernels.ODD * load:
             return None
