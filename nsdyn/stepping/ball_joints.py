@@ -43,7 +43,7 @@ def angles(axes: Array) -> Array:
 
 
 def _wanted(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Array:
-    """Angles α after one fixed-point step, from impulses r and velocities u of all rows; the same if both parts stick."""
+    """Angles α after one fixed-point step, from impulses r and velocities u of all rows; unchanged if both stick."""
     tau, shares = rows.ball_axes(r), rows.shares
     inside = (np.hypot(tau[:, 0], tau[:, 1]) < STICKS * shares[:, 0]) & (np.abs(tau[:, 2]) < STICKS * shares[:, 1])
     mobility = np.maximum(scales[rows.balls], scales[rows.balls + 1])

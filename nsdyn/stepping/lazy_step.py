@@ -91,7 +91,7 @@ class LazyStep(NamedTuple):
         }
 
     def _booked(self) -> tuple[Works, Array, Array]:
-        """Return the works, including those of trees and loads moved by Python, and `joints` and `links` as in `Step`."""
+        """Return the works, with those of trees and loads computed in Python, and `joints`, `links` as in `Step`."""
         flat, d = self.flat, self.system.dynamics
         own = Works(*flat.floats[_col.EXTERNAL : _col.NORM].tolist())
         if flat.motion is None:

@@ -94,8 +94,8 @@ def simulate(
     progress : bool
         Show a progress bar on stderr when it is a terminal.
     every : int
-        Record one step of so many. Works are summed over all steps, so that the ledger closes. Contacts, with their
-        impulses, are those of the recorded step: see `nsdyn.recording.columns`.
+        Record only every n-th step, n = `every`. Works are summed over all steps, so that the ledger closes. Contacts,
+        with their impulses, are those of the recorded step: see `nsdyn.recording.columns`.
     contacts : bool
         Whether contacts are recorded.
     resume : path, optional
