@@ -128,7 +128,7 @@ class OnBodies(NamedTuple):
 
     @staticmethod
     def of(moves: list[tuple[float, float, Array | None]]) -> OnBodies | None:
-        """From (time of impulses, duration, values (free, 6) as in `Impulses`) of each move; None if no move has any."""
+        """From (time of impulses, duration, values (free, 6) as in `Impulses`) of each move; None without values."""
         some = [(time, h, done, np.flatnonzero(done.any(axis=1))) for time, h, done in moves if done is not None]
         if not some:
             return None

@@ -141,8 +141,8 @@ def opened(system):
     """Views of the packed arrays of a system.
 
     (numbers, size); (arm, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹, radii) of bodies; (gravity, no
-    load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as of `links.rows`) where
-    the impulses act, and where the move begins.
+    load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as in `links.rows`) at
+    the midpoint, and the same at the beginning of the move.
     """
     sf, si = system
     num, mass, J = numbers(sf, si, NUMBERS), numbers(sf, si, MASS), matrices(sf, si, INERTIA)

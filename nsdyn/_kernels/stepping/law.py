@@ -103,7 +103,7 @@ def begin_velocities(place, begin, here, carried, surface_velocity, u):
 def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out):
     """Relative velocities of a step, their drift in its second half, gaps at its end for zero normal speed; warm start.
 
-    u_begin is v_begin in the rows of the beginning, all others are in the rows of the midpoint. `jacobian_drift`
+    u_begin is v_begin in the rows of the beginning; u and u_free are in the rows of the midpoint. `jacobian_drift`
     = u - u_begin is the change of relative velocity because the rows turn, without any impulse. end_gap
     = gap - ahead/2 drift_N belongs to the parabola whose speed at the end of the step, `ahead` seconds later, is 0,
     but for changes of the twists. For bodies that turn by more than `TURNS` no drift is foreseen.
