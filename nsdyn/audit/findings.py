@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -233,6 +234,13 @@ def named(names: Sequence[str], which: Index) -> Who:
     return lambda k: [names[which[k]]]
 
 
+def _size(joint: Mapping[str, Any]) -> float:
+    """How far a link and its mass reach from the joint before it, m: its origin, centre of mass, radius of gyration."""
+    away = np.linalg.norm(np.array(joint["placement"])[:3, 3]) + np.linalg.norm(joint["com"])
+    gyration = np.trace(np.reshape(joint["inertia"], (3, 3))) / (2.0 * joint["mass"]) if joint["mass"] > 0.0 else 0.0
+    return float(away + np.sqrt(gyration))
+
+
 def at_play(poses: Poses) -> float:
     """Energy at play, J; where next to nothing moves, what lifts bodies and trees by their size."""
     t, scene = poses.trajectory, poses.scene
@@ -241,7 +249,7 @@ def at_play(poses: Poses) -> float:
         lift += float(poses.mass[poses.frame[k]]) * poses.weight * float(poses.extent[k])
     for tree in scene["articulations"]:
         told = tree.get("model", {"joints": ()})["joints"]
-        size = sum(float(np.linalg.norm(np.array(j["placement"])[:3, 3]) + np.linalg.norm(j["com"])) for j in told)
+        size = sum(_size(joint) for joint in told)
         most = poses.weight * size + (SMALL * size / t.dt) ** 2
         lift += sum(j["mass"] for j in told) * most
     return max(t.at_play, lift, 1e-9 * float(np.abs(t.energy.potential).max()), 1e-300)

@@ -124,9 +124,10 @@ def _in_parts(
 
 def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> Array:
     """Of hulls of balls, from all axes along which a largest separation can lie."""
-    best = np.full(len(x), -np.inf)
+    turned = np.swapaxes(R, 1, 2)
+    best = np.maximum(_over_faces(a, b, R, x), _over_faces(b, a, turned, -(turned @ x[:, :, None])[..., 0]))
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
-    for axes in (_face_normals, _corner_axes, _edge_axes) if a.radius or b.radius else (_face_normals, _edge_axes):
+    for axes in (_corner_axes, _edge_axes) if a.radius or b.radius else (_edge_axes,):
         left = np.flatnonzero(best < enough)
         if not left.size:
             break
@@ -134,6 +135,15 @@ def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) ->
         if n.shape[1]:
             best[left] = np.maximum(best[left], _along(a, b, R[left], x[left], n).max(axis=1))
     return best
+
+
+def _over_faces(a: Solid, b: Solid, R: Array, x: Array) -> Array:
+    """Largest separation along the normals of the faces of a, shape (m,); -inf if it has none."""
+    (low, high), across = a.span, x @ a.normals.T
+    other = (a.normals @ R) @ b.corners.T
+    apart = np.maximum(across + other.min(axis=2) - high, low - across - other.max(axis=2))
+    out: Array = apart.max(axis=1, initial=-np.inf) - a.radius - b.radius
+    return out
 
 
 SAME, AXIS = 1e-12, np.array([0.0, 0.0, 1.0])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,12 @@ class Solid:
         else:
             raise ValueError(f"shape must be one that Shape.describe names, got {kind!r}")
         return cls(kind, size, offset, corners, normals, edges, feet, radius, bounding, extent)
+
+    @cached_property
+    def span(self) -> tuple[Array, Array]:
+        """Smallest and largest coordinate of its corners along each of its normals, shape (nf,) each, m."""
+        along = self.corners @ self.normals.T
+        return along.min(axis=0), along.max(axis=0)
 
     @property
     def smooth(self) -> bool:
@@ -165,8 +172,8 @@ def _features(corners: Array, name: str) -> tuple[Array, Array, Array, float]:
 
 def _distinct(directions: Array) -> Array:
     """Unit vectors without those that repeat others or their opposites."""
-    out: list[Array] = []
-    for n in directions:
-        if not out or np.linalg.norm(np.cross(out, n), axis=1).min() > 1e-9:
-            out.append(n)
-    return np.array(out)
+    from scipy.spatial import KDTree
+
+    tree, near = KDTree(directions), 1e-9
+    alike = zip(tree.query_ball_point(directions, near), tree.query_ball_point(-directions, near), strict=True)
+    return directions[[min(same + opposite) == k for k, (same, opposite) in enumerate(alike)]]

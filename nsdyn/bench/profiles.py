@@ -326,7 +326,7 @@ def measure(
     ------
     ValueError
         For a folder without such problems, a file that cannot be read, unknown names, a limit or tolerance that is not
-        positive, or a peer that is not installed.
+        positive, fewer contacts than none, or a peer that is not installed.
     """
     from tqdm import tqdm
 
@@ -335,6 +335,8 @@ def measure(
         raise ValueError(f"no *.hdf5 files in {folder}")
     if not (math.isfinite(limit) and limit > 0.0):
         raise ValueError(f"limit must be a positive number of seconds, got {limit}")
+    if min_contacts < 0:
+        raise ValueError(f"min_contacts must be a number of contacts, at least 0, got {min_contacts}")
     names = [name for given in solvers for name in (SOLVERS if given == "all" else (given,))]
     players = [_own(name, tol) for name in dict.fromkeys(names)]
     for peer in peers:

@@ -72,8 +72,10 @@ class Candidates:
         self.fields = tuple(self._geometry)
         cores: dict[int, Any] = {id(g.shape): g.shape.core(SHRINK) for g in geoms}
         self._solids = [g.shape.geometry for g in geoms]
-        for solid in (*cores.values(), *self._solids):
-            solid.computeLocalAABB()
+        for g in geoms:
+            if g.shape.kind != HALFSPACE:  # distances to it need none, and with an infinite one it cannot be copied
+                g.shape.geometry.computeLocalAABB()
+                cores[id(g.shape)].computeLocalAABB()
         self._cores = [cores[id(g.shape)] for g in geoms]
         self._slack = np.where(np.isin(self._geometry.kind, ROUND), 0.0, 2.0 * SHRINK * self._geometry.radius)
         self.frame = self._geometry.frame

@@ -32,8 +32,8 @@ def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
         raise ValueError(f"W must be square with 3 rows per contact, got shape {W.shape}")
     nc = W.shape[0] // 3
     if sp.issparse(W) and nc:
-        W = sp.bsr_array(W, blocksize=(3, 3))
-        W.sort_indices()
+        W = sp.bsr_array(W, blocksize=(3, 3), copy=True)
+        W.sum_duplicates()
         out = _csr(W)
     else:
         # Keep non-zero blocks and those of the diagonal; SciPy's conversion takes ten times as long.
@@ -125,8 +125,9 @@ class FC3D:
 
     def _set(self, q: Any, mu: Any) -> None:
         """Set q and μ; ValueError for invalid values."""
-        self.q: Array = np.ascontiguousarray(numbers(q, "3 numbers per contact", "q"))
-        self.mu: Array = np.ascontiguousarray(numbers(mu, "a number per contact", "mu"))
+        # Copies: what is remembered of them would not fit if the caller changed his own.
+        self.q: Array = np.array(numbers(q, "3 numbers per contact", "q"), order="C")
+        self.mu: Array = np.array(numbers(mu, "a number per contact", "mu"), order="C")
         if self.mu.ndim != 1 or self.q.shape != (3 * self.mu.size,):
             raise ValueError(f"q must have 3 entries per entry of mu, got {self.q.shape} and {self.mu.shape}")
         q_norm, good = _blocks.size_of(self.q, self.mu)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 import warnings
+import weakref
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from importlib.metadata import version
@@ -112,8 +114,13 @@ class Recorder:
         self._rows = len(columns["t"]) - 1
         self._ends = {name: int(values[-1]) for name, values in columns.items() if name.endswith("/offset")}
         if self.path is not None:
+            if files.is_file(self.path):
+                files.check_writable(self.path, files.RECORDING)
+                os.close(files.lock(self.path))
             with files.writing(self.path, files.RECORDING) as part:
                 recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
+            lock = files.lock(self.path)
+            self._file, self._release = os.fstat(lock), weakref.finalize(self, os.close, lock)
             self._kept.clear()
         self._carriers = link_names.carriers(scene) if scene["articulations"] and _left_out(meta) else None
         self._clock = time.perf_counter()
@@ -209,6 +216,8 @@ class Recorder:
         self._pack()
         if self.path is not None and self._kept.columns()["t"].size:
             state = None if self._state is None else (self._rows, self._state())
+            if not os.path.exists(self.path) or not os.path.samestat(os.stat(self.path), self._file):
+                raise ValueError(f"{self.path} was replaced or removed while it was being recorded")
             recording.extend(self.path, self._kept.columns(), state)
             self._kept.clear()
             self._deadline = time.perf_counter() + _FLUSH_SECONDS
@@ -247,6 +256,8 @@ class Recorder:
                     recording.create(part, meta, scene, columns, grow=False, state=state)
             except ValueError as failure:  # for instance of a full disk
                 warnings.warn(f"{self.path} is complete, but not compressed: {failure}", stacklevel=2)
+            finally:
+                self._release()
 
 
 def _full(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution, Status
+from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Solver
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.naming import choice
@@ -136,7 +136,7 @@ class Dissipative(Newton):
     and dry friction in finite freedom dynamics, CISM 302, 1988), and the work is a convex quadratic of s. So no impact
     creates energy, whatever W, μ and e, and where Newton's law creates none it is Newton's law, with r₁ alone. Where it
     does, the impact keeps the energy, and friction is a mean of that of both. No restitution is left (s = 0) where no
-    velocity obeys Newton's law, as of a body that fits between two walls.
+    velocity obeys Newton's law, as of a body that fits between two walls, or none is found.
     """
 
     def __call__(self, impact: Round) -> Given:
@@ -144,7 +144,7 @@ class Dissipative(Newton):
         r, solved = super().__call__(impact)
         label = impact.islands()
         created = impact.created(r, label, impact.solver.tol)
-        jammed = solved[0][1].status is Status.NO_SLATER_POINT
+        jammed = not solved[0][1].accepted
         if not (jammed or created.any()):
             return r, solved
         if jammed and created.size > 1:  # other islands rebound all the same

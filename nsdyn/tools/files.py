@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import re
 import shutil
+import struct
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -31,6 +34,7 @@ __all__ = [
     "check_writable",
     "is_file",
     "is_special",
+    "lock",
     "resolved",
     "writing",
 ]
@@ -137,6 +141,22 @@ def _kind_of_hdf5(path: Path) -> str:
             return PROBLEM.what
         return "HDF5 file of another program" if len(file) else ""
     return ""
+
+
+def lock(path: Path) -> int:
+    """Open a file and lock it until its descriptor is closed; ValueError naming it where another run has locked it.
+
+    Readers and HDF5's own locks are not affected. Systems without locks of open files lock nothing.
+    """
+    descriptor = os.open(path, os.O_RDWR)
+    if kind := getattr(fcntl, "F_OFD_SETLK", None):
+        try:
+            fcntl.fcntl(descriptor, kind, struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))
+        except OSError as failure:
+            if failure.errno in (errno.EAGAIN, errno.EACCES):
+                os.close(descriptor)
+                raise ValueError(f"{path} is being recorded by another run: give another name, or wait") from None
+    return descriptor
 
 
 def check_folder(path: str | Path) -> None:

@@ -225,13 +225,23 @@ def coulomb(W, q0, q1, q2, mu):
     """
     if q0 >= 0.0:
         return 0.0, 0.0, 0.0
-    tau = 0.5 * (W[1, 1] + W[2, 2])
-    if mu == 0.0 or tau == 0.0:
-        return -q0 / W[0, 0], 0.0, 0.0
-    rn, r1, r2 = _slip(W, q0, q1, q2, 1e-14 * tau if _singular(W) else 0.0)
+    tau, rn, singular = 0.5 * (W[1, 1] + W[2, 2]), -q0 / W[0, 0], _singular(W)
+    if mu == 0.0 or tau == 0.0 or singular and _stops(W, q0, q1, q2, rn):
+        return rn, 0.0, 0.0
+    rn, r1, r2 = _slip(W, q0, q1, q2, 1e-14 * tau if singular else 0.0)
     if math.sqrt(r1 * r1 + r2 * r2) <= mu * rn:
         return rn, r1, r2
     return slide(W, q0, q1, q2, mu)
+
+
+@no_alloc
+def _stops(W, q0, q1, q2, rn):
+    """True if the normal impulse r_N alone stops the contact, up to round-off, as in a mechanism of one coordinate.
+
+    The impulse that stops it is not unique there, and that of `_slip` is round-off divided by round-off.
+    """
+    left = abs(q1 + W[1, 0] * rn) + abs(q2 + W[2, 0] * rn)
+    return left <= 1e-13 * (abs(q0) + abs(q1) + abs(q2) + (abs(W[1, 0]) + abs(W[2, 0])) * rn)
 
 
 @no_alloc

@@ -39,6 +39,9 @@ __all__ = ["read_mjcf"]
 PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
 """Attributes by which a tendon acts of itself; without them it does what an actuator says."""
 
+ORIENTATIONS = {*POSE.split()} - {"pos"}
+"""Attributes that turn an element: it has one of them."""
+
 NUMBERS = {*POSE.split(), "axis", "size", "fromto", "ref", "scale", "vertex"}
 """Attributes that are numbers: Pinocchio takes what is none for anything."""
 
@@ -151,7 +154,7 @@ def _write_out_defaults(root: Element) -> None:
         own = {tag: dict(attributes) for tag, attributes in classes[parent].items()}
         for child in default:
             if child.tag != "default":
-                own[child.tag] = own.get(child.tag, {}) | child.attrib
+                own[child.tag] = _over(own.get(child.tag, {}), child.attrib)
         classes[name] = own
         for child in default.findall("default"):
             collect(child, name, child.get("class", ""))
@@ -165,7 +168,7 @@ def _write_out_defaults(root: Element) -> None:
         own = dict(classes[name].get(tag, {}))
         if tag in ACTUATORS:
             own = of_other_kinds(tag, own | element.attrib, classes[name]) | own
-        element.attrib.update(own | element.attrib)
+        element.attrib.update(_over(own, element.attrib))
         for child in element:
             apply(child, inherited, child.tag)
 
@@ -175,6 +178,13 @@ def _write_out_defaults(root: Element) -> None:
     for section in root:
         for child in section:
             apply(child, "main", section.tag if section.tag in ("tendon", "equality") else child.tag)
+
+
+def _over(inherited: dict[str, str], own: dict[str, str]) -> dict[str, str]:
+    """Attributes with those inherited; an orientation of its own replaces any other, in whatever form both are given."""
+    if ORIENTATIONS & own.keys():
+        inherited = {name: value for name, value in inherited.items() if name not in ORIENTATIONS}
+    return inherited | own
 
 
 def _note(root: Element, report: Report) -> None:
