@@ -122,7 +122,7 @@ class System(NamedTuple):
         together: ContactSet | None = None,
         foreseen: Array | None = None,
     ) -> Touches:
-        """Return contacts by `Detector.touches` of pairs so fast that the end of their way does not tell which sides met."""
+        """Return the contacts (`Detector.touches`) of pairs so fast that their end does not tell which sides met."""
         return self.detector.touches(begin, end, memory, known, FAST * self.inscribed, together, foreseen)
 
     def detection_pose(self, last: DetectionPose, now: Poses, reach: Array) -> DetectionPose | None:
