@@ -53,9 +53,9 @@ def captured(s: System, contacts: ContactSet, begin: SceneState, mid: Midpoint, 
 
     A contact that separates at the beginning after a rebound is left out: where bodies turn, it may strike again within
     the move. A contact that pressed in the last move carries its load again, though its gap may slightly exceed the gap
-    tolerance. Whether such a contact becomes deep is judged by the velocity and the geometry at the beginning. The free
-    velocity, which no contact has changed, does not tell: where bodies turn, a motion without contact impulses makes
-    them penetrate. The same holds for all contacts of the pair, which the pressing contacts may carry.
+    tolerance. The velocity and the geometry at the beginning decide whether a pressing contact becomes deep. The free
+    velocity, which no contact has changed, does not: where bodies turn, a motion without contact impulses makes them
+    penetrate. The same holds for all contacts of the pair, which the pressing contacts may carry.
     """
     d, c, before, (there, v) = s.dynamics, contacts, begin.contacts, (mid.state.placement, mid.forces.foreseen)
     gap, rate = before.gap, (v - begin.v) / mid.h
@@ -103,8 +103,8 @@ def missed_impacts(
 ) -> tuple[Index, float]:
     """Return codes of contacts and joint limits that strike: those not active whose penetration is too deep.
 
-    Return also the penetration allowed to these, m or rad, infinite where nothing strikes. The code of a contact is
-    that of its pair of shapes, that of joint limit i is -1 - i. Candidates are the contacts `found` and the gaps of all
+    Return also the penetration allowed to them, m or rad, infinite where nothing strikes. The code of a contact is that
+    of its pair of shapes, that of joint limit i is -1 - i. Candidates are the contacts `found` and the gaps of all
     joint limits. Active are the contacts `kin` with normal impulses r (nc,), N·s, and the joint rows of the slots
     `slot`. A contact of `kin` without impulse counts as not active: where bodies turn it may open, and strike again
     when it closes.
@@ -188,12 +188,12 @@ def time_of_impact(
 ) -> float:
     """Return a time just after an open pair touches unseen in a move of h s, s; h if none does.
 
-    If a body of a pair that may touch turns by half a turn, return instead the length of a move in which all such
-    bodies turn by no more than `TURN` in either half. The time is only a little after the touch, so that the body that
-    is hit is seen from the side where it is: the frames move with `speed` (frames,). `places` are the poses where the
-    move begins, where its impulses act and where it ends. `contacts` are those at the beginning, those that press and
-    those at the end. Pairs that touch at the beginning, and pairs that press, which the second half brings together,
-    are found where they touch once more.
+    If a body of a pair that may touch turns by half a turn, return instead the length of a move in which bodies of this
+    kind turn by no more than `TURN` in either half. The time is only a little after the touch, so that the body that is
+    hit is seen from the side where it is: the frames move with `speed` (frames,). `places` are the poses where the move
+    begins, where its impulses act and where it ends. `contacts` are those at the beginning, those that press and those
+    at the end. Pairs that touch at the beginning, and pairs that press, which the second half brings together, are
+    found where they touch once more.
     """
     (begin, pressed, end), (first, second, third) = contacts, places
     known, closed = tracked(s, begin, end), take(begin, begin.gap <= s.gap_tol)
@@ -276,7 +276,7 @@ def missed_contacts(
 
 
 def _separating(s: System, missed: ContactSet, kin: ContactSet, end: Poses, middle: Poses) -> ContactSet:
-    """Return, of contacts found at the end, as they are in the middle, those whose normals separate the bodies there.
+    """Return the contacts found at the end whose normals separate the bodies in the middle, as they are in the middle.
 
     A contact with any other normal, as that of a face that meets the other body only after both have turned, would push
     sideways a body that touches elsewhere. The contacts left out strike when they touch.
@@ -288,7 +288,7 @@ def _separating(s: System, missed: ContactSet, kin: ContactSet, end: Poses, midd
 
 
 def _spurious(s: System, kin: ContactKinematics, r: Array, found: ContactSet) -> Bools:
-    """Mark contacts that have an impulse but are open where the motion ends: the bodies pass each other there."""
+    """Mark contacts that have an impulse but are open where the motion ends: the bodies pass each other."""
     nc = kin.frame.shape[0]
     out: Bools = (r[0 : 3 * nc : 3] > 0.0) & (kin.end_gap[:nc] > s.penetration_tol(kin.contacts))
     if out.any():

@@ -41,7 +41,8 @@ class Attempt(NamedTuple):
         H r of all impulses, those of captured impacts included.
     trees : tuple of Flow
     moved : SceneState
-        Where the motion ends, whatever overlaps there; warm start and energies of trees are not yet those of the end.
+        Where the motion ends, even if bodies overlap there; warm start and energies of trees are not yet those of the
+        end.
     hits : ndarray of int
         Codes, as in `nsdyn.stepping.active_set.missed_impacts`, of contacts and joint limits that strike where the
         motion ends; none where all contacts were captured.

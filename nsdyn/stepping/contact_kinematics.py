@@ -200,7 +200,7 @@ class ContactKinematics(NamedTuple):
     def corrected(
         self, gap: Array, off: Bools, closed: float, ahead: float, ended: tuple[Index, Array, Array]
     ) -> ContactKinematics:
-        """Return the kinematics corrected in the rows that are `off` by the gaps (rows,) with which these end.
+        """Return the kinematics corrected in the rows that are `off` by the gaps (rows,) at the end of the move.
 
         The move lasts `ahead` s after the impulses. `ended` holds the keys and normal velocities, m/s, of the contacts
         at its end, and the velocities of its joint rows. Rows whose gaps are not their own are no longer `off`.

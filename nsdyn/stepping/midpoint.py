@@ -57,7 +57,7 @@ class Midpoint:
     surfaces : three ndarrays of shape (surfaces, 2, 3)
         Twists of driven bodies and moving surfaces: at the beginning, when the impulses act, at the end.
     given : (Wrenches or None, Controls)
-        What the callbacks returned.
+        Values that the callbacks returned.
     """
 
     s: System

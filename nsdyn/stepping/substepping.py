@@ -74,8 +74,8 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
     """Take a step in moves and impacts: each move ends at the first event, or at the end of the step.
 
     A move that is rejected is repeated in halves. `loads` gives the callbacks for a time [s], as in
-    `nsdyn.stepping.midpoint`. `begun` is the known part of the step as one move; `meets` says whether that move is
-    known to meet an event.
+    `nsdyn.stepping.midpoint`. `begun` is the known part of the step as one move; `meets` says whether the step as one
+    move is known to meet an event.
     """
     now, rate, clear, at, cut = state.instant, state.rate, True, 0.0, False
     s = system.during(state.next_t - state.dt, state.dt, now.position)
@@ -324,12 +324,12 @@ def _next(aims: list[tuple[float, float]]) -> float:
 
 
 def _first_touch(s: System, begin: SceneState, m: Attempt, located: Index, wide: float) -> tuple[float, float]:
-    """Return when a move first touches a located contact, s, and the least gap of these, `wide` if none is near.
+    """Return when a move first touches a located contact, s, and the least gap of located contacts (or `wide`).
 
-    The time follows from parabolas through the gaps at the end of the move. A gap accelerates as it did on the way,
-    whatever other contacts pressed. A contact not found at the beginning accelerates under the free forces. The time
-    may lie past the end of the move; it is infinite where no gap gives one. A closed contact that does not approach, as
-    one that has just begun to separate, does not touch.
+    The gap is `wide` if no located contact is near. The time follows from parabolas through the gaps at the end of the
+    move. A gap accelerates as it did on the way, whatever other contacts pressed. A contact not found at the beginning
+    accelerates under the free forces. The time may lie past the end of the move; it is infinite where no gap gives one.
+    A closed contact that does not approach, as one that has just begun to separate, does not touch.
     """
     d, moved, c, before = s.dynamics, m.moved, m.moved.contacts, begin.contacts
     there, joints, surfaces = moved.placement, d.joints, m.mid.surfaces
