@@ -1,4 +1,4 @@
-"""The time inside kernels."""
+"""Time measured inside kernels."""
 
 import time
 
@@ -7,13 +7,13 @@ from numba.core import types
 from numba.extending import overload
 
 MONOTONIC = time.CLOCK_MONOTONIC
-"""What the system calls it: that of `time.perf_counter`."""
+"""The system's clock of `time.perf_counter`."""
 
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
 
 
 def seconds(room):
-    """Time in s since some moment; room (2,) of integers is for work."""
+    """Time in s since an arbitrary moment; `room` (2,) is an integer work array."""
     return time.perf_counter()
 
 

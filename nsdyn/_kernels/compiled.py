@@ -1,13 +1,16 @@
-"""The decorator of all kernels, and the files in which they are kept: nothing waits for the compiler.
+"""The decorator of all kernels, and the files of their compiled code: no run waits for the compiler.
 
-A kernel that has no machine code yet is run by the interpreter, with the same bits, while another process compiles it.
-Only what takes long there is waited for.
+The interpreter runs a kernel that has no machine code yet, with the same bits, while another process compiles it. Only
+calls with many numbers wait for machine code.
 
-numba makes machine code of every function that it compiles, with entries from Python and from C, and optimises it with
-all that it calls, again for each caller: half as long again as here, where only what Python calls becomes machine code,
-with all below it. Of a kernel that kernels call there is LLVM's code. Both are files in a folder of the user, named by
-all that is in them: the text of the kernel's module and of those of ours which that imports, types of arguments,
-processor and versions. So nothing is ever out of date, and all environments share them.
+By default numba makes machine code of every function that it compiles, with entries from Python and from C, and
+optimises it together with all functions that it calls, again for each caller. That takes half as long again. Here only
+kernels that Python calls become machine code, together with all kernels below them. Of a kernel that kernels call,
+LLVM's code is kept.
+
+Both kinds of code are files in a folder of the user. A file is named by a hash of all its inputs: the text of the
+kernel's module and of the nsdyn modules that it imports, types of arguments, processor and versions. A file is
+therefore never out of date, and all environments share the folder.
 """
 
 from __future__ import annotations
@@ -42,39 +45,41 @@ from numba.core.serialize import dumps
 from numba.core.types import unliteral
 
 FOLDER, PROCESSES = "NSDYN_CACHE_DIR", "NSDYN_COMPILE_PROCESSES"
-"""Environment variables: the folder of the files, and 1 if no process compiles but the one that calls, which waits."""
+"""Environment variables: the folder of the files; and the number of processes that compile. If the latter is 1, only
+the calling process compiles, and waits."""
 
 KEEP, LINGER, PATIENCE = 60 * 86400.0, 5.0, 2.0
-"""s after its last use that a file is kept, in which a process that compiles looks for more to do, and of loading and
-compiling about which nothing is said."""
+"""Three times in s: how long a file is kept after its last use, how long a compiling process looks for further
+requests, and how long loading and compiling may take before the user is told."""
 
 LARGE = 100_000
-"""Numbers gone through in a call, a tenth of a second of the interpreter, above which machine code is waited for."""
+"""Numbers processed in a call above which the call waits for machine code: the interpreter takes a tenth of a second
+for so many."""
 
 VERSIONS = sys.implementation.cache_tag, numba.__version__, np.__version__
 
 _IMPORT = re.compile(r"^(?:from|import) +(nsdyn[\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
 _loading = ContextVar("seconds", default=0.0)
-loading = _loading.get  # how long this thread has waited for kernels to be loaded or compiled, s
-waiting: list[object] = []  # who waits for kernels, as what tells times: all threads do then
-_processes: list[subprocess.Popen[bytes]] = []  # that compile; else Python would tell that they still run
+loading = _loading.get  # time that this thread has waited for kernels to be loaded or compiled, s
+waiting: list[object] = []  # callers that measure times; if there are any, all threads wait for kernels
+_processes: list[subprocess.Popen[bytes]] = []  # compiling; kept here, or Python would warn at exit that they still run
 
 
 def clock() -> float:
-    """Time in s since some moment, without `loading`."""
+    """Time in s since an arbitrary moment, without the time of `loading`."""
     return time.perf_counter() - loading()
 
 
 @cache
 def announce() -> None:
-    """Tell, once in a process, that kernels are compiled."""
+    """Log, once per process, that kernels are being compiled."""
     logging.getLogger("nsdyn").warning("kernels that are new to this machine are compiled: a slow minute or two")
 
 
 @cache
 def folder() -> Path | None:
-    """Folder of the files, made if there is none; None if it cannot be written."""
+    """Folder of the files, created if it does not exist; None if it is not writable."""
     place = Path(os.environ.get(FOLDER) or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "nsdyn"))
     try:
         place = place.expanduser().absolute()
@@ -91,7 +96,7 @@ def folder() -> Path | None:
 
 @cache
 def content(module: str) -> str:
-    """Hash of the text of a module and of the contents of those of ours that it imports."""
+    """Hash of the text of a module and of the contents of the nsdyn modules that it imports."""
     text, names = Path(sys.modules[module].__file__ or "").read_text(), set()
     for package, parts in _IMPORT.findall(text):
         names |= {".".join((package, *part.split()[:1])) for part in ("", *parts.strip("()").split(","))}
@@ -100,7 +105,7 @@ def content(module: str) -> str:
 
 @cache
 def plain(module: str) -> dict[str, Any]:
-    """What a module of kernels has, with the functions that they are in their places."""
+    """Names of a module of kernels, with each kernel replaced by its plain Python function."""
     names = dict(vars(sys.modules[module]))
     for name, value in list(names.items()):
         if isinstance(value, Kernel):
@@ -112,29 +117,29 @@ def plain(module: str) -> dict[str, Any]:
 
 
 def size(x: Any) -> int:
-    """How many numbers a kernel is given."""
+    """Count the numbers in the arguments of a kernel."""
     return sum(map(size, x)) if isinstance(x, tuple) else getattr(x, "size", 1)
 
 
 def scalars(x: Any) -> Any:
-    """What a kernel returns, with Python's numbers for those of NumPy, as of a compiled one."""
+    """Convert NumPy's numbers in the result of a kernel to Python's, which a compiled kernel returns."""
     return tuple(map(scalars, x)) if type(x) is tuple else x.item() if isinstance(x, np.generic) else x
 
 
 class Kernel(CPUDispatcher):
-    """Compiled function, compiled for variables where it is given constants."""
+    """Compiled function; constant arguments are compiled as variables."""
 
-    cache_path = None  # of what `stats` tells of a cache
+    cache_path = None  # attribute that numba's `stats` expects of a cache
     rounds = 1
 
     def __init__(self, function: Callable[..., Any], *others: Any, **options: Any) -> None:
         super().__init__(function, *others, **options)
-        # The text is read now, since it may be edited before the first call
+        # Read the text now, since it may be edited before the first call.
         self._cache, self._callees, self._content = self, {}, content(function.__module__)
 
     @cache  # noqa: B019 (kernels stay)
     def file(self, types: Any, form: str = "machine code") -> Path:
-        """File of this kernel for these types; where there is no folder, one that cannot be read or written."""
+        """File of this kernel for these types; without a folder, a path that cannot be read or written."""
         self.targetctx.refresh()
         made_of = form, self._content, str(types), self.targetctx.codegen().magic_tuple(), VERSIONS, config.BOUNDSCHECK
         name = f"{self.py_func.__module__.rpartition('.')[2]}.{self.py_func.__qualname__}"
@@ -142,7 +147,7 @@ class Kernel(CPUDispatcher):
         return Path(folder() or os.devnull, f"{name}-{key[:32]}.nbc")
 
     def load_overload(self, types: Any, context: Any) -> CompileResult | None:
-        """What numba asks of a cache."""
+        """Load a compiled kernel; part of numba's interface of a cache."""
         if kept := load(self.file(types)):
             return CompileResult._rebuild(context, *kept)
         if loading() > PATIENCE:
@@ -150,11 +155,11 @@ class Kernel(CPUDispatcher):
         return None
 
     def save_overload(self, types: Any, result: CompileResult) -> None:
-        """What numba tells a cache."""
+        """Save a compiled kernel; part of numba's interface of a cache."""
         save(self.file(types), result._reduce())
 
     def callee(self, types: Any) -> tuple[Any, object, Any]:
-        """(signature, entry, environment) of what kernels call: LLVM's code."""
+        """(signature, entry, environment) for calls from other kernels, which use LLVM's code."""
         if types not in self._callees:
             if not (kept := load(self.file(types, "LLVM code"))):
                 kept = self._lower(types)
@@ -164,13 +169,13 @@ class Kernel(CPUDispatcher):
                 initialise()
             library = self.targetctx.codegen().create_library(name)
             library._final_module, library._finalized = llvm.parse_bitcode(code), True
-            # By its entry, an address, numba finds how a function is called: any object that is no other's will do
+            # From the entry, an address, numba finds how a function is called. Any unique object will do.
             self._callees[types] = out = signature, object(), environment
             self.targetctx.insert_user_function(out[1], description, [library])
         return self._callees[types]
 
     def _lower(self, types: Any) -> tuple[Any, ...]:
-        """LLVM's code for these types, simplified function by function: its callers are optimised with it."""
+        """LLVM's code for these types, simplified function by function; it is optimised later, with its callers."""
         flags = Flags()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
@@ -178,36 +183,36 @@ class Kernel(CPUDispatcher):
         library, description = result.library, result.fndesc
         library._optimize_final_module = library._finalize_final_module = lambda: None
         library.finalize()
-        description.typemap = description.calltypes = None  # as numba does: of no use, and not to be pickled
+        description.typemap = description.calltypes = None  # as numba does: of no use, and should not be pickled
         code = library._final_module.as_bitcode()
         return library.name, code, description, result.environment, result.signature, result.reload_init
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Meaning of a call in another kernel; numba would compile f(0) and f(i) both."""
+        """Signature of a call in another kernel. Literal types are dropped: numba would compile both f(0) and f(i)."""
         signature, folded = self._compiler.fold_argument_types(tuple(map(unliteral, args)), kws)
         name = self.py_func.__name__
         found = typing.make_concrete_template(name, key=name, signatures=[self.callee(tuple(folded))[0]])
         return found, signature, folded, {}
 
     def get_overload(self, types: Any) -> Any:
-        """What numba knows the function by that another kernel calls."""
+        """Object by which numba identifies this function when another kernel calls it."""
         return self.callee(tuple(types))[1]
 
     def is_quick(self, args: Any) -> bool:
-        """Whether the interpreter is quick enough."""
+        """True if the interpreter is fast enough for these arguments."""
         return not waiting and self.rounds * size(args) <= LARGE
 
     def is_missing(self, args: Any) -> bool:
-        """Whether there is no machine code yet, and another process makes it."""
+        """True if no machine code exists yet and another process compiles it."""
         types = tuple(map(self.typeof_pyval, args))
         return not self.file(types).exists() and ask(self, types)
 
     def _compile_for_args(self, *args: Any) -> Any:
-        """What to call instead, at a call from Python with new types."""
+        """Return the function to call instead, at a call from Python with new types of arguments."""
         if self.is_quick(args) and self.is_missing(args):
             return self._as_python
         begin, collects = time.perf_counter(), gc.isenabled()
-        gc.disable()  # the search for cycles takes a fifth of a compilation, since it makes millions of objects
+        gc.disable()  # garbage collection takes a fifth of a compilation, which makes millions of objects
         try:
             return super()._compile_for_args(*args)
         finally:
@@ -216,38 +221,38 @@ class Kernel(CPUDispatcher):
                 gc.enable()
 
     def _as_python(self, *args: Any) -> Any:
-        """The result of the interpreter."""
+        """Run the kernel in the interpreter."""
         with np.errstate(all="ignore"):
             return scalars(plain(self.__module__)[self.__name__](*args))
 
 
 @cache
 def ask(kernel: Kernel, types: Any) -> bool:
-    """Have a process compile it, one of the user's, which goes on when this one ends; False where none can."""
+    """Request a compilation from a process of the user, which outlives this one; False if no process can compile."""
     if os.environ.get(PROCESSES) == "1" or not (place := folder()):
         return False
     announce()
     save(kernel.file(types).with_suffix(".ask"), (kernel.__module__, kernel.__name__, types))
     code = f"import sys; sys.path[:] = {sys.path}; from nsdyn._kernels.compiled import work; work()"
     command, none = [sys.executable, "-c", code], dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    with suppress(OSError), open(place / "lock", "w") as lock:  # it is locked while the process has it open
+    with suppress(OSError), open(place / "lock", "w") as lock:  # the process keeps it open, and so locked
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         _processes.append(subprocess.Popen(command, start_new_session=True, pass_fds=[lock.fileno()], **none))
     return True
 
 
 def is_ready(function: Callable[..., Any], *args: Any) -> bool:
-    """Whether a call need not wait for what another process compiles."""
+    """True if a call need not wait for a compilation in another process."""
     return not isinstance(function, Kernel) or function.is_quick(args) or not function.is_missing(args)
 
 
 def asked() -> list[Path]:
-    """What is still to be compiled, as it was asked for."""
+    """Files of the compilations that are still requested, oldest first."""
     return sorted((folder() or Path()).glob("*.ask"), key=lambda file: file.stat().st_mtime)
 
 
 def answer(file: Path) -> None:
-    """Compile what was asked for."""
+    """Compile the kernel of a request."""
     if request := load(file):
         module, name, types = request
         try:
@@ -259,37 +264,41 @@ def answer(file: Path) -> None:
 
 
 def work() -> None:
-    """Compile what is asked for, the last first: what a run calls all the time is called after what begins it."""
+    """Compile requested kernels, the latest request first.
+
+    The kernels that a run calls throughout are requested after those that it calls at its start.
+    """
     gc.disable()
     last = time.monotonic()
     while time.monotonic() < last + LINGER:
-        with suppress(Exception):  # there is none; what cannot be compiled is told to who waits for it
+        with suppress(Exception):  # no request, or a failed compilation: the waiting process reports its error
             answer(asked()[-1])
             last = time.monotonic()
         time.sleep(0.1)
 
 
 def load(file: Path) -> Any:
-    """What was kept, None if nothing was."""
+    """Read a saved object; None if there is no file."""
     with suppress(OSError):
         os.utime(file)
         return pickle.loads(file.read_bytes())
 
 
 def save(file: Path, kept: Any) -> None:
-    """Keep it, whole or not at all; a full disk costs a compilation at the next start."""
+    """Write an object to a file, completely or not at all. A full disk costs one compilation at the next start."""
     with suppress(OSError), tempfile.TemporaryDirectory(dir=file.parent) as part:
         Path(part, file.name).write_bytes(dumps(kept))
         os.replace(Path(part, file.name), file)
 
 
 def kernel(function: Callable[..., Any] | None = None, rounds: int = 1, **options: Any) -> Any:
-    """Decorator of a kernel; how often about it goes through what it is given, and options as of `numba.njit`."""
+    """Decorator of a kernel that passes over its arguments about `rounds` times; options as of `numba.njit`."""
     if function is None:
         return partial(kernel, rounds=rounds, **options)
     if config.DISABLE_JIT:
         return function
-    # What is left open numba takes from the kernel that calls this one first, and keeps for all others.
+    # Set every option: numba takes missing ones from the kernel that is the first caller, and keeps them for all
+    # others.
     always = {"nopython": True, "boundscheck": None, "fastmath": False, "_nrt": True}
     out = Kernel(function, targetoptions=always | options)
     out.rounds = rounds
@@ -297,9 +306,9 @@ def kernel(function: Callable[..., Any] | None = None, rounds: int = 1, **option
 
 
 def no_alloc(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Decorator of a kernel that makes no arrays, and calls none that returns them: it works in those it is given.
+    """Decorator of a kernel that makes no arrays and calls no kernel that returns some: it works in given arrays.
 
-    It does not count references to these, which numba does for arrays in tuples and for parts of arrays, and which
-    takes longer than what many small kernels do.
+    Such a kernel does not count references to arrays. numba counts them for arrays in tuples and for parts of arrays,
+    which takes longer than the work of many small kernels.
     """
     return kernel(function, _nrt=False, **options)

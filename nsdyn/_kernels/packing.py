@@ -1,6 +1,7 @@
-"""Many arrays as two, one of floats and one of integers: each array handed to a kernel costs a twentieth of a µs.
+"""Many arrays packed into two, one of floats and one of integers.
 
-The integers begin with where the arrays of floats begin in theirs, then where the arrays of integers do.
+Each array passed to a kernel costs a twentieth of a µs. The array of integers begins with the start of each array of
+floats, then the start of each array of integers.
 """
 
 import numpy as np
@@ -9,7 +10,7 @@ from nsdyn._kernels.compiled import kernel
 
 
 def pack(floats, integers):
-    """(float64 array, int64 array) of copies of all arrays, and views of them in their shapes, in two lists."""
+    """Copies of all arrays as a float64 and an int64 array, and two lists of views of them in the original shapes."""
     head = len(floats) + len(integers) + 2
     begins = np.cumsum([0, *(a.size for a in floats)]), head + np.cumsum([0, *(a.size for a in integers)])
     both = np.concatenate([[], *map(np.ravel, floats)]), np.concatenate([*begins, *map(np.ravel, integers)])
@@ -22,26 +23,26 @@ def pack(floats, integers):
 
 @kernel(inline="always")
 def numbers(floats, integers, k):
-    """Array k of floats, of shape (n,)."""
+    """View of array k of floats, with shape (n,)."""
     return floats[integers[k] : integers[k + 1]]
 
 
 @kernel(inline="always")
 def triples(floats, integers, k):
-    """Array k of floats, of shape (n, 3)."""
+    """View of array k of floats, with shape (n, 3)."""
     flat = floats[integers[k] : integers[k + 1]]
     return flat.reshape((flat.size // 3, 3))
 
 
 @kernel(inline="always")
 def matrices(floats, integers, k):
-    """Array k of floats, of shape (n, 3, 3)."""
+    """View of array k of floats, with shape (n, 3, 3)."""
     flat = floats[integers[k] : integers[k + 1]]
     return flat.reshape((flat.size // 9, 3, 3))
 
 
 @kernel(inline="always")
 def indices(integers, k, floats):
-    """Array k of integers, beside so many of floats."""
+    """View of array k of integers; `floats` is the number of arrays of floats in the same pack."""
     at = floats + 1 + k
     return integers[integers[at] : integers[at + 1]]

@@ -1,6 +1,6 @@
 """Reductions of short arrays, for which NumPy takes ten times as long, and copies.
 
-A slice that is set to an array makes numba compile the text of an error message, which takes two seconds.
+Copies are loops: assigning an array to a slice makes numba compile the text of an error message, which takes 2 s.
 """
 
 import math
@@ -10,7 +10,7 @@ from nsdyn._kernels.compiled import no_alloc
 
 @no_alloc
 def any_below(x, most):
-    """Whether an entry is at most so large."""
+    """True if any entry is at most `most`."""
     for i in range(x.size):
         if x[i] <= most:
             return True
@@ -19,7 +19,7 @@ def any_below(x, most):
 
 @no_alloc
 def least(x):
-    """The smallest entry, or 0 if none is negative."""
+    """Smallest entry, or 0 if none is negative."""
     out = 0.0
     for i in range(x.size):
         out = min(out, x[i])
@@ -28,7 +28,7 @@ def least(x):
 
 @no_alloc
 def most(x):
-    """The largest entry, or 0 if none is positive."""
+    """Largest entry, or 0 if none is positive."""
     out = 0.0
     for i in range(x.size):
         out = max(out, x[i])
@@ -37,7 +37,7 @@ def most(x):
 
 @no_alloc
 def largest(x):
-    """The largest magnitude, or nan if there is one."""
+    """Largest magnitude, or nan if any entry is nan."""
     out = 0.0
     for i in range(x.size):
         if not abs(x[i]) <= out:
@@ -49,6 +49,6 @@ def largest(x):
 
 @no_alloc
 def copy(x, out):
-    """The entries of x (n,), into the first of out."""
+    """Copy the entries of x (n,) into the first entries of out."""
     for i in range(x.size):
         out[i] = x[i]

@@ -1,8 +1,8 @@
-"""Products of rows of eight numbers in vector instructions: numba makes scalar ones of loops so short, 4 times slower.
+"""Products of rows of eight numbers in vector instructions.
 
-The functions say in Python what they do, and do that where kernels run as Python; compiled ones have LLVM's vectors
-instead, which fit every processor, and add in the same order. Rows lie in flat arrays, and are named by the index of
-their first number, unsigned.
+numba's own code for such short loops is scalar, 4 times slower. The functions are defined in Python, which is used when
+kernels run as Python. Compiled kernels use LLVM's vectors instead, which suit every processor, and add in the same
+order. Rows lie in flat arrays; a row is given by the index of its first number, unsigned.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ _ROW = ir.VectorType(ir.DoubleType(), WIDTH)
 
 
 def dot(a, i, b, j, k):
-    """a[i:] · b[j:] + a[i + 8:] · b[k:]: two rows that follow each other and two that need not."""
+    """a[i:] · b[j:] + a[i + 8:] · b[k:]: two consecutive rows of a, two rows of b, consecutive or not."""
     row = [a[i + l] * b[j + l] + a[i + WIDTH + l] * b[k + l] for l in range(WIDTH)]
     while len(row) > 1:
         half = len(row) // 2
@@ -27,7 +27,7 @@ def dot(a, i, b, j, k):
 
 
 def add(z, a, i, b, j, k):
-    """b[j:] += Σ z[m] a[i + 16 m:] and b[k:] += Σ z[m] a[i + 8 + 16 m:]: pairs of rows that follow each other."""
+    """b[j:] += Σ z[m] a[i + 16 m:] and b[k:] += Σ z[m] a[i + 8 + 16 m:]: a has pairs of consecutive rows."""
     for begin, at in ((j, i), (k, i + WIDTH)):
         for l in range(WIDTH):
             for m in range(len(z)):
@@ -41,13 +41,13 @@ def _row(builder: Any, data: Any, index: Any, offset: int = 0) -> Any:
 
 
 def _pick(builder: Any, row: Any, lanes: Any) -> Any:
-    """Vector of these numbers of a row."""
+    """Vector of the numbers of a row at the indices `lanes`."""
     mask = ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
     return builder.shuffle_vector(row, ir.Constant(row.type, ir.Undefined), mask)
 
 
 def _sum(builder: Any, row: Any) -> Any:
-    """Sum of a row: of its halves, until one number is left."""
+    """Sum of a row: add its halves, until one number is left."""
     half = WIDTH
     while half := half // 2:
         row = builder.fadd(_pick(builder, row, range(half)), _pick(builder, row, range(half, 2 * half)))

@@ -1,4 +1,4 @@
-"""Sorting: numba's own sorts take seconds to compile, each anew for every kernel that calls them."""
+"""Sorting: numba's own sorts take seconds to compile, and again for every kernel that calls them."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from nsdyn._kernels.compiled import kernel, no_alloc
 
 @kernel
 def order(keys):
-    """Indices that sort an array, equal entries as they were: runs that are merged two by two."""
+    """Indices that sort an array; equal entries keep their order (merge sort, bottom up)."""
     n = keys.size
     now, merged = np.arange(n), np.empty(n, np.int64)
     width = 1
@@ -29,7 +29,7 @@ def order(keys):
 
 @kernel
 def among(x, some, out):
-    """Which of x (n,) are among some, into out (n,)."""
+    """For each entry of x (n,), write into out (n,) whether it is in `some`."""
     codes = some[order(some)]
     for k in range(x.size):
         at = place_of(codes, x[k])
@@ -38,7 +38,7 @@ def among(x, some, out):
 
 @no_alloc
 def place_of(codes, code):
-    """Number of entries of a sorted array that are less."""
+    """Count the entries of a sorted array that are less than `code`."""
     low, high = 0, codes.size
     while low < high:
         middle = (low + high) // 2

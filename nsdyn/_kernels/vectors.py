@@ -1,4 +1,4 @@
-"""Vectors as tuples of three floats: they live in registers."""
+"""Vectors as tuples of three floats, which the compiler keeps in registers."""
 
 import math
 
@@ -7,7 +7,7 @@ from nsdyn._kernels.compiled import no_alloc
 
 @no_alloc
 def square(x):
-    """x x: Python's own x ** 2 rounds otherwise, once in a thousand times."""
+    """Product x x. Python's own x ** 2 rounds otherwise, once in a thousand times."""
     return x * x
 
 
@@ -52,7 +52,7 @@ def unit(a):
 
 @no_alloc
 def perpendicular(d):
-    """A unit vector perpendicular to the unit vector d, the same for the same d; z when d is 0."""
+    """A unit vector perpendicular to the unit vector d, always the same for the same d; z if d is 0."""
     k = 0
     for i in range(1, 3):
         if abs(d[i]) < abs(d[k]):
@@ -82,7 +82,7 @@ def put(a, k, v):
 
 @no_alloc
 def to_world(R, g, v):
-    """Vector v of the shape frame of geom g, in the world frame."""
+    """Transform vector v from the shape frame of geom g to the world frame."""
     return (
         R[g, 0, 0] * v[0] + R[g, 0, 1] * v[1] + R[g, 0, 2] * v[2],
         R[g, 1, 0] * v[0] + R[g, 1, 1] * v[1] + R[g, 1, 2] * v[2],
@@ -92,7 +92,7 @@ def to_world(R, g, v):
 
 @no_alloc
 def to_local(R, g, v):
-    """Vector v of the world frame, in the shape frame of geom g."""
+    """Transform vector v from the world frame to the shape frame of geom g."""
     return (
         R[g, 0, 0] * v[0] + R[g, 1, 0] * v[1] + R[g, 2, 0] * v[2],
         R[g, 0, 1] * v[0] + R[g, 1, 1] * v[1] + R[g, 2, 1] * v[2],

@@ -1,1 +1,1 @@
-"""Contacts of a configuration: which shapes touch, where, and how far apart they are."""
+"""Contact detection at a configuration: pairs of shapes in contact, contact points, normals and gaps."""

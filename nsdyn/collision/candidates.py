@@ -1,4 +1,4 @@
-"""Candidate pairs: geoms in place, bounding boxes that serve for several steps, and the distances of their pairs."""
+"""Broad phase: poses of the geoms, bounding boxes valid for several steps, candidate pairs and their distances."""
 
 from __future__ import annotations
 
@@ -22,22 +22,23 @@ from nsdyn.tools.options import is_number
 __all__ = ["MARGIN", "TOLERANCE", "Candidates"]
 
 MARGIN = 1e-3
-"""Contacts start at a gap of this fraction of the smaller bounding radius, plus what the bodies may move in a step."""
+"""Contacts begin at a gap of this fraction of the smaller bounding radius, plus the way that the bodies may move in a
+step."""
 
 SKIN = 0.05
-"""The candidate pairs serve until a geom has moved this fraction of its bounding radius, and beyond that as far as it
-may in as many steps as the pairs before them served, at most `AHEAD`: where bodies knock each other about, a list that
-looks far ahead is long and outlived in a step all the same."""
+"""The candidate pairs stay valid until a geom has moved by this fraction of its bounding radius, plus the way it may
+move in some further steps. Their number is that of the steps for which the previous pairs stayed valid, at most
+`AHEAD`. Among colliding bodies a list for many steps is long, and is outdated after one step all the same."""
 
 AHEAD = 4
 
 TOLERANCE = 0.05
-"""A contact keeps its key while it moves less than this fraction of the smaller bounding radius, on either geom, beyond
-what the geoms themselves may move in the step."""
+"""A contact keeps its key while it moves by less than this fraction of the smaller bounding radius, on either geom,
+plus the way that the geoms themselves may move in the step."""
 
 
 class Candidates:
-    """Pairs of a fixed list of geoms that may touch in a configuration.
+    """Candidate pairs of a fixed list of geoms: the pairs that may touch in a configuration.
 
     Parameters
     ----------
@@ -46,9 +47,9 @@ class Candidates:
     pair_material : callable
         ``pair_material(i, j) -> (mu, restitution)`` for index arrays of pairs.
     excluded : collection of (int, int)
-        Pairs of geoms that never touch. Pairs of fixed geoms and those on one frame are left out anyway.
+        Pairs of geoms that never touch. Pairs of fixed geoms and pairs on one frame are left out anyway.
     max_points : int
-        Most contacts of one pair, at least 4. More are reduced to those that hold the area of the patch.
+        Most contacts of one pair, at least 4. A larger patch is reduced to the contacts that preserve its area.
     """
 
     def __init__(
@@ -80,16 +81,16 @@ class Candidates:
         self._R = self._geometry.placement_R.copy()
         self._t = self._geometry.placement_t.copy()
         arm = np.linalg.norm(self._t, axis=1) + self._geometry.radius
-        self._arm = np.where(self._moving, arm, 0.0)  # farthest any point is from the origin of its frame
+        self._arm = np.where(self._moving, arm, 0.0)  # largest distance of any point from the origin of its frame
         self.base = self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
         self._reach = np.zeros(n)
         self._lower, self._upper = boxes = np.empty((n, 3)), np.empty((n, 3))
-        # Fixed geoms have their boxes once for all: those of a frame at the origin.
+        # Compute the boxes of fixed geoms once, with a frame at the origin.
         fixed, placed = self._geometry._replace(frame=np.zeros(n, np.int64)), (self._R.copy(), self._t.copy())
         still = np.zeros((1, 3)), np.eye(3)[None], np.zeros(1)
         broadphase.follow(tuple(fixed), still, self.base, (*placed, np.empty(n)), boxes, boxes)
         self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
-        self._served = 0  # calls served by the present candidates
+        self._served = 0  # calls for which the present candidates were valid
         self._batches: list[Batch] = []
         self._models: list[pin.GeometryModel] = []
         # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
@@ -102,7 +103,7 @@ class Candidates:
         self._set_pairs(np.empty(0, dtype=np.int64))
 
     def only(self, geoms: Index, frame: Index) -> Self:
-        """That of some geoms (k,), ascending, on other frames (k,), which finds the same contacts among them."""
+        """Return the candidates of some geoms (k,), ascending, on other frames (k,); their contacts are the same."""
         some = [replace(self._geoms[g], frame=f) for g, f in zip(geoms.tolist(), frame.tolist(), strict=True)]
         place = np.full(len(self._geoms), -1)
         place[geoms] = np.arange(geoms.size)
@@ -111,7 +112,7 @@ class Candidates:
         return type(self)(some, lambda i, j: self._pair_material(geoms[i], geoms[j]), excluded, self._max_points)
 
     def boxes(self, x: Array, R: Array) -> tuple[Array, Array]:
-        """Least boxes about the geoms of frames at such poses, along the axes: (lower, upper), (geoms, 3) each, m."""
+        """Smallest axis-aligned boxes of the geoms at these poses of the frames: (lower, upper), (geoms, 3) each, m."""
         lower, upper = self._lower.copy(), self._upper.copy()
         broadphase.bounds(self.fields, x, R, lower, upper)
         return lower, upper
@@ -123,26 +124,26 @@ class Candidates:
 
     @property
     def asks(self) -> bool:
-        """Whether Coal is asked of any candidate pair."""
+        """True if the distance of any candidate pair is computed by Coal."""
         return bool(self._batches)
 
     @property
     def searches(self) -> tuple[Any, ...]:
-        """What `nsdyn._kernels.collision.search` takes first: geoms, pairs, most points of a pair, tolerance."""
+        """First arguments of `nsdyn._kernels.collision.search`: geoms, pairs, most points of a pair, tolerance."""
         return self._search
 
     def codes(self, contacts: ContactSet) -> Index:
-        """One number for the pair of geoms of every contact, shape (nc,)."""
+        """Code of the pair of geoms of every contact, one number each, shape (nc,)."""
         return contacts.geom1 * len(self._cores) + contacts.geom2
 
     def ask(self, x: Array, R: Array, reach: Array) -> None:
-        """Place the geoms, and ask Coal for the distances of the candidate pairs."""
+        """Place the geoms, and compute the distances of the candidate pairs with Coal."""
         self._renew(x, R, reach)
         for batch in self._batches:
             batch.run(self.fields, (self._R, self._t, self._reach), (self._lower, self._upper))
 
     def _renew(self, x: Array, R: Array, reach: Array) -> None:
-        """Place the geoms, and renew the candidate pairs if one has left its fat box."""
+        """Place the geoms, and renew the candidate pairs if a geom has left its enlarged box."""
         fields, boxes = self.fields, (self._lower, self._upper)
         placed, fat = (self._R, self._t, self._reach), (self._fat_lower, self._fat_upper)
         if broadphase.follow(fields, (x, R, reach), self._base, placed, boxes, fat):
@@ -155,7 +156,7 @@ class Candidates:
         self._served += 1
 
     def _set_pairs(self, codes: Index) -> None:
-        """Everything that depends on the candidate list alone."""
+        """Set up all arrays that depend on the list of candidate pairs alone."""
         self._codes = codes
         first, second = np.divmod(codes, len(self._cores))
         kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
@@ -178,7 +179,7 @@ class Candidates:
             self._batches.append(Batch(self._models[k], self._cores, one, other, margin, self._coal[lo:hi]))
 
     def _pack_geoms(self) -> None:
-        """What does not change with the candidates, as `seek` takes it; the arrays become views of that."""
+        """Pack the arrays of the geoms, which do not depend on the candidates, for `seek`, and make them views."""
         g, pose = self._geometry, (self._R, self._t, self._reach, self._slack, self._base)
         boxes = self._lower, self._upper, self._fat_lower, self._fat_upper
         shapes = g.size, g.offset, g.radius, g.vertices, g.face_normals, g.face_offsets, g.placement_R, g.placement_t
@@ -192,7 +193,7 @@ class Candidates:
 
 
 def _flatten(geoms: Sequence[Geom]) -> Geometry:
-    """The shapes of all geoms in flat arrays."""
+    """Shapes of all geoms in flat arrays."""
     all_shapes = [g.shape for g in geoms]
 
     def pointer(lengths: list[int]) -> Index:

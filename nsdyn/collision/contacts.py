@@ -1,4 +1,4 @@
-"""Contacts as values: what is found at a configuration, and between two."""
+"""Value types for contacts: those at one configuration, and those found on the way between two."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class ContactSet(NamedTuple):
     Attributes
     ----------
     names : ndarray of int, shape (5, nc)
-        Indices of both geoms; moving frames they hang on, -1 for the world; key, which names a contact for as long as
+        Indices of both geoms; frames of both geoms, -1 for the world; key. The key identifies a contact for as long as
         it lasts, and is never used twice.
     points : ndarray, shape (4, nc, 3)
-        Point, world, m; normal, unit, world, from geom 1 to geom 2; where it was found, the point in the axes of either
-        geom, m: by these it is recognised in the next configuration.
+        Point, world, m; normal, unit, world, from geom 1 to geom 2; the point where it was found in the axes of geom 1
+        and of geom 2, m. The last two identify the contact in the next configuration.
     scalars : ndarray, shape (3, nc)
-        Gap, m, negative where the geoms overlap, whose derivative is normal · (velocity of 2 - velocity of 1) at the
-        point; mu; restitution.
+        Gap, m, negative for penetration; mu; restitution. The derivative of the gap is normal · (velocity of 2 -
+        velocity of 1) at the point.
     next_key : int
-        The first that no contact has.
+        The first unused key.
     """
 
     names: Index
@@ -39,7 +39,7 @@ class ContactSet(NamedTuple):
 
     @classmethod
     def empty(cls) -> ContactSet:
-        """No contacts, of which the first has the key 0."""
+        """Return an empty set; the first contact found after it gets the key 0."""
         return cls(np.empty((5, 0), np.int64), np.empty((4, 0, 3)), np.empty((3, 0)), 0)
 
     @property
@@ -64,7 +64,7 @@ class ContactSet(NamedTuple):
 
     @property
     def key(self) -> Index:
-        """Names that last, shape (nc,)."""
+        """Keys, shape (nc,)."""
         return self.names[4, :]
 
     @property
@@ -96,13 +96,13 @@ class ContactSet(NamedTuple):
         return f"<ContactSet of {counted(self.gap.size, 'contact')}>"
 
     def joined(self, other: ContactSet, keys: Index) -> ContactSet:
-        """The same with those of a later configuration that have some keys, unless they are known."""
+        """Return the contacts, and from a later configuration those with the given keys, unless already present."""
         more = np.isin(other.key, keys) & ~np.isin(other.key, self.key)
         return united((self, take(other, more)))._replace(next_key=other.next_key)
 
 
 class Poses(Protocol):
-    """Whatever has poses of the moving frames, body to world."""
+    """Any object with poses of the moving frames, body to world."""
 
     @property
     def x(self) -> Array:
@@ -114,7 +114,7 @@ class Poses(Protocol):
 
 
 class DetectionPose(NamedTuple):
-    """Where contacts were looked for, and how far.
+    """Poses of a contact detection, and the reach of the frames.
 
     Attributes
     ----------
@@ -134,13 +134,14 @@ class Touches(NamedTuple):
     Attributes
     ----------
     contacts : ContactSet
-        As they are when the pair touches, carried to the end of the way by `carry`.
+        The contacts at the time of impact of their pair, carried to the end of the way by `carry`.
     fraction : ndarray, shape (nc,)
         Part of the way in [0, 1] at which the pair touches.
     memory : ContactSet
-        Those given and these contacts at the end of the way.
+        The given contacts and the new ones, at the end of the way.
     far : ndarray of int
-        Codes of pairs that may touch of which a body turns so far that it is not known how: then no other is followed.
+        Codes of pairs that may touch and of which one body turns so far that its rotation is ambiguous. If there are
+        any, no pair is followed.
     """
 
     contacts: ContactSet
@@ -150,35 +151,35 @@ class Touches(NamedTuple):
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:
-    """Some of the contacts."""
+    """Return the contacts that `kept` selects."""
     return contacts if kept.all() else ordered(contacts, np.flatnonzero(kept))
 
 
 def ordered(contacts: ContactSet, order: Index) -> ContactSet:
-    """Those of such indices, in their order."""
+    """Return the contacts with the given indices, in that order."""
     names, points, scalars, next_key = contacts
     rows = names.take(order, axis=1), points.take(order, axis=1), scalars.take(order, axis=1)
     return ContactSet(*rows, next_key)
 
 
 def joined(some: Iterable[ContactSet]) -> ContactSet:
-    """Contacts one after the other."""
+    """Concatenate contacts."""
     *columns, next_keys = zip(*some, strict=True)
     names, points, scalars = (np.concatenate(parts, axis=1) for parts in columns)
     return ContactSet(names, points, scalars, max(next_keys))
 
 
 def united(some: Iterable[ContactSet]) -> ContactSet:
-    """Contacts sorted by their pairs, those of one as they come."""
+    """Concatenate contacts and sort them by pairs; contacts of one pair keep their order."""
     out = joined(some)
     return ordered(out, np.lexsort((out.geom2, out.geom1)))
 
 
 def carry(contacts: ContactSet, begin: Poses, end: Poses, normal: Array | None = None) -> ContactSet:
-    """Contacts at poses `begin` whose bodies go to poses `end`.
+    """Move contacts from the poses `begin` of their bodies to the poses `end`.
 
-    The two points of a contact, x ± g n/2, stay fixed in their bodies and go to p1 and p2. With the normal n' there,
-    n itself if none is given, the gap becomes n' · (p2 - p1), the point (p1 + p2)/2.
+    The two points of a contact, x ± g n/2, stay fixed in their bodies and move to p1 and p2. With the new normal n',
+    which is n if none is given, the gap becomes n' · (p2 - p1), and the point (p1 + p2)/2.
     """
     c, there = contacts, contacts.normal if normal is None else normal
     out = c._replace(points=c.points.copy(), scalars=c.scalars.copy())

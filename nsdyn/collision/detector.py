@@ -1,8 +1,8 @@
-"""Contact detection: candidate pairs from bounding boxes, touching features from Coal, exact points from the features.
+"""Contact detection: candidate pairs from bounding boxes, normals from Coal, contact manifolds from features.
 
-Coal's own contact points are not used: its patches lose points, share one depth among all of them and are noisy near
-gap 0. It is asked only for the distance and the direction of each pair; `nsdyn._kernels.collision.manifold` computes
-normals, points and gaps from the faces, edges and curved surfaces that this direction singles out.
+Coal's own contact points are not used: its patches lose points, have one depth for all points, and are noisy near gap
+0. Coal gives only the distance and the normal of each pair. `nsdyn._kernels.collision.manifold` then computes normals,
+points and gaps from the faces, edges and curved surfaces that this normal selects.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["Detector"]
 
 TOUCH = 1e-4
-"""Bodies closer than this fraction of the smaller bounding radius, and approaching, touch on their way."""
+"""Approaching bodies closer than this fraction of the smaller bounding radius touch on their way."""
 
 ADVANCES = 200
-"""Most advances of a pair along its motion; one that is still close then, and not past, counts as touching."""
+"""Most advances of a pair along its motion. A pair that is still close then, and has not reached the end of the motion,
+counts as touching."""
 
 _NONE, _NOTHING, _NO_CONTACTS = np.empty(0, dtype=np.int64), np.empty(0), ContactSet.empty()
 
 
 class Detector(Candidates):
-    """Finds the contacts of a fixed list of geoms in any configuration, and between two.
+    """Finds the contacts of a fixed list of geoms at any configuration, and on the way between two.
 
-    A function of its arguments: what it keeps between calls (candidate pairs, models of Coal) changes no result.
+    Results depend on the arguments alone: the state kept between calls (candidate pairs, models of Coal) changes none.
     """
 
     def find(self, x: Array, R: Array, reach: Array, memory: ContactSet) -> ContactSet:
@@ -44,10 +45,10 @@ class Detector(Candidates):
         x, R : ndarray, shapes (nframes, 3), (nframes, 3, 3)
             Poses of the moving frames, body to world; m.
         reach : ndarray, shape (nframes,)
-            How far any point of the frame's geoms may still move, m. Contacts up to a gap of the sum of both reaches
-            (and `MARGIN` of the size) are found.
+            Way that any point of the frame's geoms may still move, m. Contacts are found up to a gap of the sum of both
+            reaches, plus `MARGIN` of the size.
         memory : ContactSet
-            Of the configuration whose contacts go on: those found again keep their keys.
+            Contacts of the previous configuration: those found again keep their keys.
         """
         poses, placed = (x, R, reach), bool(self._batches)
         if placed:
@@ -64,8 +65,9 @@ class Detector(Candidates):
     def gaps(self, contacts: ContactSet, found: ContactSet, poses: Poses) -> Array:
         """Gaps of contacts at later poses, shape (nc,), m.
 
-        A contact that is still among those `found` there has its gap, known by its key. Any other has the separation of
-        its geoms along its own normal, or their least gap found, if that is more: they overlap only where one is found.
+        A contact whose key is among those `found` at these poses has the gap found. For any other contact the gap is
+        the separation of its geoms along its own normal, or the least gap found between them if that is larger. The
+        reason: geoms penetrate each other only if a contact with a negative gap is found.
         """
         c, out = contacts, np.empty(contacts.gap.size)
         if keys.kept(c.key, found.key, found.gap, out):
@@ -75,9 +77,10 @@ class Detector(Candidates):
         return out
 
     def ways(self, contacts: ContactSet, poses: Poses, closed: float) -> tuple[Index, Array]:
-        """Normals of faces along which geoms of contacts are in each other by no more than `closed`, m.
+        """Face normals along which geoms of contacts penetrate each other by no more than `closed`, m.
 
-        Which contact each is of, shape (n,), and the normals, shape (n, 3): of edges that meet there are several.
+        Returns the index of the contact of each normal, shape (n,), and the normals, shape (n, 3). A contact of two
+        edges has several.
         """
         most = int((np.diff(self._geometry.face_ptr)[contacts.names[:2]] + 2).sum())
         which, normal = np.empty(most, np.int64), np.empty((most, 3))
@@ -86,10 +89,11 @@ class Detector(Candidates):
         return which[:count], normal[:count]
 
     def carry(self, contacts: ContactSet, begin: Poses, end: Poses) -> tuple[ContactSet, Array]:
-        """Contacts at poses `begin` as they are at poses `end`, and how far apart geoms are along their normals, m.
+        """Move contacts from poses `begin` to poses `end`; return them and the separation of geoms along normals, m.
 
-        The normal of a face turns with its body, that of two edges with both: of the normals that stay in space, turn
-        with body 1 and turn with body 2, each contact has the one along which its geoms are farthest apart.
+        The normal of a face turns with its body, the normal of two edges with both. Three normals are tried: fixed in
+        space, turning with body 1, and turning with body 2. Each contact gets the one with the largest separation of
+        its geoms.
         """
         c, normal, apart = contacts, np.empty_like(contacts.normal), np.empty_like(contacts.gap)
         advancement.turn_normals(self.fields, c[:3], begin.R, (end.x, end.R), (self._R, self._t), normal, apart)
@@ -107,24 +111,26 @@ class Detector(Candidates):
     ) -> Touches:
         """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
 
-        A pair is followed by conservative advancement [1]_: its distance over a bound of its approach speed is a time
-        in which it cannot touch. One that is together at the beginning is found only after it has parted further,
-        or where it gets deep.
+        A pair is followed by conservative advancement [1]_: it cannot touch within its distance divided by a bound on
+        its approach speed. A pair that is together at the beginning is found only after it has separated further, or if
+        it penetrates deeply.
 
         Parameters
         ----------
         begin, end : Poses
         memory : ContactSet
-            Of the configuration whose contacts go on, as for `find`.
+            Contacts of the previous configuration, as for `find`.
         known : ContactSet, optional
-            Pairs with a contact here, sorted as `find` returns them, are left out.
+            Pairs with a contact in this set, sorted as `find` returns it, are left out.
         least : ndarray, shape (geoms,), optional
-            Pairs that move past each other by no more than the smaller of theirs are left out, m; default 0.
+            A length per geom, m; default 0. Pairs that move past each other by no more than the smaller of their two
+            lengths are left out.
         together : ContactSet, optional
-            Pairs with a contact here are together at the beginning: they touch, or are about to.
+            Pairs with a contact in this set are together at the beginning: they touch, or are about to.
         foreseen : ndarray, shape (nframes, 3), optional
-            Rotation vectors, as far as known; default 0. Poses tell of half a turn at most: a pair that may touch, and
-            of which a frame turns by more than `HALF_TURN`, is told, and none is followed.
+            Predicted rotation vectors; default 0. Poses alone determine rotations of at most half a turn. If a pair may
+            touch and one of its frames turns by more than `HALF_TURN`, the pair is returned in `Touches.far`, and no
+            pair is followed.
 
         References
         ----------
@@ -146,7 +152,7 @@ class Detector(Candidates):
             return pairs[:count]
 
         if (whirls := np.append(np.linalg.norm(foreseen, axis=1) > advancement.HALF_TURN, False)).any():
-            # Of what is known from both ends nothing holds on whole turns between.
+            # Do not leave out known pairs: contacts at both ends say nothing about whole turns between.
             pairs = may_touch(_NONE)
             far = whirls[self.frame[self._first[pairs]]] | whirls[self.frame[self._second[pairs]]]
             if far.any():
@@ -163,10 +169,10 @@ class Detector(Candidates):
     def _first_touch(
         self, p: int, begin: Poses, end: Poses, turn: Array, least: Array | None
     ) -> tuple[float, Array, Array] | None:
-        """Fraction of the way at which pair p touches, and where its geoms are then, (R, t); None if it does not.
+        """Time of impact of pair p as a fraction of the way, and poses (R, t) of its geoms then; None if it misses.
 
-        One that is together at the beginning has `least` (geoms,), as of `touches`: until it has parted it is looked at
-        as often as it moves by so much, and touches where it gets as deep.
+        For a pair that is together at the beginning, `least` (geoms,) is given, as in `touches`. Until the pair has
+        separated, each advance is at least that long, and the pair touches when it penetrates by that length.
         """
         geoms, near, s = (int(self._first[p]), int(self._second[p])), TOUCH / MARGIN * self._pair_base[p], 0.0
         parted, stride = least is None, near if least is None else max(near, min(least[g] for g in geoms))
@@ -178,7 +184,7 @@ class Detector(Candidates):
             R, t = (a[some] for a in room)
             distance, result = _distance(solids, R, t)
             n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
-            if not np.isfinite(n).all():  # deep inside each other
+            if not np.isfinite(n).all():  # in deep penetration
                 break
             together = near + max(0.0, distance) if s == 0.0 else together
             parted = parted or distance > together
@@ -192,7 +198,7 @@ class Detector(Candidates):
         return (s, R, t) if parted else None
 
     def _manifold(self, p: int, R: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Points, normals and gaps of pair p at rest where its geoms are."""
+        """Points, normals and gaps of pair p at these poses of its geoms, at rest."""
         one, geoms = slice(p, p + 1), [int(self._first[p]), int(self._second[p])]
         all_R, all_t, asked = self._R.copy(), self._t.copy(), np.empty((1, 10))
         all_R[geoms], all_t[geoms] = R, t
@@ -208,7 +214,7 @@ class Detector(Candidates):
         return found[0][:count], found[1][:count], found[2][:count]
 
     def _remember(self, touching: list[tuple[int, float, Array, Array]], end: Poses, memory: ContactSet) -> Touches:
-        """Contacts of pairs that touch as (pair, fraction, R, t) of `_first_touch`, carried to the end, with keys."""
+        """Contacts of pairs that touch, (pair, fraction, R, t) of `_first_touch`, moved to the end, with keys."""
         found = [self._manifold(p, R, t) for p, _, R, t in touching]
         sizes = [gap.size for _, _, gap in found]
         point, normal, gap = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -218,7 +224,7 @@ class Detector(Candidates):
         names[2:4] = self.frame[names[:2]]
         R, t = self._R.copy(), self._t.copy()
         geometry.place(self.fields, end.x, end.R, R, t)
-        # From where the geoms of every pair touch to their ends; what is fixed is of the world.
+        # Move them from the poses at which the geoms of each pair touch to the end. Fixed geoms belong to the world.
         both = np.column_stack((self._first, self._second))[[p for p, *_ in touching]].ravel()
         begin = np.concatenate([part[3] for part in touching]), np.concatenate([part[2] for part in touching])
         where = np.repeat(np.arange(both.size).reshape(-1, 2), sizes, axis=0).T
@@ -235,11 +241,11 @@ class Detector(Candidates):
 
 
 def _distance(shapes: Any, R: Array, t: Array) -> tuple[float, Any]:
-    """Distance of two of Coal's geometries at their poses, m, and Coal's result."""
+    """Distance of two geometries of Coal at their poses, m, and Coal's result."""
     placed, result = [coal.Transform3s(R[k], t[k]) for k in (0, 1)], coal.DistanceResult()
     return coal.distance(shapes[0], placed[0], shapes[1], placed[1], distance_request(), result), result
 
 
 def _room(count: int) -> tuple[Index, Array, Array]:
-    """Room for so many contacts, as `search.gather` fills it."""
+    """Arrays for `count` contacts, as `search.gather` fills them."""
     return np.empty((5, count), np.int64), np.empty((4, count, 3)), np.empty((3, count))

@@ -1,6 +1,6 @@
-"""Distances from Coal, many pairs in one call of Pinocchio, between cores a little smaller than the shapes.
+"""Distances of many pairs in one call of Pinocchio and Coal, between cores slightly smaller than the shapes.
 
-The poses of the geoms are written and the results read through views of the memory that Pinocchio owns.
+The poses of the geoms are written, and the results read, through views of the memory that Pinocchio owns.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["SHRINK", "Batch", "empty_model", "distance_request", "pose_views", "split"]
 
 SHRINK = 1e-3
-"""Coal sees the shapes smaller by this fraction of their inscribed radius. At gap 0 its normals are wrong by anything
-(half of them for ellipsoids), while those of bodies a little apart are right: contact is between cores still apart."""
+"""Coal gets cores: shapes smaller by this fraction of their inscribed radius. At gap 0 Coal's normals may be wrong by
+any angle (half of them are for ellipsoids); those of bodies slightly apart are right. Bodies in contact have cores
+still apart."""
 
 GJK_TOLERANCE = 1e-9
-"""m; with Coal's 1e-6 two bodies closer than that count as overlapping and get any normal."""
+"""m; with Coal's 1e-6, two bodies closer than 1e-6 m count as overlapping and get an arbitrary normal."""
 
 SLOTS = 256
-"""Geoms per call of Pinocchio: its GeometryModel needs time and memory that grow with the square of their number."""
+"""Geoms per call of Pinocchio: time and memory of its GeometryModel grow with the square of their number."""
 
 
 def split(first: Index, second: Index) -> list[tuple[int, int]]:
@@ -43,7 +44,7 @@ def split(first: Index, second: Index) -> list[tuple[int, int]]:
 
 
 def empty_model(geoms: int) -> pin.GeometryModel:
-    """Model of placeholders on the universe, `SLOTS` at most, to be given their shapes later."""
+    """Model of at most `SLOTS` placeholders on the universe, which get their shapes later."""
     model, ball = pin.GeometryModel(), coal.Sphere(1.0)
     for k in range(min(geoms, SLOTS)):
         model.addGeometryObject(pin.GeometryObject(str(k), 0, pin.SE3.Identity(), ball))
@@ -52,12 +53,12 @@ def empty_model(geoms: int) -> pin.GeometryModel:
 
 @cache
 def _pair(a: int, b: int) -> pin.CollisionPair:
-    """A pair of slots; making one takes ten times as long as looking it up."""
+    """Pair of slots, cached: making one takes ten times as long as looking it up."""
     return pin.CollisionPair(a, b)
 
 
 def distance_request() -> Any:
-    """How Coal is asked for a distance: from one start, so that nothing depends on what was asked before."""
+    """Coal's request for a distance, always from the same start, so that results do not depend on earlier requests."""
     request = coal.DistanceRequest()
     request.gjk_tolerance = GJK_TOLERANCE
     request.gjk_initial_guess = coal.GJKInitialGuess.DefaultGuess
@@ -65,21 +66,21 @@ def distance_request() -> Any:
 
 
 class Batch:
-    """Pairs whose distances are one call of `pin.computeDistances`, but for those that are seen to be apart without.
+    """Pairs whose distances come from one call of `pin.computeDistances`, except those that their bounds show apart.
 
-    The poses of the geoms are written and the results read through views of the memory of `pin.GeometryData`, whose
-    elements lie one after the other: rotations column by column, then translations; distance, normal, nearest points.
+    The poses of the geoms are written, and the results read, through views of the memory of `pin.GeometryData`, whose
+    elements are contiguous: rotations column by column, then translations; distance, normal, nearest points.
 
     Parameters
     ----------
     model : pin.GeometryModel
-        Of `empty_model`, whose places it takes.
+        Made by `empty_model`; its placeholders get the shapes.
     shapes : sequence of Coal's geometries
         Of all geoms.
     first, second : ndarray of int, shape (m,)
         Geoms of the pairs.
     margin : ndarray, shape (m,)
-        m; farther apart than this and the reach of both, pairs are of no interest.
+        m; pairs farther apart than this and the reach of both are of no interest.
     out : ndarray, shape (m, 10)
         Room for distance, m, normal, and nearest points, m.
     """
@@ -98,15 +99,16 @@ class Batch:
         self._model, self._data, self._out = model, pin.GeometryData(model), out
         request = distance_request()
         requests = self._data.distanceRequests
-        for k in range(m):  # Pinocchio's own requests start from the last answer: not reproducible
+        for k in range(m):  # Pinocchio's own requests start from the last result: not reproducible
             requests[k] = request
         self._rotation, self._translation = pose_views(self._data.oMg, len(self._geoms))
         self._results = _memory(self._data.distanceResults[0].normal.ctypes.data - 8, (m, 10), (_strides()[1], 8))
 
     def run(self, fields: tuple[Any, ...], placed: tuple[Array, ...], boxes: tuple[Array, Array]) -> None:
-        """Distances of all pairs, into the rows of `out`, inf where they are seen to be too far apart.
+        """Write the distances of all pairs into the rows of `out`, inf for pairs whose bounds are too far apart.
 
-        The `fields` are those of `Geometry`, `placed` (R, t, reach) of the geoms, `boxes` (lower, upper) about them, m.
+        `fields` are those of `Geometry`, `placed` is (R, t, reach) of the geoms, `boxes` their bounds (lower, upper),
+        m.
         """
         R, t, _ = placed
         self._rotation[:] = R[self._geoms]
@@ -123,14 +125,14 @@ class Batch:
 
 
 def _memory(address: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> Array:
-    """Array over foreign memory; whoever owns that must outlive it."""
+    """Array over foreign memory, whose owner must outlive the array."""
     length = sum((n - 1) * s for n, s in zip(shape, strides, strict=True)) // 8 + 1
     flat = np.frombuffer(memoryview((ctypes.c_double * length).from_address(address)))
     return np.lib.stride_tricks.as_strided(flat, shape, strides)
 
 
 def pose_views(poses: Any, count: int) -> tuple[Array, Array]:
-    """Rotations (n, 3, 3) and translations (n, 3) of the first poses of a vector of Pinocchio's, as live arrays."""
+    """Rotations (n, 3, 3) and translations (n, 3) of the first poses of a vector of Pinocchio, as live views."""
     pose, _, shift = _strides()
     origin = poses[0].rotation.ctypes.data
     return _memory(origin, (count, 3, 3), (pose, 8, 24)), _memory(origin + shift, (count, 3), (pose, 8))
@@ -138,7 +140,7 @@ def pose_views(poses: Any, count: int) -> tuple[Array, Array]:
 
 @cache
 def _strides() -> tuple[int, int, int]:
-    """Bytes from pose to pose, from result to result and from a rotation to its translation, checked by value."""
+    """Bytes between poses, between results, and from a rotation to its translation; checked by value."""
     model = empty_model(2)
     model.collisionPairs.extend([pin.CollisionPair(0, 1), pin.CollisionPair(1, 0)])
     data = pin.GeometryData(model)

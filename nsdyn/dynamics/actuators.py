@@ -1,4 +1,4 @@
-"""Control of the joints of trees: what a controller gives, and actuators at their limits."""
+"""Control of the joints of trees: read the return value of a controller, and handle actuators at their limits."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ __all__ = ["Actuators", "Control", "left_to_rows"]
 
 
 class Control(NamedTuple):
-    """What a controller gives to a tree.
+    """Control law of the joints of one tree, made from the return value of a controller.
 
     Attributes
     ----------
     law : ndarray, shape (5, nv)
-        kp, kd, target, constant and limit: feedforward and kd times the target's velocity are constant.
+        Rows kp, kd, target, constant and limit. The constant is the feedforward plus kd times the target's velocity.
     limited : bool
-        Whether any of it has a limit.
+        True if any coordinate has a finite limit.
     implicit : bool
-        Whether the motion of the step changes it.
+        True if the control depends on the motion of the step, that is, if any gain is positive.
     """
 
     law: Array
@@ -36,7 +36,7 @@ class Control(NamedTuple):
 
     @classmethod
     def none(cls, nv: int) -> Control:
-        """Of a tree that is not controlled."""
+        """Return the control law of a tree that is not controlled."""
         law = np.zeros((5, nv))
         law[4] = np.inf
         return cls(law, False, False)
@@ -45,15 +45,16 @@ class Control(NamedTuple):
 LARGEST = np.finfo(float).max
 
 UNMOVED = 1e-9
-"""Of a control that gives way to the motion of a step by no more than this fraction of what moves it the motion tells
-nothing: at its limit it is a constant."""
+"""Threshold on the implicit damping of a control times the mobility of its joint. Below it the motion of the step
+changes the control by no more than this fraction of what moves the joint, so that a control at its limit is taken as a
+constant force."""
 
 
 class Actuators:
-    """The actuators of an articulation, those of its file, which read what a controller returns.
+    """Actuators of an articulation, as its file defines them; they turn the return value of a controller into laws.
 
-    A `PD` gives at most the `effort` (nv,), N m or N, unless it says otherwise. Each of its `trees` has some
-    coordinates.
+    A `PD` gives at most the `effort` (nv,), N m or N, unless it sets its own limit. Each of the `trees` has a slice of
+    the coordinates.
     """
 
     def __init__(self, axes: Axes, effort: Array, trees: Sequence[slice], actuators: Sequence[Actuator] = ()) -> None:
@@ -63,8 +64,8 @@ class Actuators:
         self._last: tuple[PD | Actuation | None, tuple[Control, ...]] = None, ()
 
     def controls(self, given: Any) -> tuple[Control, ...]:
-        """What a controller returned, for each tree; ValueError if it does not fit."""
-        if isinstance(given, (PD, Actuation)):  # a union would be made anew in each step
+        """Return the control law of each tree from the return value of a controller; ValueError if it does not fit."""
+        if isinstance(given, (PD, Actuation)):  # building a union type would cost time in each step
             if given is not self._last[0]:
                 self._last = given, self._parts(self._law(given))
             return self._last[1]
@@ -81,7 +82,7 @@ class Actuators:
         return self._parts(law)
 
     def _law(self, given: PD | Actuation) -> Array:
-        """What a controller asks for; actuators that it does not name are warned of once."""
+        """Law of a `PD` or `Actuation`, shape (5, nv); warn once about actuators that the controller does not name."""
         owner = self._axes.owner
         if isinstance(given, PD):
             kp, kd, target, rate, feedforward, limit = given.on(self._axes, self._effort)
@@ -107,12 +108,12 @@ class Actuators:
 def left_to_rows(
     halfway: TreeMidpoint, loads: TreeLoads, limit: Array, mobility: Array, v: Array, over: Bools
 ) -> TreeLoads:
-    """The loads of a step without the control of the actuators `over` (nv,) their limits, which is left to rows.
+    """Return the loads of a step without the control of the actuators `over` (nv,) their limits, which rows replace.
 
-    τ = clip(τ₀ - b v', ±L) is that of a clutch that slips at L, between the joint and a rotor of mass h b that turns at
-    τ₀/b without it: its row is in `nsdyn.dynamics.joints`. Beside the mobility of a joint, 1/mass, a small b is
-    nothing: then τ is what it is at v, the velocity after the forces by which the limits L (nv,), N m or N, are
-    exceeded.
+    The law τ = clip(τ₀ - b v', ±L) is the law of a clutch that slips at L, between the joint and a rotor. The rotor has
+    the mass h b and turns at τ₀/b without the clutch. The row of the clutch is in `nsdyn.dynamics.joints`. If b is
+    negligible beside the mobility of the joint, 1/mass (see `UNMOVED`), the actuator gets no row. Then τ is a constant:
+    its value at v, the velocity after the forces by which the limits L (nv,), N m or N, are exceeded.
     """
     kp, kd, alpha, beta, force = loads.laws[1]
     h, v0 = halfway.h, halfway.v

@@ -1,6 +1,6 @@
 """Equations of motion of a scene: forces, mass matrices, rows of contacts and joints, energies.
 
-All are functions of values, which keep nothing.
+All are functions of their arguments and keep no state.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ __all__ = ["Controls", "Dynamics", "Wrenches"]
 
 NOTHING: Mapping[Any, Any] = {}
 Wrenches = tuple[Mapping[str, Array], Mapping[int, tuple[Array, Array]]]
-"""Loads (2, nf, 3) on the free bodies, as of `Forces`, by the column of the ledger that has their work; of trees by
-their index as of `Tree.pushed`."""
+"""External wrenches as two mappings. The first has loads (2, nf, 3) on the free bodies, as in `Forces`, by the column
+of the ledger that books their work. The second has the loads of trees by the index of the tree, as `Tree.pushed`
+returns them."""
 Controls = Mapping[int, Control]
 NONE = np.empty(0)
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
-    """What a callback returned, checked."""
-    if not isinstance(given, (dict, Mapping)):  # a dict is known at once
+    """Return the mapping that a callback returned; ValueError if it is none."""
+    if not isinstance(given, (dict, Mapping)):  # a plain dict is recognised fastest
         raise ValueError(f"{what} must return a mapping of names, got {given!r}")
     return given
 
@@ -56,10 +57,10 @@ class Dynamics(Kinematics):
         control: Controls = NOTHING,
         last: Array | None = None,
     ) -> Forces:
-        """What acts in a step of h s until the time t, s: M̃ (v_f - v⁻) = h f̃.
+        """Forces of a step of h s that ends at the time t, s: M̃ (v_f - v⁻) = h f̃.
 
-        With what `wrenches` and `controls` make of the user's functions, and the last impulses of the joint rows
-        (slots, 3).
+        `wrenches` and `control` come from the functions of the user, see `Dynamics.wrenches` and `Dynamics.controls`.
+        `last` has the last impulses of the joint rows, (slots, 3).
         """
         loads, applied = wrenches or (NOTHING, NOTHING)
         load = reduce(add, loads.values()) if loads else self.no_load
@@ -75,9 +76,9 @@ class Dynamics(Kinematics):
         return self._with_trees(out, load, motions)
 
     def within_limits(self, middle: MidpointState, forces: Forces, v: Array) -> Forces:
-        """The same where actuators that the velocity v (n,) after the forces brings beyond their limits have rows.
+        """Return the forces with rows for actuators that the velocity v (n,) after the forces brings beyond limits.
 
-        The forces themselves where none is beyond.
+        Return `forces` itself if no actuator is beyond its limit.
         """
         motions = [
             free if free.loads.limit is None else tree.within_limits(half, free, v[tree.coordinates])
@@ -88,12 +89,12 @@ class Dynamics(Kinematics):
         return self._with_trees(forces.v.copy(), forces.load, motions)
 
     def inertia(self, position: Position, v: Array) -> Forces:
-        """Mass matrices at a position, where no forces act: what impacts meet."""
+        """Mass matrices at a position where no forces act, as the law of impact needs them."""
         motions = [t.inertia(q, v[t.coordinates]) for t, q in zip(self.trees, position.trees, strict=True)]
         return self._with_trees(v.copy(), self.no_load, motions)
 
     def _with_trees(self, v: Array, load: Array, motions: list[FreeMotion]) -> Forces:
-        """Forces of the trees, whose velocities go into v (n,), beside the load on the free bodies."""
+        """Join the forces of trees and the load on the free bodies; write the velocities of the trees into v (n,)."""
         if self._lone:
             only = motions[0]
             return Forces(only.v, only.foreseen, load, only.m.ravel(), only.minv.ravel(), (only,))
@@ -109,10 +110,11 @@ class Dynamics(Kinematics):
         return Forces(v, foreseen, load, m, minv, tuple(motions))
 
     def wrenches(self, middle: Position, given: Mapping[str, Any]) -> Wrenches:
-        """What external wrenches are, as loads.
+        """Convert external wrenches into loads.
 
-        They are given by the name of a free body, as a force (3,) at its centre of mass [N], or (force, torque [N m]);
-        world axes. On a body of an articulation, "articulation/body", the force acts at the origin of its frame.
+        A wrench is given by the name of a free body, as a force (3,) at its centre of mass [N], or as (force, torque [N
+        m]); world axes. On a body of an articulation, named "articulation/body", the force acts at the origin of the
+        body's frame.
         """
         force, torque = load = np.zeros((2, self.free, 3))
         applied: dict[int, tuple[Array, Array]] = {}
@@ -137,7 +139,7 @@ class Dynamics(Kinematics):
         return {"external": load}, applied
 
     def controls(self, given: Mapping[str, Any]) -> Controls:
-        """Laws of the joints by the index of the tree, from what a controller gives to articulations by name."""
+        """Control laws by the index of the tree, from the values that a controller gives to articulations by name."""
         out: dict[int, Control] = {}
         for name, value in _mapping(given, "controller").items():
             first, actuators = self._forests[choice(name, self._forests, "articulation of controller")]
@@ -148,16 +150,16 @@ class Dynamics(Kinematics):
     # -- rows -------------------------------------------------------------------------------------------------------
 
     def joint_rows(self, place: Placement, v: Array, v_free: Array, h: float) -> JointRows | None:
-        """Rows of joint limits and joint friction of a step; None when there are none."""
+        """Rows of joint limits and joint friction of a step; None when the step has no joint rows."""
         return self.joints.rows(self.angles(place), v, v_free, h) if self.joints.passive else None
 
     def limit_rows(self, place: Placement, v: Array) -> JointRows | None:
-        """Rows of joint limits alone, for what happens in no time: friction has no impulse then."""
+        """Rows of joint limits alone, for impacts, which take no time: friction of joints has no impulse then."""
         joints = self.joint_rows(place, v, v, 0.0)
         return None if joints is None else joints.take(joints.mu == 0.0)
 
     def with_actuators(self, joints: JointRows | None, forces: Forces) -> JointRows | None:
-        """Joint rows, and those of actuators at their limits; None when there are none."""
+        """Joint rows followed by the rows of actuators at their limits; None when there are no rows."""
         for tree, free in zip(self.trees, forces.trees, strict=True):
             if (clutch := free.loads.clutch) is not None:
                 joints = self.joints.with_actuators(joints, tree.coordinates, clutch)
@@ -170,7 +172,7 @@ class Dynamics(Kinematics):
     def rows(
         self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None
     ) -> tuple[ContactJacobian, Array]:
-        """Factors of contacts and joint rows where the frames are placed; frames (nc, 3, 3), rows (n, t1, t2)."""
+        """Factors of contacts and joint rows at a placement; and the contact frames (nc, 3, 3), rows (n, t1, t2)."""
         nc = contacts.gap.size
         frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
         found = contacts[:3]
@@ -194,7 +196,7 @@ class Dynamics(Kinematics):
     # -- energies ---------------------------------------------------------------------------------------------------
 
     def energies(self, position: Position, v: Array, trees: Energies) -> tuple[float, float]:
-        """(kinetic, potential) energy, J, with that of `tree_energies`; potential energy is 0 at the world's origin."""
+        """(kinetic, potential) energy, J, with `trees` of `tree_energies`; potential energy 0 at the world's origin."""
         kinetic = potential = 0.0
         if self.free:
             kinetic, potential = _motion.free_energies(self.mass, self.J, self.gravity, position.x, v)
@@ -203,7 +205,7 @@ class Dynamics(Kinematics):
         return kinetic, potential
 
     def tree_energies(self, position: Position, v: Array) -> Energies:
-        """(kinetic, potential) energy of every tree, J, as `Tree.energies` has it."""
+        """(kinetic, potential) energy of every tree, J, as `Tree.energies` computes it."""
         at = zip(self.trees, position.trees, strict=True)
         return tuple([t.energies(q, v[t.coordinates]) for t, q in at])
 
@@ -213,9 +215,10 @@ class Dynamics(Kinematics):
         return out
 
     def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
-        """Velocity with the same momentum where a projection brought the free bodies, and what it did to their energy.
+        """Velocity with unchanged momentum after a position projection of free bodies, and their change of energy, J.
 
-        The angular momentum in space is kept, so that ω in body axes changes with the turn, and kinetic energy a bit.
+        The angular momentum in space is kept. Therefore ω in body axes changes with the rotation, and kinetic energy
+        slightly.
         """
         out = np.empty(self.n)
         _motion.keep_spin(self.J, self.inverse_J, before.quaternion, after.quaternion, v, out)

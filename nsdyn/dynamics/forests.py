@@ -1,4 +1,4 @@
-"""Articulations cut at the world: what no joint, no loop and no gear joins moves by itself, as a tree of its own."""
+"""Articulations cut at the world: parts that no joint, loop or gear connects become separate trees."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ __all__ = ["Part", "parts"]
 
 
 class Part(NamedTuple):
-    """One tree of an articulation, or several that loops or gears join.
+    """One tree of an articulation, or several trees that loops or gears connect.
 
     Attributes
     ----------
     articulation : Articulation
-        As if there were no other; it has the name of the whole.
+        The part as an articulation of its own; it has the name of the whole.
     q, v : slice
-        Its coordinates in those of the whole.
+        Its coordinates within the coordinates of the whole.
     joints : range
-        Its joints in the whole: the first is its joint 1.
+        Its joints within the whole: the first of them is joint 1 of the part.
     """
 
     articulation: Articulation
@@ -39,7 +39,7 @@ def parts(a: Articulation) -> list[Part]:
     ends = [*roots[1:], model.njoints]
     joined = [(loop.joint1, loop.joint2) for loop in a.loops]
     joined += [(joint_at(model, g.coordinate1), joint_at(model, g.coordinate2)) for g in a.gears]
-    for low, high in map(sorted, joined):  # all trees from the first to the last move together
+    for low, high in map(sorted, joined):  # join all trees from the first to the last
         kept = [k for k, end in enumerate(ends) if not (low and low < end <= high)]
         roots, ends = [roots[0], *(ends[k] for k in kept[:-1])], [ends[k] for k in kept]
     if len(roots) <= 1:
@@ -80,8 +80,8 @@ def _part(a: Articulation, joints: range) -> Part:
 
 
 def _alone(model: Any, joints: range) -> Any:
-    """A Pinocchio model of some joints, the frames on them and what they carry."""
-    # Not `buildReducedModel`, which refuses joints that have the names of bodies.
+    """Pinocchio model of some joints, with the frames on them and the inertias that they carry."""
+    # `buildReducedModel` is of no use: it refuses joints that have the names of bodies.
     own, shift = pin.Model(), joints.start - 1
     own.gravity = model.gravity
     for joint in joints:

@@ -1,13 +1,17 @@
-"""What joints do within bounds, as rows beside the contacts, and the coordinates the solver works in.
+"""Joint limits, dry friction and actuators at their limits as rows beside the contacts, and the solver's coordinates.
 
-A limit is a frictionless contact whose normal row is ±e_j. A clutch |τ| ≤ τ_c is a contact with μ = 1 whose first
-tangent row is e_j, pressed on a coordinate of its own so that r_N = h τ_c exactly: sticking is exact, and the solvers
-need nothing new. Dry friction is a clutch to what does not move; that of a planar joint against sliding, ‖τ‖ ≤ τ_c, has
-the other coordinate for its second tangent row; that of a ball joint is one of both kinds, pressed with h τ_c cos α and
-h τ_c sin α, see `nsdyn.stepping.ball_joints`. An actuator at its limit, τ = clip(τ₀ - b v_j, ±L), is one to a
-rotor: a coordinate of its own, of mass h b, which turns at τ₀/b without the clutch. While that sticks the
-impulse is h (τ₀ - b v_j), while it slips ±h L. Where loops or driven joints restrict a tree, v = v_p + Z y, and the
-solver sees y.
+A joint limit is a frictionless contact whose normal row is ±e_j. A clutch |τ| ≤ τ_c is a contact with μ = 1 whose first
+tangent row is e_j. Its normal row acts on an additional coordinate, pressed so that r_N = h τ_c exactly. Sticking is
+therefore exact, and the solvers need nothing new. The clutches are:
+
+- Dry joint friction: a clutch to a fixed part. In a planar joint the friction against sliding, ‖τ‖ ≤ τ_c, has the other
+  coordinate as its second tangent row. A ball joint has one clutch of both kinds, pressed with h τ_c cos α and h τ_c
+  sin α, see `nsdyn.stepping.ball_joints`.
+- An actuator at its limit, τ = clip(τ₀ - b v_j, ±L): a clutch to a rotor. The rotor is an additional coordinate of mass
+  h b, which turns at τ₀/b without the clutch. While the clutch sticks, the impulse is h (τ₀ - b v_j); while it slips,
+  the impulse is ±h L.
+
+Where loops or driven joints restrict a tree, v = v_p + Z y, and the solver works in y.
 """
 
 from __future__ import annotations
@@ -31,7 +35,8 @@ NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0)), np.empty(0, np.bool_), np
 TINY = np.finfo(float).tiny
 
 NEAR = 1e-2
-"""A limit takes part in a step when the joint is this fraction of its range away from it, plus what it moves."""
+"""A limit takes part in a step when the distance of the joint from it is below this fraction of the joint's range, plus
+the way the joint may move in the step."""
 
 
 class JointRows(NamedTuple):
@@ -45,8 +50,8 @@ class JointRows(NamedTuple):
         Distance to the limit at the midpoint, rad or m; 0 for clutches.
     restitution, mu : ndarray, shape (nj,)
     clutch : ndarray, shape (3, nj)
-        h τ_c [N m s or N s], 0 for limits, and of rotors the speed [rad/s or m/s] and the mobility [1/(kg m²) or 1/kg],
-        0 where there is none.
+        h τ_c [N m s or N s], 0 for limits; speed of the rotor [rad/s or m/s] and its mobility [1/(kg m²) or 1/kg], 0
+        for rows without a rotor.
     """
 
     slot: Index
@@ -56,7 +61,7 @@ class JointRows(NamedTuple):
     clutch: Array
 
     def take(self, kept: NDArray[np.bool_]) -> JointRows | None:
-        """Some of the rows, None for none."""
+        """Return the rows that `kept` selects; None if it selects none."""
         if kept.all():
             return self
         if not kept.any():
@@ -65,26 +70,26 @@ class JointRows(NamedTuple):
 
     @property
     def actuated(self) -> NDArray[np.bool_]:
-        """Which are actuators."""
+        """True for the rows of actuators."""
         out: NDArray[np.bool_] = self.clutch[2] > 0.0
         return out
 
 
 class JointLaws:
-    """Limits and dry friction of the joints of all trees, then actuators: a table of slots, each of which may be a row.
+    """Table of slots, each a possible row: limits and dry friction of the joints of all trees, then actuators.
 
     Parameters
     ----------
     trees : sequence of Tree
     first : int
-        Block of the first tree; the others follow.
+        Block of the first tree; the other trees follow.
 
     Attributes
     ----------
     ball : ndarray of bool, shape (slots,)
-        Disks of ball joints: the next slot is the clutch about the third axis.
+        True for the first clutch of a ball joint, about two axes; the next slot is the clutch about the third axis.
     turning : ndarray of bool, shape (slots,)
-        Of joints whose slip is along axes that turn with them.
+        True for joints that slip along axes which turn with them.
     no_impulses : ndarray, shape (slots, 3)
         Zero.
     """
@@ -124,14 +129,14 @@ class JointLaws:
         self._table = self.coordinate, self.sign, self.bound, self.near
 
     def rows(self, angle: Array, v: Array, v_free: Array, h: float) -> JointRows | None:
-        """Rows of a step: all friction, and the limits the joints may reach; None when there are none.
+        """Rows of a step: all friction, and the limits that the joints may reach; None when there are no rows.
 
         Parameters
         ----------
         angle : ndarray, shape (n,)
             Joint coordinates at the midpoint.
         v, v_free : ndarray, shape (n,)
-            Velocity at the beginning, and at the end without contacts.
+            Velocity at the beginning, and velocity at the end without contacts.
         h : float
         """
         slot = np.empty(self.passive, np.int64)
@@ -142,16 +147,16 @@ class JointLaws:
         clutch = np.zeros((3, slot.size))
         clutch[0] = np.where(friction, h * self.bound[slot], 0.0)
         disk = self.ball[slot]
-        if disk.any():  # even shares, until more is known
+        if disk.any():  # equal shares until the slip is known
             clutch[0, disk | np.roll(disk, 1)] *= np.sqrt(0.5)
         return JointRows(slot, self.gaps(slot, angle), self.restitution[slot], friction.astype(float), clutch)
 
     def actuators(self, coordinates: slice) -> slice:
-        """Slots of the actuators of a tree with those coordinates."""
+        """Slots of the actuators of the tree with the given coordinates."""
         return slice(self._actuators + coordinates.start, self._actuators + coordinates.stop)
 
     def with_actuators(self, rows: JointRows | None, coordinates: slice, clutch: Array) -> JointRows | None:
-        """Rows of a step, and after them those of the actuators of a tree that have a clutch (3, nv) to a rotor."""
+        """Rows of a step followed by the rows of the actuators of a tree that have a clutch (3, nv) to a rotor."""
         on = np.flatnonzero(clutch[2])
         if not on.size:
             return rows
@@ -162,17 +167,17 @@ class JointLaws:
         )
 
     def gaps(self, slot: Index | slice, angle: Array) -> Array:
-        """Distances to the limits of some slots at the joint coordinates, rad or m; 0 for friction."""
+        """Distances to the limits of the given slots at the joint coordinates, rad or m; 0 for friction."""
         out: Array = self.sign[slot] * (angle[self.coordinate[slot]] - self.bound[slot])
         return out
 
     def rates(self, slot: Index, v: Array) -> Array:
-        """Rates of the gaps of some slots at the velocity v (n,), rad/s or m/s; 0 for friction."""
+        """Rates of the gaps of the given slots at the velocity v (n,), rad/s or m/s; 0 for friction."""
         out: Array = self.sign[slot] * v[self.coordinate[slot]]
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, nv: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, (slots, 3); of actuators, limits and friction in rows 0, 1 and 2 of (7, nv)."""
+        """Impulses r (nj, 3) by slot, (slots, 3); and (7, nv): actuators, limits and friction in rows 0, 1 and 2."""
         on_coordinates = np.zeros((7, nv))
         if rows is None:
             return self.no_impulses, on_coordinates
@@ -185,36 +190,36 @@ class JointLaws:
         return by_slot, on_coordinates
 
     def append(self, rows: JointRows, full: DelassusFactors) -> DelassusFactors:
-        """Contacts of `full` followed by the joint rows."""
+        """Factors `full` of the contacts, followed by the joint rows."""
         table = self.coordinate, self.other, self.block, self.sign
         return DelassusFactors(*_joints.append_rows(rows.slot, *table, full.arrays))
 
 
 class ContactJacobian:
-    """The factors of a step in the velocities v, and in the coordinates y that constraints leave free, v = v_p + Z y.
+    """Factors of a step in the velocities v, and in the coordinates y that the constraints leave free, v = v_p + Z y.
 
     Parameters
     ----------
     full : DelassusFactors
-        In the velocities v of the scene, M⁻¹ of a constrained block being Z Zᵀ.
+        In the velocities v of the scene; M⁻¹ of a constrained block is Z Zᵀ.
     bases : mapping of int to ndarray, shape (n, ny)
         Z of the constrained blocks, with Zᵀ M Z = I.
     pressed : ndarray of int, shape (k,)
-        Rows that are clutches. Each gets a coordinate of its own on which it is pressed, as mobile as what it holds,
-        and one of its rotor.
+        Rows that are clutches. Each gets an additional coordinate on which it is pressed, with the mobility of the
+        slipping coordinate, and one for its rotor.
     clutch : ndarray, shape (3, k)
-        As of `JointRows`.
+        As in `JointRows`.
     plane : ndarray of bool, shape (k,)
-        Which have two tangents.
+        True for clutches with two tangents.
     ball : ndarray of bool, shape (k,)
-        Which of them share the friction of a ball joint with the next.
+        True for clutches that share the friction of a ball joint with the next clutch.
 
     Attributes
     ----------
     full, blocks : DelassusFactors
-        `blocks` is `full` itself where nothing restricts or presses.
+        `blocks` is `full` itself if no constraint and no clutch is present.
     joint_load : ndarray, shape (3 nc,)
-        Velocities without impulses of the coordinates of clutches, m/s; empty where nothing presses.
+        Velocities of the coordinates of clutches without impulses, m/s; empty without clutches.
     """
 
     def __init__(
@@ -243,18 +248,18 @@ class ContactJacobian:
         self._mobility = -self.joint_load[3 * pressed] / clutch[0]
 
     def ball_axes(self, x: Array) -> Array:
-        """What x (3 nc,) says of the three axes of ball joints with dry friction, shape (balls, 3)."""
+        """Entries of x (3 nc,) for the three axes of ball joints with dry friction, shape (balls, 3)."""
         first = 3 * self.balls[:, None] + np.array([1, 2, 4])
         out: Array = x[first]
         return out
 
     @property
     def shares(self) -> Array:
-        """What presses both parts of the friction of ball joints, shape (balls, 2), N m s."""
+        """Pressing impulses of both clutches of each ball joint with friction, shape (balls, 2), N m s."""
         return np.column_stack((self._impulse[self._disks], self._impulse[self._disks + 1]))
 
     def sharing(self, angle: Array) -> ContactJacobian:
-        """The same with the friction of ball joints parted by the angles α (balls,), rad."""
+        """Return a copy in which the friction of ball joints is divided by the angles α (balls,), rad."""
         out, disks = copy(self), self._disks
         out._impulse, out.joint_load = self._impulse.copy(), self.joint_load.copy()
         out._impulse[disks], out._impulse[disks + 1] = self._shared * np.cos(angle), self._shared * np.sin(angle)
@@ -263,7 +268,7 @@ class ContactJacobian:
         return out
 
     def held(self, r: Array) -> Array:
-        """The impulses r (3 nc,) with clutches pressed as they are and no more than slipping, beyond any tolerance."""
+        """Impulses r (3 nc,) with exact clutches: the prescribed pressing, and a tangential part of at most that."""
         if not self._pressed.size:
             return r
         rows, most, out = self._pressed, self._impulse, r.copy()

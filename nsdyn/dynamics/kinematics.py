@@ -1,4 +1,4 @@
-"""Where a scene is and goes without forces: flows, frames, their velocities, and how far shapes reach."""
+"""Positions and motion of a scene without forces: flows, frames, velocities of frames, and the reach of shapes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Kinematics(Layout):
     """Motion of a scene between the instants at which forces act."""
 
     def halfway(self, position: Position, v: Array, h: float, theta: float, twist: Array) -> MidpointState:
-        """Where the forces of a step of h s act: after (1 - θ) h of motion without any, Φ.
+        """Midpoint of a step of h s, where its forces act: after (1 - θ) h of motion without forces, Φ.
 
-        Free bodies move on straight lines and rotate without torque, trees as `Tree.flow` has it, driven bodies at a
-        twist (surfaces, 2, 3), linear and angular, world axes.
+        Free bodies move along straight lines and rotate without torque. Trees move by `Tree.flow`. Kinematic bodies
+        move with a twist (surfaces, 2, 3), linear and angular, world axes.
         """
         ahead = (1.0 - theta) * h
         if self._lone:
@@ -42,10 +42,11 @@ class Kinematics(Layout):
     def end(
         self, middle: MidpointState, forces: Forces, v: Array, impulse: Array, h: float, driven: tuple[Array, Array]
     ) -> tuple[Position, Array, Placement, tuple[Flow, ...]]:
-        """(position, velocity, frames, trees) after a step's second part of h s, without forces.
+        """Second part of a step, h s without forces: return (position, velocity, frames, trees) at its end.
 
-        These and the impulses leave the velocity v (n,) in the middle. What contacts and joint rows push, by H r (n,),
-        is told by `impulse`; there driven bodies have the poses `driven`, (nd, 3) and (nd, 4).
+        The forces and impulses leave the velocity v (n,) at the midpoint. `impulse` is H r (n,), the impulse of
+        contacts and joint rows on the coordinates; it tells which trees they act on. At the end, kinematic bodies have
+        the poses `driven`, (nd, 3) and (nd, 4).
         """
         position = middle.position
         if self._lone:
@@ -65,7 +66,7 @@ class Kinematics(Layout):
         return there, after, self._with_others(there, X, R, links), tuple(ends)
 
     def _flow(self, position: Position, v: Array, h: float) -> tuple[Array, Array, Array, Array, Array]:
-        """(x, quaternion, v) of free bodies after h s without forces, and all frames with theirs in place."""
+        """(x, quaternion, v) of free bodies after h s without forces, and the arrays of all frames, theirs filled."""
         x, quaternion, after = np.empty((self.free, 3)), np.empty((self.free, 4)), v.copy()
         X, R = np.empty((self.frames, 3)), np.empty((self.frames, 3, 3))
         flow(*self._principal, position.x, position.quaternion, v, h, x, quaternion, after)
@@ -73,7 +74,7 @@ class Kinematics(Layout):
         return x, quaternion, after, X, R
 
     def shift(self, position: Position, step: Array) -> Position:
-        """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, loops closed."""
+        """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, with loops closed."""
         x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
         _motion.integrate(position.x, position.quaternion, step, 1.0, x, quaternion)
         moved = zip(self.trees, position.trees, strict=True)
@@ -90,7 +91,7 @@ class Kinematics(Layout):
         return self._with_others(position, x, R, links)
 
     def _with_others(self, position: Position, x: Array, R: Array, links: list[Links]) -> Placement:
-        """The placement whose free bodies are in x and R."""
+        """Complete a placement: add all other frames to `x` and `R`, which hold those of the free bodies."""
         if position.driven_x.size:
             nd = len(position.driven_x)
             _motion.place(position.driven_x, position.driven_quaternion, x[-nd:], R[-nd:])
@@ -99,7 +100,7 @@ class Kinematics(Layout):
         return Placement(x, R, tuple(links))
 
     def twists(self, place: Placement, v: Array) -> tuple[Array, Array]:
-        """Velocities of the frames' origins and angular velocities, (frames, 3) each, world axes; 0 of driven ones."""
+        """Velocities of frame origins and angular velocities, (frames, 3) each, world axes; 0 of kinematic bodies."""
         linear, angular = np.zeros((self.frames, 3)), np.zeros((self.frames, 3))
         if self.free:
             _motion.twists(place.R, v, self.free, linear, angular)
@@ -108,17 +109,18 @@ class Kinematics(Layout):
         return linear, angular
 
     def spins(self, angular: Array, twist: Array) -> Array:
-        """Angular velocities of all frames from those of `twists` and of driven bodies, (frames, 3), rad/s, world axes.
+        """Angular velocities of all frames, of `twists` and of kinematic bodies, (frames, 3), rad/s, world axes.
 
-        `twist` (surfaces, 2, 3) as of `reach`.
+        `twist` (surfaces, 2, 3) is as in `reach`.
         """
         driven = self.frames - self.radii.size
         return np.concatenate((angular[: self.radii.size], twist[:driven, 1])) if driven else angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
-        """How far any point of each frame's shapes may move in h s, in dt of which they fall, m, shape (frames,).
+        """Bound on the way of any point of each frame's shapes in h s, m, shape (frames,).
 
-        At a velocity v (n,), and of driven bodies at a twist (surfaces, 2, 3), linear and angular, world axes.
+        The bound holds at a velocity v (n,); kinematic bodies have the twist (surfaces, 2, 3), linear and angular,
+        world axes. It includes the fall under gravity in h s at the speed gained in `dt`.
         """
         out = np.zeros(self.frames)
         fall = h * dt * self.weight
@@ -132,7 +134,7 @@ class Kinematics(Layout):
         return out
 
     def angles(self, place: Placement) -> Array:
-        """Joint coordinates, shape (n,), 0 where there are none."""
+        """Joint coordinates, shape (n,); 0 for coordinates that are none of a joint."""
         if self._lone:
             return place.links[0].angle
         out = np.zeros(self.n)
@@ -149,7 +151,7 @@ class Kinematics(Layout):
         return np.concatenate((q, *position.trees)) if position.trees else q, out
 
     def poses(self, position: Position, place: Placement) -> tuple[Array, Array] | tuple[None, None]:
-        """Positions (frames, 3) and quaternions (frames, 4) of all frames; None where all are free bodies."""
+        """Positions (frames, 3) and quaternions (frames, 4) of all frames; None if all frames are of free bodies."""
         if self.frames == self.free:
             return None, None
         quaternion = np.empty((self.frames, 4))

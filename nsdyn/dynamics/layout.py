@@ -1,8 +1,8 @@
-"""The coordinates and frames of a scene, and what in it has mass: the layout that its motion and forces share.
+"""Coordinates, frames and masses of a scene: the layout that its motion and forces share.
 
-Free bodies are batched in arrays; each articulated tree has its own Pinocchio model. The velocity is one vector v
-(n,) in blocks: 6 per free body (linear in world axes, angular in body axes), then nv per tree. Bodies that move as
-prescribed have a frame, but no block.
+Free bodies are batched in arrays; each articulated tree has its own Pinocchio model. The velocity is one vector v (n,)
+in blocks: 6 per free body (linear in world axes, angular in body axes), then nv per tree. Kinematic bodies have a
+frame, but no block.
 """
 
 from __future__ import annotations
@@ -35,20 +35,21 @@ def rotation(quaternion: Array) -> Array:
 
 
 class Layout:
-    """What moves in a scene, in the order of its coordinates and frames.
+    """The moving objects of a scene, in the order of their coordinates and frames.
 
     Attributes
     ----------
     held : ndarray of bool, shape (frames,)
-        Frames that nothing but prescribed motion moves.
+        Frames that only prescribed motion moves.
     prescribed : bool
-        Whether there are such frames or joint coordinates.
+        True if the scene has such frames, or joint coordinates that only prescribed motion moves.
     node : ndarray of int, shape (frames + 1,)
-        Block of coordinates that moves each frame, -1 for none, as for the world, which is the last.
+        Block of coordinates that moves each frame; -1 for frames without one, as for the world, which is the last
+        entry.
     linkages : two ndarrays of int
         Table and support of the trees, as `nsdyn._kernels.dynamics.links.rows` takes them.
     radii : ndarray
-        Radii about the origins of the frames of free bodies and links that hold their shapes, m.
+        Radii of spheres about the origins of the frames of free bodies and links, which contain their shapes, m.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -82,7 +83,7 @@ class Layout:
         )
 
     def _planted(self, scene: Scene) -> list[Tree]:
-        """The trees of all articulations; the first of each, and what controls them, into `_forests`."""
+        """Trees of all articulations; store the first tree and the actuators of each articulation in `_forests`."""
         trees: list[Tree] = []
         for name, a in scene.articulations.items():
             carriers = [joint for owner, joint in scene.link_frames() if owner == name]
@@ -104,9 +105,9 @@ class Layout:
         return trees
 
     def only(self, bodies: Index, trees: Index, geoms: Index) -> Self:
-        """Those of some free bodies and trees, and of what moves as prescribed, which nothing else moves.
+        """Return the layout of some free bodies and trees, and of the objects that only prescribed motion moves.
 
-        The shapes of all these are `geoms`, ascending, and counted anew.
+        The shapes of all of them are `geoms`, ascending, and are renumbered.
         """
         out = copy(self)
         out.surfaces = self.surfaces.only(geoms)
@@ -114,7 +115,7 @@ class Layout:
         return out
 
     def during(self, t: float, h: float, begin: Position) -> Self:
-        """The same in a step of h s from t on that begins at a position: `Surfaces.during`."""
+        """Return the layout for a step of h s that begins at time t and at a position, see `Surfaces.during`."""
         if not self.surfaces.count:
             return self
         out = copy(self)
@@ -122,9 +123,9 @@ class Layout:
         return out
 
     def _compose(self, own: tuple[Array, ...], trees: list[Tree]) -> None:
-        """The layout of coordinates and frames, and all that follows from it and what free bodies have of their `own`.
+        """Set up the layout of coordinates and frames, and all arrays that follow from it and from the free bodies.
 
-        That is their masses, inertias, radii, principal moments and axes, M and its inverse.
+        `own` has the masses, inertias, radii, principal moments and axes, M and its inverse of the free bodies.
         """
         self._own, (self.mass, self.J, radius, *self._principal, m, minv) = own, own
         mass, self.free, self.trees = self.mass, self.mass.size, []
@@ -135,8 +136,8 @@ class Layout:
         self.frames = first + self._driven
         self.nowhere = np.zeros(self.frames)
         self._inverse_mass, self.no_load = 1.0 / mass, np.zeros((2, self.free, 3))
-        # One robot, and nothing else that moves but surfaces in themselves: its arrays are those of the scene. That
-        # spares a fifth of a step.
+        # The scene has one robot and, besides it, only sliding surfaces. The arrays of the robot are then those of the
+        # scene. This saves a fifth of a step.
         self._lone = len(trees) == 1 and not self.free and not self._driven
         table = [(t.frames.start, len(t.joints), t.coordinates.start, t.model.nv) for t in self.trees]
         supports = [t.support.astype(np.int64).ravel() for t in self.trees]

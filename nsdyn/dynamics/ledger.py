@@ -1,12 +1,12 @@
-"""The energy ledger of a step: where every joule went.
+"""The energy ledger of a step: how the works and the numerical errors of a step explain its change of energy.
 
-Impulses and forces act at one configuration, so that their works add up to the change of kinetic energy whatever the
-accuracy of the solve, and the flows between keep it:
+Impulses and forces act at one configuration. Therefore their works add up to the change of kinetic energy, however
+accurate the solve is. The flows before and after keep the energy:
 
     ΔT + ΔV = external + normal + friction + damping + constraint + integration + projection + defect.
 
-The first five are physics. Numerics are what would be nothing in the limit of small steps (`integration`), what the
-projection of positions lifts, and the defect, which is round-off: a ledger that does not close is a bug. Columns of
+The first five are physics, the others are numerics. `integration` vanishes in the limit of small steps. `projection` is
+the work of the position projection. The defect is round-off: a ledger that does not close is a bug. The columns of
 files, tables and pictures follow from `Works` and `LAYERS`.
 """
 
@@ -20,27 +20,28 @@ __all__ = ["LAYERS", "NUMERICS", "PHYSICS", "WORKS", "Layer", "Ledger", "Works"]
 
 
 class Works(NamedTuple):
-    """Works of a part of a step, J; the first six are those of the kernel of moves, in its order."""
+    """Works of a part of a step, J; the first six are those of the kernel that computes moves, in its order."""
 
     external: float = 0.0
     """Of external forces and joint actuation."""
     normal: float = 0.0
-    """Of the normal impulses of impacts, Σ ½(u_N⁺ + u_N⁻) r_N, of joint limits, and all that jams do."""
+    """Of the normal impulses of impacts, Σ ½(u_N⁺ + u_N⁻) r_N, of joint limits, and all work of jammed contacts."""
     friction: float = 0.0
-    """Of tangential contact impulses that slide or strike, Σ ½(u_T⁺ + u_T⁻)·r_T, and of dry joint friction."""
+    """Of tangential contact impulses of sliding or impact, Σ ½(u_T⁺ + u_T⁻)·r_T, and of dry joint friction."""
     damping: float = 0.0
     """Of viscous joint damping."""
     constraint: float = 0.0
-    """Of bilateral constraints: of what drives bodies, surfaces and joints, and of closed loops, O(h²) of a motion."""
+    """Of bilateral constraints: prescribed motions of bodies, surfaces and joints; and closed loops, O(h²) of a
+    motion."""
     integration: float = 0.0
-    """Numerics: of contacts that stay closed and stick, as far as couples leave any (`nsdyn.stepping.persistence`), of
+    """Numerics: of sticking persistent contacts, as far as couples do not cancel it (`nsdyn.stepping.persistence`), of
     the flow of trees, and of θ > ½; O(h²) of a motion."""
     projection: float = 0.0
     """Numerics: of the position projection."""
 
     @staticmethod
     def total(parts: list[Works]) -> Works:
-        """The sum of the works of several parts."""
+        """Return the sum of the works of several parts."""
         return parts[0] if len(parts) == 1 else Works(*map(sum, zip(*parts, strict=True)))
 
 
@@ -59,31 +60,31 @@ class Ledger(NamedTuple):
     integration: float
     projection: float
     defect: float
-    """What is left: round-off."""
+    """The remainder: round-off."""
 
     @staticmethod
     def of(before: tuple[float, float], after: tuple[float, float], works: Works) -> Ledger:
         """Ledger of a step, or of many as arrays, from (kinetic, potential) energies before and after it, and works."""
         gained = (after[0] - before[0]) + (after[1] - before[1])
-        # Not `sum`, which since Python 3.12 rounds the sum of numbers otherwise than that of arrays.
+        # `sum` is of no use: since Python 3.12 it rounds the sum of numbers otherwise than the sum of arrays.
         return Ledger(*after, *works, gained - reduce(add, works, 0.0))
 
 
 NUMERICS = "integration", "projection", "defect"
 PHYSICS = tuple(name for name in Works._fields if name not in NUMERICS)
 WORKS = (*Works._fields, "defect")
-"""Works of a recording, of which the sum is the change of energy."""
+"""Works of a recording; their sum is the change of energy."""
 
 
 class Layer(NamedTuple):
-    """How the ledger shows an energy, or what a work took.
+    """Words and colours with which the ledger shows an energy, or the energy that a work took.
 
     Attributes
     ----------
     words : str
     colour : str
     grey : str
-        In styles that have no colours: neighbours of a stack can be told apart.
+        For styles without colours; neighbours in the stack can be told apart.
     """
 
     words: str
@@ -99,5 +100,5 @@ LAYERS = {
     "damping": Layer("damping took", "#5aa17f", "0.75"),
     "drives": Layer("drives and loads took", "#8f86b8", "0.55"),
 }
-"""The stack of the ledger, from below: energies, and works of physics, of which `external` and `constraint` are one,
-`drives`, while they take more than they put in."""
+"""The stack of the ledger, from the bottom: energies, then works of physics. `external` and `constraint` form one
+layer, `drives`, shown while they take more energy than they put in."""

@@ -1,4 +1,4 @@
-"""One articulated tree as a linkage: where its links are, what moves them, and what restricts them."""
+"""One articulated tree as a linkage: poses of its links, their Jacobian, and the constraints on them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["Linkage"]
 
 HELD = 1e-12
-"""Velocity, per root of a kinetic energy of ½ J, that is round-off of 0: of a ball of 1e24 kg."""
+"""Velocity that counts as zero, for a motion with a kinetic energy of ½ J: it is round-off, or the velocity of a ball
+of 1e24 kg."""
 
 
 class Linkage:
@@ -38,20 +39,20 @@ class Linkage:
     Attributes
     ----------
     coordinates, frames : slice
-        In the scene's velocity and frames, as `at` has it.
+        Its coordinates and frames within those of the scene, as set by `at`.
     columns : slice
-        Its coordinates among those of all trees.
+        Its coordinates within those of all trees.
     held : ndarray of bool, shape (nv,)
-        Coordinates that nothing but prescribed motion moves: driven ones, and those that loops and gears then leave no
-        freedom.
+        Coordinates that only prescribed motion moves: driven ones, and those without freedom because of loops and gears
+        with driven ones.
     driven_at : ndarray of int
         The driven coordinates.
     bodies : dict of str to int
         Frames of the model's moving bodies and joints, by name.
     planes, balls : frozenset of int
-        First coordinates of planar joints, of sliding, and of ball joints; both slip together with the next.
+        First coordinates of planar joints, of sliding, and of ball joints; both slip together with the next coordinate.
     held_links : ndarray of bool, shape (k,)
-        The links of `joints` that nothing else moves.
+        The links of `joints` that only prescribed motion moves.
     """
 
     def __init__(
@@ -70,7 +71,8 @@ class Linkage:
         self.support = supports(self.model)[joints]
         self.radius = _radii(a, joints)
         self._carriers = np.array(joints, dtype=np.int64)
-        # Views of Pinocchio's own memory, in which each evaluation shows; one with nv = 1 comes without its last axis.
+        # Views of Pinocchio's own memory: each evaluation changes them. An array with nv = 1 comes without its last
+        # axis.
         self._J: Array = self.data.J.reshape(6, nv, order="A")
         self._R, self._x = pose_views(self.data.oMi, self.model.njoints)
         self._linear, self._linear_q, self._turning = self._scalar_coordinates()
@@ -84,7 +86,7 @@ class Linkage:
         looped = a.loops or a.gears
         self.closures = Closures(self.model, a.loops, a.gears, self._driven_rows) if looped else None
         self.constrained = bool(driven) or self.closures is not None
-        kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body before a joint of the same name
+        kinds = pin.FrameType.JOINT, pin.FrameType.BODY  # a body overrides a joint of the same name
         self.bodies = {
             f.name: k for kind in kinds for k, f in enumerate(self.model.frames) if f.type == kind and f.parentJoint > 0
         }
@@ -94,7 +96,7 @@ class Linkage:
         self.held, self.held_links = self._held(a.q, a.gears)
 
     def at(self, start: int, column: int, first: int) -> Self:
-        """The same tree, whose first coordinate, of all and of those of trees, and frame are those in a scene."""
+        """Return the tree at its place in a scene: first coordinate, first among those of trees, first frame."""
         out = copy(self)
         out.coordinates, out.columns = (slice(k, k + self.model.nv) for k in (start, column))
         out.frames = slice(first, first + len(self.joints))
@@ -114,7 +116,7 @@ class Linkage:
         return _run(v), _run(q), turning
 
     def limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits of the joint coordinates, (nv,) each, infinite where there are none."""
+        """Lower and upper limits of the joint coordinates, (nv,) each, infinite for coordinates without limits."""
         lower, upper = np.full(self.model.nv, -np.inf), np.full(self.model.nv, np.inf)
         if self.articulation.limits:
             lower[self._linear] = self.model.lowerPositionLimit[self._linear_q]
@@ -126,7 +128,7 @@ class Linkage:
         return str(self.model.names[joint_at(self.model, coordinate)])
 
     def angle(self, q: Array) -> Array:
-        """Joint coordinates in rad or m, shape (nv,); 0 where a joint has none of its own (free, spherical)."""
+        """Joint coordinates in rad or m, shape (nv,); 0 for joints without a scalar coordinate (free, spherical)."""
         out = np.zeros(self.model.nv)
         out[self._linear] = q[self._linear_q]
         for j, k in self._turning:
@@ -134,23 +136,25 @@ class Linkage:
         return out
 
     def _held(self, q: Array, gears: Sequence[Gear]) -> tuple[Bools, Bools]:
-        """Which coordinates (nv,) and which links (k,) nothing but prescribed motion moves at q, or nothing at all."""
+        """Find the coordinates (nv,) and the links (k,) that at q only prescribed motion moves, or that cannot move."""
         nv = self.model.nv
         if not (self.driven or gears):
             return np.zeros(nv, np.bool_), np.zeros(len(self.joints), np.bool_)
         q = self.close(q)
         F = factored(self.model, self.data, q)[1]
-        # Without driven joints loops leave a freedom that a dead centre at q may hide; gears are the same everywhere.
+        # Without driven joints loops leave a freedom that a singular configuration at q may hide. Gears are the same at
+        # any q.
         Z = self._restrict(q, F).Z if self.driven else admissible(GearGaps(self.model, gears).rows, F)[0]
         J = self.links(q).J
         fields = np.einsum("ij,kj,jy->kiy", J, self.support, Z)
-        # Of what constraints leave free a velocity of 1 is that of unit kinetic energy: no mass is so large.
+        # The columns of Z have unit kinetic energy. No body is so heavy that its velocity would then be as small as
+        # `HELD`.
         return np.array((np.abs(Z) <= HELD).all(axis=1)), np.array((np.abs(fields) <= HELD).all(axis=(1, 2)))
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Initial configuration and velocity with closed loops and driven joints at their speed.
+        """Initial configuration and velocity, with closed loops and with driven joints at their prescribed speed.
 
-        Of a tree with loops or gears the velocity is the closest that they admit, in the kinetic metric.
+        In a tree with loops or gears the velocity is the closest admissible one in the kinetic metric.
         """
         v, q = v.copy(), self.close(q)
         v[self.driven_at] = rates = [motion.rate(0.0) for motion in self.driven]
@@ -161,29 +165,29 @@ class Linkage:
         return q, v
 
     def speeding(self, v: Array, rates: Array) -> Array:
-        """Changes of v that bring the driven joints to their rates, shape (nv,), rad/s or m/s; 0 of others."""
+        """Changes of v that bring the driven joints to their rates, shape (nv,), rad/s or m/s; 0 for all others."""
         out = np.zeros(v.size)
         out[self.driven_at] = rates - v[self.driven_at]
         return out
 
     def links(self, q: Array) -> Links:
-        """Poses and Jacobian of the links at q."""
+        """Compute the poses and the Jacobian of the links at q."""
         pin.computeJointJacobians(self.model, self.data, q)
         return self._links(q)
 
     def _links(self, q: Array) -> Links:
-        """Copies of what Pinocchio computed last, at q."""
+        """Copy the poses and the Jacobian that Pinocchio computed last, at q."""
         x, R = self._x.take(self._carriers, axis=0), self._R.take(self._carriers, axis=0)
         return Links(x, R, self._J.copy(order="F"), self.angle(q))
 
     def close(self, q: Array) -> Array:
-        """The closest configuration whose loops are closed; q itself when they are."""
+        """Return the closest configuration with closed loops; q itself if its loops are closed."""
         return q if self.closures is None else self.closures.close(q)
 
     def pushed(self, q: Array, body: str, force: Array, torque: Array) -> tuple[Array, Array]:
-        """What a force [N] at the origin of a body's frame and a torque [N m] do at q; world axes.
+        """Joint forces of a force [N] at the origin of a body's frame and a torque [N m], at q; world axes.
 
-        Jᵀ (force, torque), shape (nv,), and what of `TreeLoads.wrenches` they are, shape (njoints - 1, 6).
+        Returns Jᵀ (force, torque), shape (nv,), and the same wrench as in `TreeLoads.wrenches`, shape (njoints - 1, 6).
         """
         frame, wrenches = self.bodies[body], np.zeros((self.model.njoints - 1, 6))
         J = pin.computeFrameJacobian(self.model, self.data, q, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1, order="A")
@@ -193,7 +197,7 @@ class Linkage:
         return J.T @ np.concatenate((force, torque)), wrenches
 
     def _restrict(self, q: Array, F: Array) -> Constraints:
-        """The constraints at q, where M⁻¹ = Fᵀ F."""
+        """Constraints at q, where M⁻¹ = Fᵀ F."""
         loops = np.empty((0, self.model.nv)) if self.closures is None else self.closures.at(q)[1]
         B = np.concatenate((loops, self._driven_rows))
         Z, P = admissible(B, F)
@@ -201,13 +205,13 @@ class Linkage:
 
 
 def _run(indices: list[int]) -> Index | slice:
-    """Indices as a slice if they follow one another, which is read several times as fast."""
+    """Indices as a slice if they are consecutive, since a slice is read several times as fast."""
     out = np.array(indices, dtype=np.int64)
     return slice(indices[0], indices[0] + len(indices)) if indices and (np.diff(out) == 1).all() else out
 
 
 def _radii(articulation: Articulation, joints: list[int]) -> Array:
-    """Radius about the frame of each joint that holds the shapes it carries, (len(joints),), m."""
+    """Radius about the frame of each joint that contains the shapes it carries, (len(joints),), m."""
     out = np.zeros(len(joints))
     for _, joint, placement, shape in articulation.links:
         if joint in joints:

@@ -20,19 +20,19 @@ from nsdyn.tools.displacements import integrate
 __all__ = ["Closures", "admissible", "factored", "indefinite", "supports"]
 
 RANK = 1e-8
-"""Singular values below this fraction of the largest are those of redundant rows: on the manifold of closed loops,
-where the Jacobian is evaluated, redundancy leaves 1e-12, and a mechanism that passes a singular configuration is this
-close to it for less than a microsecond."""
+"""Singular values below this fraction of the largest count as those of redundant rows. The Jacobian is evaluated on the
+manifold of closed loops, where redundancy leaves 1e-12. A mechanism that passes a singular configuration is this close
+to it for less than a microsecond."""
 
 STEPS = 50
-"""Newton steps to close loops; a start that is far away takes ten, a step of a simulation one or two."""
+"""Most Newton steps to close loops. A start far away takes ten, a step of a simulation one or two."""
 
 CLOSED = 1e-12
-"""Gap of a closed loop, m and rad; a hundredth of a millionth of what a long run must keep."""
+"""Gap below which a loop is closed, m and rad: a hundredth of a millionth of the accuracy that a long run must keep."""
 
 
 def supports(model: pin.Model) -> NDArray[np.bool_]:
-    """Whether coordinate j moves joint k, shape (njoints, nv)."""
+    """Boolean table of shape (njoints, nv): entry (k, j) is true if coordinate j moves joint k."""
     out = np.zeros((model.njoints, model.nv), dtype=bool)
     for joint in range(1, model.njoints):
         for k in model.supports[joint]:
@@ -43,7 +43,7 @@ def supports(model: pin.Model) -> NDArray[np.bool_]:
 
 
 def factored(model: pin.Model, data: pin.Data, q: Array) -> tuple[Array, Array, Array]:
-    """(M, F, M⁻¹) at q, with M⁻¹ = Fᵀ F; the error of `indefinite` where there is none."""
+    """(M, F, M⁻¹) at q, with M⁻¹ = Fᵀ F; raise the error of `indefinite` if M has no Cholesky factor."""
     M = np.array(pin.crba(model, data, q)).reshape(model.nv, model.nv)
     F, inverse = np.empty((2, *M.shape))
     if not _trees.factor(M, F, inverse):
@@ -52,7 +52,7 @@ def factored(model: pin.Model, data: pin.Data, q: Array) -> tuple[Array, Array, 
 
 
 def indefinite(model: pin.Model, M: Array) -> Exception:
-    """What is wrong with a mass matrix that has no Cholesky factor."""
+    """Return the error that describes a mass matrix without a Cholesky factor."""
     if not np.isfinite(M).all():
         return ArithmeticError(f"positions of {model.name!r} are no longer finite")
     return ValueError(
@@ -66,7 +66,7 @@ def admissible(B: Array, F: Array) -> tuple[Array, Array]:
     Parameters
     ----------
     B : ndarray, shape (m, n)
-        Any rank; it is decided on rows of unit length in the metric of M, so that units do not matter.
+        Any rank. The rank is determined from rows of unit length in the metric of M, so that units do not matter.
     F : ndarray, shape (n, n)
         M⁻¹ = Fᵀ F.
     """
@@ -81,9 +81,10 @@ def admissible(B: Array, F: Array) -> tuple[Array, Array]:
 
 
 class Closures:
-    """Closed loops and gears of one tree as φ(q) = 0: points of two links coincide, or frames do; q2 = a q1 + b.
+    """Closed loops and gears of one tree as φ(q) = 0.
 
-    The rows `driven` (k, nv) are of coordinates that do not give way.
+    A loop makes points of two links coincide, or their frames; a gear is q2 = a q1 + b. The rows `driven` (k, nv) are
+    those of driven coordinates, which stay fixed when loops are closed.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class Closures:
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """(φ, G) at q, shapes (m,) in m and rad and (m, nv): dφ/dt = G v where φ = 0; world axes."""
-        if q is not self._last[0]:  # what is closed is asked for once more
+        if q is not self._last[0]:  # the configuration just closed is evaluated once more
             self._last = q, self._at(q)
         return self._last[1]
 
@@ -122,10 +123,11 @@ class Closures:
         return phi, G
 
     def close(self, q: Array) -> Array:
-        """Configuration near q where φ = 0, the closest in the kinetic metric; q itself if it is one.
+        """Configuration near q with φ = 0, the closest in the kinetic metric; q itself if its loops are closed.
 
-        Newton's steps -N Gᵀ (G N Gᵀ)⁻¹ φ, with N the inverse of M(q) where `driven` coordinates do not move.
-        Levenberg's term, |φ| of the diagonal, keeps them finite at redundant loops and near singular configurations.
+        The Newton steps are -N Gᵀ (G N Gᵀ)⁻¹ φ, with N the inverse of M(q) for motions in which `driven` coordinates do
+        not move. Levenberg's term, |φ| times the diagonal, keeps the steps finite at redundant loops and near singular
+        configurations.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Motion of an articulated tree without closed loops, to fourth order, in parts as its own error asks for."""
+"""Motion of an articulated tree without closed loops, to fourth order, in parts chosen by its error estimate."""
 
 from __future__ import annotations
 
@@ -16,34 +16,38 @@ from nsdyn.tools.displacements import integrate
 __all__ = ["COARSER", "TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
 
 TOLERANCE = 1e-9
-"""Error of one part of a motion: of the velocity, as a fraction of the fastest joint's, and as what moves that fraction
-of a rad or of a metre in the time of the whole. What turns by less in it has no Coriolis terms to speak of."""
+"""Allowed error of the velocity in one part of a motion: this fraction of the velocity of the fastest joint, plus the
+velocity that moves this fraction of a rad or of a metre in the time of the whole motion. A tree that turns by less in a
+motion has negligible Coriolis terms."""
 
 ROUNDED = 1e-13
-"""rad or m: what an error of the velocity moves in the whole motion is lost then, hundreds of roundings of an angle."""
+"""rad or m: an error of the velocity is negligible if it moves a coordinate by less in the whole motion. It is hundreds
+of roundings of an angle."""
 
 TURN = 0.1
-"""rad: no part turns by more, since beside what spins fast the error of what moves slowly would count for nothing."""
+"""rad: no part turns by more. In longer parts, errors of slow joints would be negligible beside the velocity of a fast
+one."""
 
 SLOW = 1e-7
-"""rad or m, and fraction of the velocity: of what moves and changes by less in a part, an acceleration that is constant
-tells the velocity to 1e-14."""
+"""rad or m, and fraction of the velocity: if a tree moves by less in a part, and its velocity changes by less, a
+constant acceleration gives the velocity to 1e-14."""
 
 COARSER = 10.0
-"""How much more a half of a motion may err whose forces act in its middle: that is of second order, and where a half
-errs by so much, the whole errs by thousands of times as much."""
+"""Factor by which each half of a step may err more if the forces of the step act at its middle. Such a step is of
+second order: if a half errs by that much, the whole step errs by thousands of times as much."""
 
 FINEST = 1e-5
-"""Least part of a motion, so that the effort is bounded."""
+"""Least part of a motion, as a fraction of it, so that the effort is bounded."""
 
 Rate = Callable[[Array, Array], tuple[Array, float]]
 """(acceleration, power of driven joints in W) at a configuration and a velocity."""
 
 
 def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float, coarser: float = 1.0) -> Flow:
-    """Motion for h s in parts of `runge_kutta`, which err by less than `TOLERANCE`, or `coarser` times as much.
+    """Motion for h s in parts by `runge_kutta`, each with an error below `TOLERANCE`, or `coarser` times that.
 
-    The fastest joint turns at about the rate `turn`, rad/s. ArithmeticError, naming it, where no part is so exact.
+    The fastest joint turns at about the rate `turn`, rad/s. Raises ArithmeticError, which names the fastest joint, if
+    no part is short enough for that error.
     """
     left = h
     part = longest = h / math.ceil(min(max(h * turn / TURN, 1.0), 1.0 / FINEST))
@@ -66,12 +70,12 @@ def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float
                 return Flow(q, v, mean, work)
             first = rate(q, v)
         part *= min(4.0, max(0.1, 0.9 * error**-0.2)) if 0.0 < error < np.inf else 0.1 if error else 4.0
-        # What is left goes in equal parts, none much smaller than the others.
+        # Divide the rest into equal parts, so that no last part is much smaller than the others.
         part = left / math.ceil(left / min(part, longest) - 1e-9)
 
 
 def fastest(model: pin.Model, v: Array) -> str:
-    """The joint that is fastest, or first not finite, and its speed."""
+    """Name of the fastest joint, or of the first whose velocity is not finite, and its speed."""
     j = int(np.abs(v).argmax())
     name = next(n for n, joint in zip(model.names, model.joints, strict=True) if 0 <= j - joint.idx_v < joint.nv)
     return f"joint {name!r} moves at {abs(v[j]):.3g} rad/s or m/s"
@@ -80,14 +84,17 @@ def fastest(model: pin.Model, v: Array) -> str:
 def runge_kutta(
     model: pin.Model, rate: Rate, q: Array, v: Array, first: tuple[Array, float], h: float, whole: float
 ) -> tuple[Flow, float]:
-    """One step of h s of the classical Runge–Kutta method of fourth order, and its error; first = rate(q, v).
+    """One step of h s of the classical fourth-order Runge–Kutta method, and its error; first = rate(q, v).
 
-    Its last combination is made of two displacements one after the other, so that it is of that order for free and
-    spherical joints too. What it changes of energy and momentum is O(h⁵). The error is a fraction of what `TOLERANCE`
-    allows a part of a motion of `whole` seconds. It is estimated from the same four stages: they hold the midpoint
-    rule, whose difference from the step, as a fraction of the velocity, is z³/6 for a vibration that turns by z in h,
-    where the step errs by z⁵/120. Where the first two stages say that even the first order would do, also for the work
-    of driven joints, they are all, and the midpoint rule is the step; of what is `SLOW`, the first order is.
+    The last combination consists of two displacements, one after the other. The step is therefore of fourth order for
+    free and spherical joints too. It changes energy and momentum by O(h⁵). The error is returned as a fraction of the
+    error that `TOLERANCE` allows a part of a motion of `whole` seconds.
+
+    The error is estimated from the same four stages. They contain the midpoint rule. For a vibration that turns by z in
+    h, the midpoint rule differs from the step by z³/6, as a fraction of the velocity, while the step errs by z⁵/120.
+
+    Shorter ways are taken where they suffice. If the first two stages show that even first order is exact enough, also
+    for the work of driven joints, the midpoint rule is the step. For motions that are `SLOW`, the first-order step is.
 
     References
     ----------

@@ -16,24 +16,26 @@ from nsdyn.tools.displacements import integrate
 __all__ = ["slide"]
 
 PASSES, HALVINGS = 8, 12
-"""Most passes of Newton's method, and most times that a motion for which they do not do is halved; three are usual, and
-none."""
+"""Most passes of Newton's method, and most halvings of a motion for which these passes are not enough. Three passes and
+no halving are usual."""
 
 SETTLED = 1e-12
-"""Relative change of the velocity by the next pass, extrapolated from the last two, at which it stops."""
+"""Newton's method stops when the next pass would change the velocity by less than this fraction. The change is
+extrapolated from the last two passes."""
 
 RESOLVED = 0.1
-"""Most that later passes may change the velocity that the first one, a linear one, foresees, as a fraction of it: a
-vibration may turn by a third of a rad, where the midpoint rule errs by a thousandth."""
+"""Most that later passes may change the velocity which the first, linear pass predicts, as a fraction of it. At this
+limit a vibration turns by a third of a rad, and the midpoint rule errs by a thousandth."""
 
 APART = 1e-6
-"""Speed at which loops open, as a fraction of the largest: without driven joints against them it is round-off."""
+"""Speed at which loops open, as a fraction of the largest speed. Without driven joints that contradict the loops it is
+round-off."""
 
 
 def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Array, h: float) -> Flow:
-    """Motion in pieces where a step of the implicit midpoint rule is too long to be solved or resolved.
+    """Motion by the implicit midpoint rule, in pieces where a longer step cannot be solved or resolved.
 
-    The work is that of the driven joints, which keep their speed.
+    The work of the returned flow is that of the driven joints, which keep their speed.
 
     Parameters
     ----------
@@ -48,9 +50,9 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Arr
     Raises
     ------
     ArithmeticError
-        Where no piece is short enough.
+        If no piece is short enough.
     ValueError
-        Where driven joints keep loops from staying closed.
+        If driven joints keep loops from staying closed.
     """
     left, piece, mean, work = h, h, np.zeros_like(v), 0.0
     while True:
@@ -82,7 +84,8 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Arr
 def _midpoint(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Array, h: float) -> Flow:
     """One step of the implicit midpoint rule, by Newton's method with the matrix of the beginning.
 
-    The velocity at the end is one that the loops admit there. ValueError or ArithmeticError where that is not found.
+    The velocity at the end is admissible for the loops at the end. Raises ValueError or ArithmeticError if no such
+    motion is found.
     """
     n, size = v.size, closures.size
     middle = closures.close(integrate(model, q, 0.5 * h * v))
@@ -99,7 +102,8 @@ def _midpoint(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v:
         mean = 0.5 * (v + new)
         bias = pin.nonLinearEffects(model, data, middle, mean)
         if k < 2:
-            # Later passes would diverge where a step is longer than the way to a singular configuration.
+            # Update the end in the first two passes only. Later updates would diverge if the step is longer than the
+            # way to a singular configuration.
             end = integrate(model, q, h * mean)
             b[:size] = (B[:size] - closures.at(end)[1]) @ new
             start = rest + P @ b

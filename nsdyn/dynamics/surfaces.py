@@ -1,4 +1,4 @@
-"""Bodies that move as prescribed and surfaces that slide, as the contacts see them."""
+"""Kinematic (prescribed) bodies and sliding surfaces, and their velocities at the contacts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NONE, NO_TRANSPORT, NO_VELOCITIES = np.empty((0, 2, 3)), np.empty((2, 0)), np.em
 
 
 class Surfaces:
-    """The driven bodies of a scene, then its sliding surfaces: velocities at the contacts, poses of the bodies."""
+    """The kinematic bodies of a scene, then its sliding surfaces: velocities at the contacts, poses of the bodies."""
 
     def __init__(self, scene: Scene) -> None:
         names = [b.name for b in scene.driven_bodies]
@@ -34,15 +34,15 @@ class Surfaces:
         self._motion_of_geom = np.array([place.get(g.body, -1) for g in scene.geoms()], dtype=np.int64)
 
     def only(self, geoms: Index) -> Surfaces:
-        """The same as contacts of some shapes see them, ascending, which are counted anew."""
+        """Return the surfaces for the contacts of some shapes, `geoms`, ascending, which are renumbered."""
         out = copy(self)
         out._motion_of_geom = self._motion_of_geom[geoms]
         return out
 
     def during(self, t: float, h: float, x: Array, quaternion: Array) -> Surfaces:
-        """The same in a step of h s from t on, which begins with such poses of the driven bodies, (nd, 3), (nd, 4).
+        """Return the surfaces in a step of h s from t on that begins with these poses, (nd, 3), (nd, 4), of the bodies.
 
-        Velocities change linearly in it.
+        In the step their velocities change linearly.
         """
         out = copy(self)
         out._step, out._begun = (t, h, self.twists(t), self.twists(t + h)), (x, quaternion)
@@ -64,7 +64,7 @@ class Surfaces:
         return (1.0 - theta) * begun + theta * ended if self.count else begun
 
     def advance(self, x: Array, quaternion: Array, step: Array) -> tuple[Array, Array]:
-        """Poses of the driven bodies after small displacements (surfaces, 2, 3) in world axes."""
+        """Poses of the kinematic bodies after small displacements (surfaces, 2, 3) in world axes."""
         if not self._driven:
             return x, quaternion
         step = step[: self._driven]
@@ -75,9 +75,10 @@ class Surfaces:
         return x_out, quaternion_out
 
     def poses(self, t: float, theta: float) -> tuple[Array, Array]:
-        """Poses of the driven bodies at a time in the step that `during` tells: where one move from its beginning ends.
+        """Poses of the kinematic bodies at a time t within the step of `during`: the end of one move up to t.
 
-        So they are functions of the time alone, and a step made in pieces meets the bodies where one in one piece does.
+        The poses are therefore functions of the time alone, and a step made in substeps finds the bodies at the same
+        places as a step in one move.
         """
         if not self._driven or self._step is None:
             return self._begun
@@ -86,7 +87,7 @@ class Surfaces:
         return self.advance(*self.advance(*self._begun, (1.0 - theta) * h * begun), theta * h * self.twists(t))
 
     def reach(self, step: Array, out: Array) -> None:
-        """How far any point of the driven bodies moves, into the last entries of `out`, m."""
+        """Bound on the way of any point of the kinematic bodies, written into the last entries of `out`, m."""
         if self._driven:
             length = np.linalg.norm(step[: self._driven], axis=2)
             out[-self._driven :] = length[:, 0] + length[:, 1] * self._radius
@@ -94,29 +95,29 @@ class Surfaces:
     def surface_velocity(
         self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, begun: Array, ended: Array
     ) -> Array:
-        """What the surfaces add to the relative velocities of the contacts at the beginning and the end of a step.
+        """Contribution of the surfaces to the relative velocities of contacts at the beginning and end of a step.
 
-        Shape (2, 3 rows), 0 beyond the contacts, m/s; empty in a scene without surfaces. The contacts have such frames
-        (nc, 3, 3), driven bodies are at driven_x (nd, 3), m, and the surfaces have the twists `begun` and `ended`
-        (surfaces, 2, 3).
+        Shape (2, 3 rows), 0 in the rows after the contacts, m/s; empty in a scene without surfaces. `frame` (nc, 3, 3)
+        has the contact frames, `driven_x` (nd, 3) the positions of the kinematic bodies, m, and `begun` and `ended`
+        (surfaces, 2, 3) the twists of the surfaces.
         """
         if not self.count:
             return NO_TRANSPORT
         out = np.zeros((2, rows, 3))
         for k, twist in enumerate((begun, ended)):
             w = self.velocities(contacts, driven_x, twist)[:, None]
-            # Term by term, so that what one contact gets does not depend on how many there are.
+            # The sum is written out, so that the value of one contact does not depend on the number of contacts.
             out[k, : len(frame)] = frame[:, :, 0] * w[..., 0] + frame[:, :, 1] * w[..., 1] + frame[:, :, 2] * w[..., 2]
         return out.reshape(2, -1)
 
     def carry(self, contacts: ContactSet) -> Bools:
-        """Which contacts are with driven bodies or sliding surfaces, shape (nc,)."""
+        """True for contacts with kinematic bodies or sliding surfaces, shape (nc,)."""
         moves = self._motion_of_geom >= 0
         out: Bools = moves[contacts.geom1] | moves[contacts.geom2]
         return out
 
     def velocities(self, contacts: ContactSet, driven_x: Array, twist: Array) -> Array:
-        """What the surfaces add to the relative velocities, world axes, shape (nc, 3); (0, 3) without surfaces."""
+        """Contribution of the surfaces to the relative velocities, world axes, (nc, 3); (0, 3) without surfaces."""
         if not self.count:
             return NO_VELOCITIES
         w, origin = np.zeros((contacts.gap.size, 3)), self._origin.copy()

@@ -1,4 +1,4 @@
-"""Motion of one articulated tree: the forces of its joints, what they do in a step, and its way without contacts."""
+"""Motion of one articulated tree: forces of its joints, their effect in a step, and its free flow."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ __all__ = ["Tree"]
 
 
 class Tree(Linkage):
-    """Motion of one articulated tree under its loads; parameters are those of `Linkage`.
+    """Motion of one articulated tree under its loads; the parameters are those of `Linkage`.
 
     Attributes
     ----------
     turns : ndarray of bool, shape (nv,)
-        Coordinates about which links turn; the others shift them.
+        Coordinates about which links turn; along all others links only shift.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Tree(Linkage):
         a, nv = articulation, self.model.nv
         self._weightless = self.model.copy()
         self._weightless.gravity = pin.Motion.Zero()
-        # Pinocchio's kinetic energy leaves out the armature of joints about axes that are none of the coordinates'.
+        # Pinocchio's kinetic energy leaves out the armature of joints whose axes are not along a coordinate axis.
         self._bare, self._armature = self.model.copy(), a.armature
         self._bare.armature = np.zeros(nv)
         self._laws = np.array((a.stiffness, a.damping, a.rest))
@@ -45,15 +45,15 @@ class Tree(Linkage):
         self._implicit = self._springs or bool(a.damping.any())
         self._no_control, self._no_impulses = Control.none(nv), np.zeros((nv, 3))
         self._steady = np.zeros(len(driven))
-        self._zero = np.zeros(nv)  # not read-only, for which all kernels would be compiled once more
+        self._zero = np.zeros(nv)  # not read-only: for a read-only array all kernels would be compiled once more
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self.turns: Bools = (self._J[3:] != 0.0).any(axis=0)
 
     def flow(self, q: Array, v: Array, h: float) -> Flow:
-        """Motion for h without forces, on loops and driven joints if there are any, which keep their speed.
+        """Motion for h s without forces; loops stay closed, and driven joints keep their speed.
 
-        Of a tree without loops by `move`, to fourth order; with loops to second order, by `slide`. What turns by less
-        than `TOLERANCE` goes straight on.
+        A tree without loops is moved by `move`, to fourth order; a tree with loops by `slide`, to second order. If the
+        tree turns by less than `TOLERANCE`, it moves at constant velocity.
         """
         speed, turn = _trees.fastest(v, self.turns)
         if h * turn <= TOLERANCE:
@@ -65,7 +65,7 @@ class Tree(Linkage):
         return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
-        """Accelerations of a tree without loops under joint forces, whose driven joints accelerate as said."""
+        """Accelerations of a tree without loops under the joint forces tau; `driven` has those of its driven joints."""
         data, rows = self.data, self._driven_rows
         if not self.driven:
             return lambda q, v: (pin.aba(model, data, q, v, tau), 0.0)
@@ -77,7 +77,7 @@ class Tree(Linkage):
         return rate
 
     def halfway(self, q: Array, v: Array, h: float, theta: float) -> TreeMidpoint:
-        """Where the forces of a step of h from (q, v) act: after (1 - θ) h of motion without forces."""
+        """Midpoint of a step of h s from (q, v), where its forces act: after (1 - θ) h of motion without forces."""
         middle, v0, _, work, _ = self.flow(q, v, (1.0 - theta) * h)
         M = np.array(pin.crba(self.model, self.data, middle, pin.Convention.WORLD), ndmin=2)
         return TreeMidpoint(q, v, middle, v0, work, M, self._links(middle), h, theta)
@@ -92,13 +92,17 @@ class Tree(Linkage):
     ) -> FreeMotion:
         """Velocity after the forces of a step without contacts and joint rows.
 
-        M̃ (v' - v0) = h (f - g): gravity terms g at the midpoint, and f the joint forces for v' = v0. Damping, springs
-        and PD control are linear in v', as `nsdyn.PD` has it with α and β, and make the effective mass matrix
-        M̃ = M + h β D + h² α² K. For α = ½ a spring neither gains nor loses energy, and any stiffness is stable as long
-        as its vibrations turn nothing by a radian in a step; α = ½ + Δ and β = ½ + Γ are the same with the inertia
-        h D Γ + h² K Δ² and the damping 2 h K Δ more, so that they are stable too, and damp, at first order in h. θ says
-        nothing of the motion without forces but how it is parted, (1 - θ) h before them and θ h after. Of a tree with
-        loops or driven joints B v' = b holds too. Actuators beyond their limits have rows, see `within_limits`.
+        M̃ (v' - v0) = h (f - g), with the gravity terms g at the midpoint, and the joint forces f for v' = v0. Damping,
+        springs and PD control are linear in v'; `nsdyn.PD` defines their α and β. They make the effective mass matrix
+        M̃ = M + h β D + h² α² K.
+
+        For α = ½ a spring neither gains nor loses energy. Any stiffness is then stable, as long as its vibrations turn
+        nothing by a radian in a step. α = ½ + Δ and β = ½ + Γ act like additional inertia h D Γ + h² K Δ² and
+        additional damping 2 h K Δ. They are therefore stable too, and damp, at first order in h. On the motion without
+        forces, θ has one effect only: it is divided into (1 - θ) h before the forces and θ h after them.
+
+        In a tree with loops or driven joints B v' = b holds too. Actuators beyond their limits have rows, see
+        `within_limits`.
 
         Parameters
         ----------
@@ -110,12 +114,12 @@ class Tree(Linkage):
         applied : (ndarray, ndarray), optional
             `push` and `wrenches` of `TreeLoads`.
         last : ndarray, shape (nv, 3), optional
-            Last impulses of the rows of actuators: what was at its limit is left to its row again.
+            Last impulses of the rows of actuators: an actuator that was at its limit gets its row again.
 
         Raises
         ------
         ValueError
-            Where a joint moves no mass.
+            If a joint moves no mass.
         """
         (law, limited, implicit), n = control or self._no_control, halfway.v.size
         laws = np.empty((2, 5, n))
@@ -130,9 +134,10 @@ class Tree(Linkage):
         return self.within_limits(halfway, free, free.v, last)
 
     def within_limits(self, halfway: TreeMidpoint, free: FreeMotion, v: Array, last: Array | None = None) -> FreeMotion:
-        """The same with rows for actuators that the velocity v after the forces brings beyond their limits.
+        """Return the motion with rows for actuators that the velocity v after the forces brings beyond their limits.
 
-        And for those that were at their limits in the `last` impulses of their rows, (nv, 3). `free` itself if none.
+        Actuators at their limits in the `last` impulses of their rows, (nv, 3), have rows too. Return `free` itself if
+        no actuator needs a row.
         """
         limit = free.loads.limit
         if limit is None:
@@ -145,7 +150,7 @@ class Tree(Linkage):
         return out._replace(foreseen=out.v + halfway.h * (out.minv @ loads.held))
 
     def _respond(self, halfway: TreeMidpoint, loads: TreeLoads) -> FreeMotion:
-        """What loads do in a step; ValueError where a joint moves no mass."""
+        """Motion under the loads of a step without contacts and joint rows; ValueError if a joint moves no mass."""
         v0, h, acting, constraints = halfway.v, halfway.h, (loads.laws, loads.push, loads.weight), None
         n = v0.size
         factor, m, minv, v = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(n)
@@ -159,7 +164,7 @@ class Tree(Linkage):
         return FreeMotion(v, v, loads, m, minv, constraints)
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
-        """What nothing does at a configuration: the mass matrix that impacts meet, on loops and driven joints."""
+        """Motion without loads, for impacts: mass matrix at a configuration, with its loops and driven joints."""
         M, factor, minv = factored(self.model, self.data, q)
         zero, constraints = self._zero, self._restrict(q, factor) if self.constrained else None
         if constraints is not None:
@@ -169,11 +174,12 @@ class Tree(Linkage):
         return FreeMotion(v, v, loads, M, minv, constraints)
 
     def end(self, halfway: TreeMidpoint, free: FreeMotion, v: Array, pushed: bool) -> Flow:
-        """Where a step ends whose forces leave the velocity v.
+        """End of a step whose forces leave the velocity v.
 
-        It goes on without forces for θ h. But a tree without constraints that nothing has `pushed`, no contact and
-        no joint row, and on which only gravity and given joint forces act, ends where a fourth-order motion from the
-        beginning does: the same but for O(h³). At rest, where v and the velocity before it are 0, nothing moves.
+        The tree moves on without forces for θ h. There is one exception: a tree without loops that nothing has
+        `pushed`, no contact and no joint row, and on which only gravity and given joint forces act. It ends at the end
+        of a fourth-order motion from the beginning of the step, which is the same to O(h³). A tree at rest, with v and
+        the velocity before it 0, does not move.
         """
         h, theta, loads, begin_v = halfway.h, halfway.theta, free.loads, halfway.begin_v
         if not (pushed or loads.implicit or self.closures is not None):
@@ -207,10 +213,11 @@ class Tree(Linkage):
     ) -> tuple[Works, tuple[float, float]]:
         """The tree's part in the ledger of a step, and its (kinetic, potential) energy at the end, J.
 
-        The forces leave the velocity v (nv,), with H r of contacts and joint rows, `impulse` (nv,). The position
-        projection has lifted it, end.q itself without; `before` are its energies at the beginning. Impulses of
-        actuation, of external wrenches, and the most that actuators may give, N m s or N s, go into rows 0, 3 and 5 of
-        the joints of the scene.
+        The forces leave the velocity v (nv,). `impulse` (nv,) is H r of contacts and joint rows. `lifted` is the
+        configuration after the position projection, end.q itself without one. `before` has the energies at the
+        beginning. The function writes impulses, N m s or N s, into `joints`, the table of all joints of the scene:
+        those of actuation into row 0, of external wrenches into row 3, and the largest that the actuators may give into
+        row 5.
         """
         h, loads = halfway.h, free.loads
         limit = self._no_control.law[-1] if loads.limit is None else loads.limit
@@ -218,7 +225,7 @@ class Tree(Linkage):
         actuation, damping, pushed = _trees.works(acting, velocities, end.mean, impulse, h, start, joints)
         constraint = 0.0
         if free.constraints is not None:
-            # Bᵀ λ is what the constraints and nothing else explain.
+            # Bᵀ λ is the part of the impulse that only the constraints can explain.
             B, P, _ = free.constraints
             constraint = end.work
             if not end.whole:
@@ -227,13 +234,14 @@ class Tree(Linkage):
                 constraint += float((B @ end.mean) @ reaction)
         after = self.energies(end.q, end.v)
         last = after if lifted is end.q else self.energies(lifted, end.v)
-        # In the order of the ledger, whose round-off then is that of the changes, not of the energies.
+        # The changes are added in the order of the ledger. Its round-off is then that of the changes, not of the
+        # energies.
         projection = (last[0] - after[0]) + (last[1] - after[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
         return Works(actuation, 0.0, 0.0, damping, constraint, integration, projection), last
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
-        """(kinetic, potential) energy in J, potential of gravity and of joint springs."""
+        """(kinetic, potential) energy in J; potential energy of gravity and of joint springs."""
         pin.computeMechanicalEnergy(self._bare, self.data, q, v)
         kinetic, potential = float(self.data.kinetic_energy), float(self.data.potential_energy)
         kinetic += 0.5 * float(v @ (self._armature * v))

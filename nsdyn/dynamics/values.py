@@ -1,4 +1,4 @@
-"""Values of a scene's motion, and of each tree's: where everything is, its frames, and what acts there."""
+"""Value types for the motion of a scene and of its trees: positions, frames, forces."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Energies = tuple[tuple[float, float], ...]
 
 
 class Links(NamedTuple):
-    """The k joints of a tree that carry geometry, at one configuration; world axes. And the angles of all joints.
+    """The k joints of a tree that carry geometry, and the angles of all its joints, at one configuration; world axes.
 
     Attributes
     ----------
@@ -36,10 +36,10 @@ class Links(NamedTuple):
     R : ndarray, shape (k, 3, 3)
         Their orientations.
     J : ndarray, shape (6, nv)
-        Velocity field of every coordinate, linear at the world's origin, then angular; it moves the links that
-        `Tree.support` says.
+        Velocity field of every coordinate, linear at the world's origin, then angular. `Tree.support` tells which links
+        a coordinate moves.
     angle : ndarray, shape (nv,)
-        Joint coordinates in rad or m; 0 where a joint has none of its own (free, spherical).
+        Joint coordinates in rad or m; 0 for joints without a scalar coordinate (free, spherical).
     """
 
     x: Array
@@ -49,18 +49,18 @@ class Links(NamedTuple):
 
 
 class Flow(NamedTuple):
-    """A motion of a tree between contacts, or the end of its step.
+    """A motion of a tree between contacts, or the second part of its step.
 
     Attributes
     ----------
     q, v : ndarray, shapes (nq,), (nv,)
         Configuration and velocity at its end.
     mean : ndarray, shape (nv,)
-        Mean velocity; of a step that on which its forces worked.
+        Mean velocity; for the end of a step, the mean velocity with which the works of its forces are computed.
     work : float
-        Of driven joints, J; but for their reactions in the forces of a step that is not whole.
+        Work of driven joints, J. If `whole` is False, it lacks the work of their reactions to the forces of the step.
     whole : bool
-        Whether it is one motion from the beginning of the step under all forces.
+        True if this is one motion from the beginning of the step, under all forces.
     """
 
     q: Array
@@ -71,7 +71,7 @@ class Flow(NamedTuple):
 
 
 class TreeMidpoint(NamedTuple):
-    """Where the forces of a step act, after (1 - θ) h of motion without forces.
+    """Midpoint of the step of a tree, where its forces act: after (1 - θ) h of motion without forces.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class TreeMidpoint(NamedTuple):
     q, v : ndarray, shapes (nq,), (nv,)
         Configuration, and velocity before the forces.
     work : float
-        Of driven joints until then, J.
+        Work of driven joints until then, J.
     M : ndarray, shape (nv, nv)
         Mass matrix.
     links : Links
@@ -100,30 +100,30 @@ class TreeMidpoint(NamedTuple):
 
 
 class TreeLoads(NamedTuple):
-    """What acts on a tree during a step besides contacts, joint limits and joint friction.
+    """Loads on a tree during a step, without contacts, joint limits and joint friction.
 
     Attributes
     ----------
     laws : ndarray, shape (2, 5, nv)
-        Joint springs, and the control: what is linear in the velocity that the step leaves, as of
+        Joint springs, and the control: laws that are linear in the velocity at the end of the step, in the layout of
         `nsdyn._kernels.dynamics.trees.linear_laws`.
     push : ndarray, shape (nv,)
         Joint forces of external wrenches.
     wrenches : ndarray, shape (njoints - 1, 6), or None
-        These on the links, force and moment about the world's origin, N and N m; None without any.
+        External wrenches on the links, force and moment about the world's origin, N and N m; None without any.
     weight : ndarray, shape (nv,)
         Gravity terms at the midpoint.
     rates : ndarray
         Velocities of the driven joints at the end of the step.
     limit : ndarray, shape (nv,), or None
-        Most |τ| of the control; None where nothing is limited.
+        Most |τ| of the control; None if no control is limited.
     clutch : ndarray, shape (3, nv), or None
-        Of actuators that have rows, and no law above: impulse at the limit, speed of the rotor, and its mobility
-        (1/mass); 0 of others.
+        For actuators with rows, which have no law above: impulse at the limit, speed of the rotor, and its mobility
+        (1/mass); 0 for all others.
     held : ndarray, shape (nv,)
-        Their forces as far as they are foreseen; 0 of others.
+        Predicted forces of the actuators with rows; 0 for all others.
     implicit : bool
-        Whether there are damping, springs or a PD control, which act as the velocity after them says.
+        True if damping, springs or a PD control act, whose forces depend on the velocity after them.
     """
 
     laws: Array
@@ -152,17 +152,17 @@ class Constraints(NamedTuple):
 
 
 class FreeMotion(NamedTuple):
-    """What the forces of a step without contacts and joint rows do.
+    """Motion of a tree under the forces of a step, without contacts and joint rows.
 
     Attributes
     ----------
     v : ndarray, shape (nv,)
-        Velocity after them.
+        Velocity after the forces.
     foreseen : ndarray, shape (nv,)
-        The same with actuators that have rows at their limits.
+        The same, with the predicted forces of actuators that have rows.
     loads : TreeLoads
     m, minv : ndarray, shape (nv, nv)
-        Effective mass matrix M̃ and its inverse, Z Zᵀ of a constrained tree.
+        Effective mass matrix M̃ and its inverse; the inverse is Z Zᵀ for a constrained tree.
     constraints : Constraints or None
     """
 
@@ -175,7 +175,7 @@ class FreeMotion(NamedTuple):
 
 
 class Position(NamedTuple):
-    """Where everything is.
+    """Position of all bodies and trees of a scene.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ class Position(NamedTuple):
     trees : tuple of ndarray
         Pinocchio configuration of every articulated tree.
     driven_x, driven_quaternion : ndarray, shapes (nd, 3), (nd, 4)
-        Poses of the bodies that move as prescribed.
+        Poses of the kinematic bodies.
     """
 
     x: Array
@@ -196,11 +196,11 @@ class Position(NamedTuple):
     driven_quaternion: Array
 
     def moved(self, x: Array, quaternion: Array) -> Position:
-        """The same but for the free bodies."""
+        """Return the position with other poses of the free bodies."""
         return Position(x, quaternion, self.trees, self.driven_x, self.driven_quaternion)
 
     def bent(self, trees: tuple[Array, ...]) -> Position:
-        """The same but for the trees."""
+        """Return the position with other configurations of the trees."""
         return Position(self.x, self.quaternion, trees, self.driven_x, self.driven_quaternion)
 
 
@@ -212,7 +212,7 @@ class Placement(NamedTuple):
     x, R : ndarray, shapes (frames, 3), (frames, 3, 3)
         Origins [m] and rotations to the world.
     links : tuple of Links
-        Those of every tree, with its Jacobian.
+        The links of every tree, with its Jacobian.
     """
 
     x: Array
@@ -221,24 +221,24 @@ class Placement(NamedTuple):
 
     @classmethod
     def of(cls, links: Links) -> Placement:
-        """The frames of an only tree."""
+        """Return the placement of a scene whose frames are those of one tree."""
         return cls(links.x, links.R, (links,))
 
     @property
     def fields(self) -> Array:
-        """Velocity fields of the coordinates of all trees, one after the other, as `nsdyn._kernels.dynamics.links`."""
+        """Velocity fields of the coordinates of all trees, joined as `nsdyn._kernels.dynamics.links` takes them."""
         fields = [links.J.T.ravel() for links in self.links]
         return fields[0] if len(fields) == 1 else np.concatenate(fields)
 
 
 class MidpointState(NamedTuple):
-    """Where the forces and impulses of a step act, after a part of it without them.
+    """Midpoint of a step, where its forces and impulses act, after a part of the step without them.
 
     Attributes
     ----------
     position : Position
     v : ndarray, shape (n,)
-        v⁻, the velocity there before they act.
+        v⁻, the velocity before they act.
     placement : Placement
     trees : tuple of TreeMidpoint
     """
@@ -250,14 +250,14 @@ class MidpointState(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """What acts during a step besides contacts and joint rows, at the configuration of the impulses.
+    """Forces of a step without contacts and joint rows, at the configuration of the impulses.
 
     Attributes
     ----------
     v : ndarray, shape (n,)
         Velocity after the step without impulses, v⁻ + M̃⁻¹ h f̃.
     foreseen : ndarray, shape (n,)
-        The same with actuators that have rows at their limits.
+        The same, with the predicted forces of actuators that have rows.
     load : ndarray, shape (2, nf, 3)
         On free bodies: forces in world axes [N], torques about the centres of mass in body axes [N m].
     m, minv : ndarray

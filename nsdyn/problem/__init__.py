@@ -1,1 +1,1 @@
-"""The frictional contact problem: its statement, formulations and certificate, and its files."""
+"""Frictional contact problem: its statement, its factors, its certificate, and the result of a solver."""

@@ -1,4 +1,4 @@
-"""Factors of the Delassus operator: masses and rows of the contact Jacobian, block by block."""
+"""Factors of the Delassus operator: mass matrix and contact Jacobian, block by block."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class DelassusFactors(NamedTuple):
     offset : ndarray of int, shape (nb + 1,)
         First coordinate of each block: 6 per free body, nv per articulated tree.
     block : ndarray of int, shape (nc, 2)
-        The blocks contact c touches, -1 for none.
+        The two blocks that contact c couples, -1 for none.
     start : ndarray of int, shape (nc, 2)
-        Where the 3 x n rows of Hᵀ for that block begin in `H`.
+        Index in `H` at which the 3 x n rows of Hᵀ for that block begin.
     H : ndarray
-        Rows of Hᵀ, one row after the other, u = Hᵀ v [m/s].
+        Rows of Hᵀ, one after the other, u = Hᵀ v [m/s].
     m_start : ndarray of int, shape (nb,)
-        Where the n x n block of M (and of M⁻¹) begins in `m` (and `minv`).
+        Index in `m` (and `minv`) at which the n x n block of M (and of M⁻¹) begins.
     m, minv : ndarray
         Blocks of M [kg, kg m²] and of M⁻¹, row by row.
     """
@@ -42,7 +42,7 @@ class DelassusFactors(NamedTuple):
 
     @property
     def arrays(self) -> tuple[Any, ...]:
-        """All of them in a plain tuple, as kernels take them: it saves 0.5 us a call over a named one."""
+        """All fields in a plain tuple, for kernels: it saves 0.5 us a call over the named tuple."""
         return tuple(self)
 
     @property
@@ -56,46 +56,49 @@ class DelassusFactors(NamedTuple):
         return len(self.block)
 
     def of(self, some: Bools) -> DelassusFactors:
-        """The factors of some contacts."""
+        """Return the factors of the contacts `some`."""
         return self._replace(block=self.block[some], start=self.start[some])
 
     def islands(self) -> Index:
-        """Island of each contact, shape (nc,), from 0 in the order of their first contacts: islands share no block."""
+        """Return the island of each contact, shape (nc,). Islands share no block.
+
+        They are numbered from 0 in the order of their first contacts.
+        """
         label = np.empty(self.nc, np.int64)
         _blocks.islands(self.block, self.offset.size - 1, label)
         return label
 
     def relative_velocity(self, v: Array) -> Array:
-        """u = Hᵀ v, shape (3 nc,)."""
+        """Return u = Hᵀ v, shape (3 nc,)."""
         u = np.empty(3 * self.nc)
         _blocks.relative_velocity(self.arrays, v, u)
         return u
 
     def momentum(self, r: Array) -> Array:
-        """H r, shape (n,)."""
+        """Return H r, shape (n,)."""
         p = np.empty(self.n)
         _blocks.momentum(self.arrays, r, p)
         return p
 
     def velocity_change(self, r: Array) -> Array:
-        """M⁻¹ H r, shape (n,)."""
+        """Return M⁻¹ H r, shape (n,)."""
         dv = np.empty(self.n)
         _blocks.velocity_change(self.arrays, r, dv)
         return dv
 
     def response(self, r: Array, v_free: Array) -> tuple[Array, Array]:
-        """(H r, v_free + M⁻¹ H r), shape (n,) each."""
+        """Return (H r, v_free + M⁻¹ H r), shape (n,) each."""
         p, v = np.empty_like(v_free), np.empty_like(v_free)
         _blocks.respond(self.arrays, r, v_free, p, v)
         return p, v
 
     def delassus(self) -> sp.bsr_array:
-        """W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
+        """Return W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""
         contact, side = np.nonzero(self.block >= 0)
         order = np.argsort(self.block[contact, side], kind="stable")
         contact, start = contact[order], self.start[contact, side][order]
         ends = np.searchsorted(self.block[contact, side[order]], np.arange(self.offset.size))
-        # What each block of coordinates couples, then the sum where two contacts share both.
+        # Couplings through each block of coordinates, then their sum where two contacts share both blocks.
         codes, parts = [np.empty(0, np.int64)], [np.empty((0, 3, 3))]
         for n, m, a, b in zip(np.diff(self.offset), self.m_start, ends[:-1], ends[1:], strict=True):
             H = self.H[start[a:b, None] + np.arange(3 * n)].reshape(3 * (b - a), n)
@@ -111,7 +114,7 @@ class DelassusFactors(NamedTuple):
         return sp.bsr_array((data, column, indptr), shape=(3 * self.nc, 3 * self.nc))
 
     def jacobian(self) -> sp.csr_array:
-        """Hᵀ, shape (3 nc, n), u = Hᵀ v."""
+        """Return Hᵀ, shape (3 nc, n), u = Hᵀ v."""
         c, side = np.nonzero(self.block >= 0)
         k, start = self.block[c, side], self.start[c, side]
         n = np.diff(self.offset)[k]
@@ -122,11 +125,11 @@ class DelassusFactors(NamedTuple):
         return sp.csr_array((self.H[start[pair] + inside], places), shape=(3 * self.nc, self.n))
 
     def mass(self) -> sp.csr_array:
-        """M, shape (n, n)."""
+        """Return M, shape (n, n)."""
         sizes = np.diff(self.offset)
         parts = [self.m[a : a + n * n].reshape(n, n) for a, n in zip(self.m_start, sizes, strict=True)]
         return sp.csr_array(sp.block_diag(parts)) if parts else sp.csr_array((0, 0))
 
     def dense(self) -> tuple[Array, Array]:
-        """(M, H) as dense arrays of shapes (n, n) and (n, 3 nc), for checks on small problems."""
+        """Return (M, H) as dense arrays of shapes (n, n) and (n, 3 nc), for checks on small problems."""
         return self.mass().toarray(), self.jacobian().toarray().T

@@ -1,6 +1,6 @@
-"""The cone of Coulomb: projections, dual cone, de Saxcé's shift, generalised Jacobian.
+"""Coulomb's friction cone: projections, dual cone, de Saxcé's shift, generalised Jacobian.
 
-Arrays of contacts have shape (nc, 3), normal component first; K = {‖r_T‖ ≤ μ r_N} and its dual
+Arrays of contacts have shape (nc, 3), normal component first; K = {‖r_T‖ ≤ μ r_N} is a second-order cone with dual cone
 K* = {x_N ≥ μ ‖x_T‖}.
 """
 
@@ -15,7 +15,7 @@ __all__ = ["project", "project_dual", "projection_jacobian", "saxce"]
 
 
 def project(z: Array, mu: Array) -> Array:
-    """Projection P_K(z) on the friction cone of each contact.
+    """Return the projection P_K(z) on the friction cone of each contact.
 
     Parameters
     ----------
@@ -37,16 +37,16 @@ def project(z: Array, mu: Array) -> Array:
 
 
 def project_dual(x: Array, mu: Array) -> Array:
-    """Projection on the dual cone, P_K*(x) = x + P_K(-x) (Moreau's decomposition), shape (nc, 3)."""
+    """Return the projection on the dual cone, P_K*(x) = x + P_K(-x) (Moreau's decomposition), shape (nc, 3)."""
     return x + project(-x, mu)
 
 
 def saxce(u: Array, mu: Array) -> Array:
-    """Modified velocity û = u + μ ‖u_T‖ e_N, shape (nc, 3), in the unit of u.
+    """Return the modified velocity û = u + μ ‖u_T‖ e_N, shape (nc, 3), in the unit of u.
 
     Notes
     -----
-    With it Coulomb's law with Signorini's condition is the complementarity K* ∋ û ⟂ r ∈ K.
+    With û, Coulomb's law and Signorini's condition together are the complementarity K* ∋ û ⟂ r ∈ K.
 
     References
     ----------
@@ -58,7 +58,10 @@ def saxce(u: Array, mu: Array) -> Array:
 
 
 def projection_jacobian(z: Array, mu: Array) -> Array:
-    """Element of the generalised Jacobian of P_K at z, shape (nc, 3, 3), symmetric with eigenvalues in [0, 1]."""
+    """Return an element of the generalised Jacobian of P_K at z, shape (nc, 3, 3).
+
+    It is symmetric with eigenvalues in [0, 1].
+    """
     D = np.empty((mu.size, 3, 3))
     _kernels.jacobians(np.ascontiguousarray(z, dtype=float), mu, D)
     return D

@@ -1,7 +1,7 @@
-"""The 3D frictional contact problem, its factors, its measures of error, and what a solver returns.
+"""3D frictional contact problem: its data, its factors and its measures of error.
 
-Find r with u = W r + q and K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K, per contact, normal first (N, T1, T2); W in 1/kg, q and u
-in m/s, r in N·s. The judge is not the player: every solver's answer is measured here.
+Find r with u = W r + q and K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K, per contact, normal first (N, T1, T2); W in 1/kg, q and u in
+m/s, r in N·s. The problem, not the solver, measures every solution.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["FC3D"]
 
 
 def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
-    """W in 3 x 3 blocks as `FC3D.csr`; ValueError when it is not square, finite or a multiple of 3."""
+    """Return W in 3 x 3 blocks as `FC3D.csr`; ValueError when it is not square, finite or a multiple of 3."""
     if sp.issparse(W) and W.dtype.kind == "c":
         raise ValueError("W must be real, got complex numbers")
     if not sp.issparse(W):
@@ -36,7 +36,7 @@ def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
         W.sort_indices()
         out = _csr(W)
     else:
-        # The blocks that are not zero and those of the diagonal; SciPy's conversion takes ten times as long.
+        # Keep non-zero blocks and those of the diagonal; SciPy's conversion takes ten times as long.
         blocks = np.reshape(W if nc else np.empty((0, 0)), (nc, 3, nc, 3)).transpose(0, 2, 1, 3)
         kept = blocks.any(axis=(2, 3))
         kept.flat[:: nc + 1] = True
@@ -53,8 +53,8 @@ class FC3D:
     Parameters
     ----------
     W : array or sparse array, shape (3 nc, 3 nc)
-        Delassus operator in 1/kg, positive semi-definite; singular as soon as contacts are redundant. It need not be
-        symmetric (files of the literature are not always).
+        Delassus operator in 1/kg, positive semi-definite; singular if contacts are redundant. It need not be symmetric
+        (files of the literature are not always).
     q : ndarray, shape (3 nc,)
         Relative velocity without contact impulses, m/s, normal first.
     mu : ndarray, shape (nc,)
@@ -63,8 +63,8 @@ class FC3D:
     Raises
     ------
     ValueError
-        For wrong shapes, values that are not finite, a q whose square is not, μ < 0, or a diagonal block of W that is
-        zero.
+        For wrong shapes, values that are not finite, a q whose square is not finite, μ < 0, or a diagonal block of W
+        that is zero.
 
     Examples
     --------
@@ -91,7 +91,10 @@ class FC3D:
 
     @classmethod
     def from_blocks(cls, blocks: DelassusFactors, q: Any, mu: Any, scales: Array | None = None) -> FC3D:
-        """Problem with W = Hᵀ M⁻¹ H given by its factors, and the `scales` if known; W is assembled when asked for."""
+        """Return the problem with W = Hᵀ M⁻¹ H given by its factors, and the `scales` if known.
+
+        W is assembled at its first use.
+        """
         problem = cls.__new__(cls)
         problem._set(q, mu)
         problem.blocks = blocks
@@ -106,13 +109,13 @@ class FC3D:
 
     @classmethod
     def prepared(cls, blocks: DelassusFactors, q: Array, mu: Array, scales: Array, q_norm: float) -> FC3D:
-        """Problem as of `from_blocks`, of what has been looked at, with ‖q‖₂, m/s."""
+        """Return the problem as `from_blocks`, without checks, for data already checked, with ‖q‖₂, m/s."""
         problem = cls.__new__(cls)
         problem.blocks, problem.q, problem.mu, problem.scales, problem.q_norm = blocks, q, mu, scales, q_norm or 1.0
         return problem
 
     def with_velocity(self, q: Any, mu: Any = None) -> FC3D:
-        """The same contacts with another q (and μ), without looking at W again."""
+        """Return the problem of the same contacts with another q (and μ), without checking W again."""
         problem = FC3D.__new__(FC3D)
         problem.__dict__.update(self.__dict__)
         problem._set(q, self.mu if mu is None else mu)
@@ -121,7 +124,7 @@ class FC3D:
         return problem
 
     def _set(self, q: Any, mu: Any) -> None:
-        """Take q and μ; ValueError for values that are not what they have to be."""
+        """Set q and μ; ValueError for invalid values."""
         self.q: Array = np.ascontiguousarray(numbers(q, "3 numbers per contact", "q"))
         self.mu: Array = np.ascontiguousarray(numbers(mu, "a number per contact", "mu"))
         if self.mu.ndim != 1 or self.q.shape != (3 * self.mu.size,):
@@ -138,7 +141,7 @@ class FC3D:
         raise ValueError(f"q must have a norm whose square is finite, got {np.abs(self.q).max():g} m/s")
 
     def _check_scales(self) -> None:
-        """ValueError for sizes of diagonal blocks that are not what they have to be."""
+        """Raise ValueError if the size of a diagonal block is zero or out of range."""
         if _blocks.in_range(self.scales):
             return
         fine = (self.scales >= _blocks.SMALLEST) & (self.scales <= _blocks.LARGEST)
@@ -165,7 +168,7 @@ class FC3D:
 
     @cached_property
     def csr(self) -> tuple[Index, Index, Array]:
-        """(indptr, indices, data (nnz, 3, 3)) of W, sorted, with 64-bit indices, as the kernels take them."""
+        """(indptr, indices, data (nnz, 3, 3)) of W, sorted, with 64-bit indices, as the kernels need them."""
         return _csr(self.W)
 
     @property
@@ -174,7 +177,7 @@ class FC3D:
         return len(self.mu)
 
     def islands(self) -> Index:
-        """Island of each contact, as of `DelassusFactors.islands`."""
+        """Return the island of each contact, as `DelassusFactors.islands`."""
         if self.blocks is not None:
             return self.blocks.islands()
         indptr, indices, data = self.csr
@@ -182,7 +185,7 @@ class FC3D:
         return label
 
     def velocity(self, r: Any) -> Array:
-        """u = W r + q, shape (3 nc,), m/s."""
+        """Return u = W r + q, shape (3 nc,), m/s."""
         if self.blocks is None:
             u = np.empty_like(self.q)
             _given.velocity(self.csr, self.q, self.impulse(r), u)
@@ -190,13 +193,13 @@ class FC3D:
         return self.product(r) + self.q
 
     def product(self, r: Any) -> Array:
-        """W r, shape (3 nc,), m/s: `velocity` less q would have the round-off of q."""
+        """Return W r, shape (3 nc,), m/s, without the round-off of q that `velocity` less q would have."""
         if self.blocks is None:
             return self.with_velocity(np.zeros_like(self.q)).velocity(r)
         return self.blocks.relative_velocity(self.blocks.velocity_change(self.impulse(r)))
 
     def error(self, r: Any) -> float:
-        """Error of the literature, ‖r - P_K(r - û)‖₂ / ‖q‖₂ (ρ = 1 in the given units).
+        """Return the error of the literature, ‖r - P_K(r - û)‖₂ / ‖q‖₂ (ρ = 1 in the given units).
 
         Notes
         -----
@@ -210,34 +213,37 @@ class FC3D:
         return float(_cones.measures(self.scales, self.velocity(r), r, self.mu)[0]) / self.q_norm
 
     def residual(self, r: Any) -> float:
-        """Unit-invariant residual in m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ with ρ = 1/λ_max(W_aa)."""
+        """Return the unit-invariant residual, m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ, ρ = 1/λ_max(W_cc)."""
         r = self.impulse(r)
         return float(_cones.measures(self.scales, self.velocity(r), r, self.mu)[1])
 
     def round_off(self, r: Any) -> float:
-        """What rounding leaves of the larger of `residual` and `error` of r (3 nc,), N·s.
+        """Return the round-off in the larger of `residual` and `error` of r (3 nc,), N·s.
 
-        About 4 ε max_c (|q_c| + λ_max(W_cc) |r_c|) m/s of the residual: that is what u_c = Σ W_cd r_d + q_c is rounded
-        by where no W_cd is larger than W_cc. And ε ‖r‖/‖q‖ of the error, since an r on the edge of its cone is there
-        but for its rounding: 1e-8 where bodies have 1e8 kg. Solvers of random problems, redundant ones too, come to 0.2
-        to 0.9 of it and no further.
+        The round-off of the residual is about 4 ε max_c (|q_c| + λ_max(W_cc) |r_c|) m/s, that of u_c = Σ W_cd r_d + q_c
+        where no W_cd is larger than W_cc. The round-off of the error is ε ‖r‖/‖q‖, since an r on the edge of its cone
+        lies there only up to rounding: 1e-8 for bodies of 1e8 kg. On random problems, redundant ones too, solvers reach
+        0.2 to 0.9 of this value and no less.
         """
         return float(_cones.round_off(self.scales, self.q, self.impulse(r), self.q_norm))
 
     def gap(self, r: Any) -> float:
-        """Duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N): see `gauss`."""
+        """Return the duality gap Σ r·(u + δ e_N + μ‖u_T‖ e_N) in J of the problem shifted by δ = max(0, -u_N).
+
+        See `gauss`.
+        """
         r = self.impulse(r)
         return float(_cones.duality_gap(self.velocity(r), r, self.mu)[0])
 
     def impulse(self, r: Any, what: str = "r") -> Array:
-        """The array r (3 nc,) that is meant; ValueError naming `what` if its shape does not fit."""
+        """Return r as an array (3 nc,); ValueError naming `what` if its shape does not fit."""
         out: Array = np.ascontiguousarray(numbers(r, "3 numbers per contact", what))
         if out.shape != self.q.shape:
             raise ValueError(f"{what} must have shape {self.q.shape} like q, got {out.shape}")
         return out
 
     def solved(self, r: Array, tol: float) -> tuple[bool, float, float, Array]:
-        """(both measures within tol, error, residual in m/s, u) of an impulse r."""
+        """Return (both measures within tol, error, residual in m/s, u) of an impulse r."""
         r = self.impulse(r)
         u = self.velocity(r)
         top, residual = _cones.measures(self.scales, u, r, self.mu)
@@ -246,6 +252,6 @@ class FC3D:
 
 
 def _csr(W: sp.bsr_array) -> tuple[Index, Index, Array]:
-    """(indptr, indices, data) of a BSR array with 64-bit indices, as the kernels take them."""
+    """Return (indptr, indices, data) of a BSR array with 64-bit indices, as the kernels need them."""
     data = np.ascontiguousarray(W.data).reshape(-1, 3, 3)
     return W.indptr.astype(np.int64, copy=False), W.indices.astype(np.int64, copy=False), data

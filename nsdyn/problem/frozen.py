@@ -1,14 +1,14 @@
-"""The least velocity change that opens contacts as far as is asked, by its augmented Lagrangian.
+"""Least velocity change that opens contacts by given velocities, from its augmented Lagrangian.
 
     min ½‖y‖²_M  under  Hᵀ y ∈ b + K*,        whose dual is   K* ∋ W x - b ⟂ x ∈ K,  y = M⁻¹ H x.
 
-With b = -(q + s e_N) that is the frozen problem of Gauss's principle: convex, unlike Coulomb's, so that it is solved
-from any start. For an estimate x of the impulse and ρ > 0 per contact Newton's method minimises
+With b = -(q + s e_N) this is the frozen problem of Gauss's principle. Unlike Coulomb's problem it is convex, so that it
+can be solved from any start. For an estimate x of the impulse and ρ > 0 per contact Newton's method minimises
 
     ½‖y‖²_M + Σ ‖P_K(x + ρ (b - Hᵀ y))‖² / 2ρ,   y = M⁻¹ H d,
 
-with the symmetric matrix M + Σ H_c A_c H_cᵀ, A_c = ρ ∂P_K, and a step that is halved until it descends; the projections
-are the next estimate.
+with the symmetric matrix M + Σ H_c A_c H_cᵀ, A_c = ρ ∂P_K. Its step is halved until the function descends. The
+projections are the next estimate.
 
 References
 ----------
@@ -28,11 +28,11 @@ from nsdyn.tools.arrays import Array
 __all__ = ["Least"]
 
 SHORTEST, ROUND_OFF = 1e-3, 1e-14
-"""Shortest fraction of a Newton step, and what of what descends may be round-off."""
+"""Shortest fraction of a Newton step, and relative round-off of the function that descends."""
 
 
 class Least:
-    """Newton's method for the augmented Lagrangian of least velocity change.
+    """Newton's method for the augmented Lagrangian of the least velocity change.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Least:
         self.estimate = np.empty_like(b)
 
     def restart(self, d: Array) -> None:
-        """Go on from the velocity change of another impulse."""
+        """Continue from the velocity change of another impulse d."""
         self.d, self.o, self.square = d, *self._along(d)
 
     def _along(self, d: Array) -> tuple[Array, float]:
@@ -69,9 +69,10 @@ class Least:
         return o, float(d @ o)
 
     def step(self, x: Array, penalty: float) -> tuple[float, float]:
-        """A Newton step at an estimate x, with ρ = `penalty`/λ_max(W_cc).
+        """Take a Newton step at an estimate x, with ρ = `penalty`/λ_max(W_cc).
 
-        Returns its fraction, 0 where it was not found, and its defect ‖y - M⁻¹ H `estimate`‖_M, √J.
+        Returns the fraction of the step taken, 0 if the matrix is singular, and the defect ‖y - M⁻¹ H `estimate`‖_M,
+        √J.
         """
         given = self._b, x, penalty / self._scales, self._mu
         last = _kernels.merit(self.square, self.o, *given, self.estimate)

@@ -1,10 +1,10 @@
-"""W = Hᵀ M⁻¹ H as methods need it that factorise (I + A W): given by its factors, or as a sparse matrix.
+"""W = Hᵀ M⁻¹ H for methods that factorise (I + A W): given by its factors, or as a sparse matrix.
 
-A (nc, 3, 3) is block-diagonal; RuntimeError where I + A W is singular. The velocity change y = M⁻¹ H r of an impulse
-has its own coordinates; those of a W given alone are relative velocities, with H = I.
+A (nc, 3, 3) is block-diagonal; RuntimeError where I + A W is singular. With factors, the velocity change y = M⁻¹ H r of
+an impulse is in the coordinates of the bodies; with W given alone it is a relative velocity, with H = I.
 
-By the factors the matrix is that of the bodies, K = M + Σ H_c A_c H_cᵀ, as large as the coordinates and sparse as the
-graph of contacts, which outlives many solves.
+With factors, the matrix is that of the bodies, K = M + Σ H_c A_c H_cᵀ. It has the size of the coordinates and the
+sparsity of the contact graph, which stays the same over many solves.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ __all__ = ["Factor", "Local", "Operator", "Ordered", "Velocity", "elimination_or
 
 
 def elimination_order(count: int, rows: Index, columns: Index) -> Index:
-    """Order of minimum degree for a symmetric pattern: the blocks as they are eliminated, shape (count,).
+    """Return the order of minimum degree for a symmetric pattern: the blocks as they are eliminated, shape (count,).
 
-    Blocks take a fraction of the time of their coordinates, and a pattern is ordered once for many matrices.
+    Ordering blocks takes a fraction of the time of ordering their coordinates. A pattern is ordered once for many
+    matrices.
 
     Parameters
     ----------
@@ -55,14 +56,14 @@ def elimination_order(count: int, rows: Index, columns: Index) -> Index:
 
 
 class Ordered:
-    """LU factorisations of matrices K whose rows and columns are in the order of their elimination, pivots in place.
+    """LU factorisations of matrices K with rows and columns in elimination order and pivots on the diagonal.
 
     Parameters
     ----------
     indptr, indices : ndarray, shapes (n + 1,), (entries,)
         Pattern of K by columns.
     to : ndarray, shape (n,)
-        Where coordinates stand in K.
+        Position of each coordinate in K.
     """
 
     def __init__(self, indptr: Index, indices: Index, to: Index) -> None:
@@ -70,11 +71,11 @@ class Ordered:
         self._to = to
 
     def factor(self) -> Callable[[Array], Array]:
-        """Function b ↦ K⁻¹ b for the entries that K has now; RuntimeError when K is singular."""
+        """Return the function b ↦ K⁻¹ b for the present entries of K; RuntimeError when K is singular."""
         return self.solving(_splu(self.K, "NATURAL").solve)
 
     def solving(self, inverse: Callable[[Array], Array]) -> Callable[[Array], Array]:
-        """Function b ↦ K⁻¹ b from the inverse in that order."""
+        """Return the function b ↦ K⁻¹ b from the inverse in elimination order."""
 
         def solve(b: Array) -> Array:
             y = np.empty(b.size)
@@ -89,7 +90,7 @@ def _splu(K: Any, order: str) -> Any:
 
 
 class Factor:
-    """Factorisations of K on one contact graph: LDLᵀ, which keeps its symbolic part, where K is symmetric, else LU."""
+    """Factorisations of K on one contact graph: LDLᵀ where K is symmetric, which keeps its symbolic part, else LU."""
 
     def __init__(self, offset: Index, block: Index) -> None:
         sizes = np.diff(offset)
@@ -106,13 +107,16 @@ class Factor:
         self._ldl: Any = None
 
     def factor(self, blocks: DelassusFactors, A: Array) -> Callable[[Array], Array]:
-        """Function b ↦ K⁻¹ b, until the next on this graph, for K = M + Σ H_c A_c H_cᵀ; RuntimeError when singular."""
+        """Return the function b ↦ K⁻¹ b for K = M + Σ H_c A_c H_cᵀ; RuntimeError when K is singular.
+
+        It is valid until the next factorisation on this graph.
+        """
         K = self._ordered.K
         turned = np.ascontiguousarray(A.transpose(0, 2, 1))  # the rows of Kᵀ are the columns of K
         _matrix.assemble(blocks.arrays, turned, K.indptr, self._begin, self._slot, self._diagonal, K.data)
         if not np.array_equal(A, turned):
             return self._ordered.factor()
-        # QDLDL wants the upper triangle; to have it cut out by SciPy costs as much as the factorisation.
+        # QDLDL needs the upper triangle. Extracting it by SciPy costs as much as the factorisation.
         np.take(K.data, self._upper, out=self._U.data)
         if self._ldl is None:
             self._ldl = qdldl.Solver(self._U, upper=True)
@@ -122,11 +126,10 @@ class Factor:
 
 
 def pattern(offset: Index, block: Index) -> tuple[Index, Index, Index, Index]:
-    """Sparsity of K, compressed rows: (indptr, indices, slot, diagonal).
+    """Return the sparsity of K in compressed rows: (indptr, indices, slot, diagonal).
 
-    Entry (i, j) of the coupling of block[c, s] (rows) with block[c, t] (columns) is stored at
-    indptr[offset[block[c, s]] + i] + slot[c, t, s] + j; of a diagonal block k at indptr[offset[k] + i] +
-    diagonal[k] + j.
+    Entry (i, j) of the coupling of block[c, s] (rows) with block[c, t] (columns) is stored at indptr[offset[block[c,
+    s]] + i] + slot[c, t, s] + j; of a diagonal block k at indptr[offset[k] + i] + diagonal[k] + j.
     """
     sizes, count = np.diff(offset), offset.size - 1
     first, second = block[(block >= 0).all(axis=1)].T
@@ -149,40 +152,40 @@ def pattern(offset: Index, block: Index) -> tuple[Index, Index, Index, Index]:
 
 @lru_cache(maxsize=16)
 def _factor(thread: int, offset: bytes, block: bytes) -> Factor:
-    """One `Factor` per contact graph, so that the symbolic part lives as long as the graph, for each thread its own."""
+    """Return the `Factor` of a contact graph, one per thread, cached so that its symbolic part lives with the graph."""
     return Factor(np.frombuffer(offset, np.int64), np.frombuffer(block, np.int64).reshape(-1, 2))
 
 
 def forget() -> None:
-    """Forget all contact graphs: what is timed next finds nothing prepared."""
+    """Clear the cache of contact graphs, so that a timing begins with nothing prepared."""
     _factor.cache_clear()
 
 
 class Velocity:
-    """W by its factors: W (I + A W)⁻¹ = Hᵀ (M + Σ H_c A_c H_cᵀ)⁻¹ H."""
+    """W given by its factors: W (I + A W)⁻¹ = Hᵀ (M + Σ H_c A_c H_cᵀ)⁻¹ H."""
 
     def __init__(self, blocks: DelassusFactors) -> None:
         self.blocks, self.graph = blocks, _factor(get_ident(), blocks.offset.tobytes(), blocks.block.tobytes())
         self.change, self.relative = blocks.velocity_change, blocks.relative_velocity  # y = M⁻¹ H r, and Hᵀ y
 
     def product(self, r: Array) -> Array:
-        """W r."""
+        """Return W r."""
         return self.relative(self.change(r))
 
     def factor(self, A: Array) -> Callable[[Array], Array]:
-        """Function g ↦ W (I + A W)⁻¹ g."""
+        """Return the function g ↦ W (I + A W)⁻¹ g."""
         solve = self.graph.factor(self.blocks, A)
         return lambda g: self.relative(solve(self.blocks.momentum(g)))
 
     def towards(self, A: Array, P: Array, y: Array) -> Array:
-        """The dy of (I + M⁻¹ Σ H_c A_c H_cᵀ) dy = M⁻¹ H P - y."""
+        """Return the dy of (I + M⁻¹ Σ H_c A_c H_cᵀ) dy = M⁻¹ H P - y."""
         missing = np.empty_like(y)
         _blocks.block_product(self.blocks.offset, self.blocks.m_start, self.blocks.m, y, missing)
         return self.graph.factor(self.blocks, A)(self.blocks.momentum(P) - missing)
 
 
 class Local:
-    """A given sparse W, which need not be symmetric."""
+    """W given as a sparse matrix, which need not be symmetric."""
 
     def __init__(self, W: sp.bsr_array) -> None:
         self.W = W
@@ -191,7 +194,7 @@ class Local:
         count, blocks = W.shape[0] // 3, np.arange(W.data.size).reshape(W.data.shape)
         order = elimination_order(count, self.row, W.indices)
         number = sp.csr_array((np.arange(self.row.size), W.indices, W.indptr), shape=(count, count))[order][:, order]
-        # Where the entries of the matrix in that order are among those of W.
+        # Indices, among the entries of W, of the entries of the matrix in that order.
         entry = sp.csc_matrix(sp.bsr_array((blocks[number.data], number.indices, number.indptr), shape=W.shape))
         entry.sort_indices()
         to = np.empty((count, 3), np.int64)
@@ -199,11 +202,11 @@ class Local:
         self._entry, self._ordered = entry.data, Ordered(entry.indptr, entry.indices, to.ravel())
 
     def product(self, r: Array) -> Array:
-        """W r."""
+        """Return W r."""
         return np.asarray(self.W @ r)
 
     def factor(self, A: Array) -> Callable[[Array], Array]:
-        """Function g ↦ W (I + A W)⁻¹ g."""
+        """Return the function g ↦ W (I + A W)⁻¹ g."""
         data = A[self.row] @ self.W.data
         data[self.diagonal] += np.eye(3)
         np.take(data, self._entry, out=self._ordered.K.data)
@@ -211,15 +214,15 @@ class Local:
         return lambda g: self.product(solve(g))
 
     def change(self, r: Array) -> Array:
-        """Velocity change y = W r."""
+        """Return the velocity change y = W r."""
         return self.product(r)
 
     def relative(self, y: Array) -> Array:
-        """The y itself."""
+        """Return y itself."""
         return y
 
     def towards(self, A: Array, P: Array, y: Array) -> Array:
-        """The dy of (I + W A) dy = W P - y."""
+        """Return the dy of (I + W A) dy = W P - y."""
         # (I + W A)⁻¹ d = d - W (I + A W)⁻¹ A d
         d = self.product(P) - y
         out: Array = d - self.factor(A)((A @ d.reshape(-1, 3, 1)).ravel())
@@ -230,5 +233,5 @@ Operator = Velocity | Local
 
 
 def operator(problem: FC3D) -> Operator:
-    """W of a problem, by its factors where they are given."""
+    """Return W of a problem in terms of its factors, or as a matrix if they are not given."""
     return Local(problem.W) if problem.blocks is None else Velocity(problem.blocks)

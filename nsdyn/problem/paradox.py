@@ -1,14 +1,15 @@
-"""Paradoxes of Coulomb's law: velocities that are not unique, and impulses that are no force.
+"""Paradoxes of Coulomb's law: velocities that are not unique, and impulses that no force gives.
 
-Where friction presses a contact on faster than its normal impulse opens it, W_NN < μ‖W_NT‖, the law of one contact
-may have several solutions: it opens, sticks and slips, all at once (Painlevé). Of these a solver returns one. `others`
-shows another velocity that obeys the law as well, which proves that the answer is one of several; where it finds none,
-nothing is proved. It takes each such contact through all other solutions of its own law, the impulses of others given,
-and solves on from there; what comes back to the answer is none, however far the errors of both are apart.
+If W_NN < μ‖W_NT‖, friction presses a contact on faster than its normal impulse opens it. The law of this one contact
+may then have several solutions: opening, sticking and slipping, all at once (Painlevé). A solver returns one of them.
+`others` shows another velocity that obeys the law as well. This proves that the answer is one of several; if none is
+found, nothing is proved. For each such contact `others` tries all other solutions of its own law, with the impulses of
+the other contacts given, and solves from there. A result that comes back to the answer does not count, however far the
+errors of both are apart.
 
-Where a contact slides, and only normal impulses that no force gives would hold it, the impulse does not fall with the
-step although nothing collides: a jam, which stops the slip at once. `jams` takes the loads on the normals away but for
-a thousandth: forces fall by as much, and a jam stays.
+Where a contact slides, and only a normal impulse that no force gives can hold it, the impulse does not fall with the
+step although nothing collides. This is a jam, which stops the slip at once. `jams` reduces the loads on the normals to
+a thousandth: forces fall by as much, but a jam stays.
 
 References
 ----------
@@ -34,14 +35,14 @@ __all__ = ["all_of_one", "ambiguous", "jams", "others"]
 Solve = Callable[[FC3D, Array], Solution]
 
 APART = 1e-6
-"""Distance of two velocities, over the change that the larger impulse makes, from which on they are two."""
+"""Least distance of two different velocities, as a fraction of the velocity change by the larger impulse."""
 
 FALL = 1e-3
-"""Of the loads on the normals, what is left of them."""
+"""Fraction of the loads on the normals that `jams` leaves."""
 
 
 def ambiguous(problem: FC3D, u: Array, r: Array) -> Index:
-    """Contacts whose own law admits several solutions, the impulses r (3 nc,) of others given."""
+    """Return the contacts whose own law admits several solutions, with the impulses r (3 nc,) of others given."""
     if problem.blocks is None:
         W = problem.W.toarray()
         n = np.arange(0, 3 * problem.nc, 3)
@@ -51,20 +52,20 @@ def ambiguous(problem: FC3D, u: Array, r: Array) -> Index:
 
 
 def all_of_one(W: Array, q: Array, mu: float) -> Array:
-    """All impulses that solve the law of one contact, u = W r + q with W (3, 3) symmetric, shape (k, 3)."""
+    """Return all impulses that solve the law of one contact, u = W r + q with W (3, 3) symmetric, shape (k, 3)."""
     out = np.empty((_kernels.MOST, 3))
     return out[: _kernels.solutions(W, q, mu, out)]
 
 
 def others(problem: FC3D, r: Array, solve: Solve, u: Array | None = None) -> Array | None:
-    """Another impulse (3 nc,) that solves the problem as r does, with another velocity; None if none is found.
+    """Return another impulse (3 nc,) that solves the problem, with another velocity than r; None if none is found.
 
-    W is symmetric, r (3 nc,) a solution, N·s, and u its velocity where that is known, m/s.
+    W is symmetric, r (3 nc,) a solution, N·s, and u its velocity, m/s, if it is known.
     """
     u = problem.velocity(r) if u is None else u
     for c in ambiguous(problem, u, r):
         for guess in _instead(problem, r, u, int(c)):
-            solution = Solution.judge(problem, guess, 1e-8, 0, 0.0)  # m/s, and of q
+            solution = Solution.judge(problem, guess, 1e-8, 0, 0.0)  # tolerance in m/s, and as a fraction of ‖q‖
             if not solution.converged:
                 solution = solve(problem, guess)
             if solution.converged and _nearer(solution.r, guess, r, int(c)) and _apart(problem, r, solution.r):
@@ -73,7 +74,10 @@ def others(problem: FC3D, r: Array, solve: Solve, u: Array | None = None) -> Arr
 
 
 def _instead(problem: FC3D, r: Array, u: Array, c: int) -> Iterator[Array]:
-    """Impulses with that of contact c replaced by all that its own law admits but the one r is, up to its error."""
+    """Yield r with the impulse of contact c replaced by each other solution of its own law.
+
+    The solution nearest to r is left out: it is that of r, up to its error.
+    """
     rows, one = slice(3 * c, 3 * c + 3), np.zeros_like(r)
     W = np.empty((3, 3))
     for k in range(3):
@@ -81,7 +85,7 @@ def _instead(problem: FC3D, r: Array, u: Array, c: int) -> Iterator[Array]:
         W[:, k] = problem.product(one)[rows]
         one[3 * c + k] = 0.0
     W = 0.5 * (W + W.T)
-    if np.linalg.cond(W) > 1e12:  # moves in a plane only
+    if np.linalg.cond(W) > 1e12:  # the contact point moves in a plane only
         return
     admitted = all_of_one(W, u[rows] - W @ r[rows], float(problem.mu[c]))
     for k in np.argsort(np.linalg.norm(admitted - r[rows], axis=1))[1:]:
@@ -91,13 +95,13 @@ def _instead(problem: FC3D, r: Array, u: Array, c: int) -> Iterator[Array]:
 
 
 def _nearer(x: Array, guess: Array, r: Array, c: int) -> bool:
-    """Whether the impulse of contact c is nearer to that guessed: else x may be r itself, up to the errors of both."""
+    """Whether the impulse of contact c is nearer to the guess than to r; else x may be r, up to the errors of both."""
     rows = slice(3 * c, 3 * c + 3)
     return bool(np.linalg.norm(x[rows] - guess[rows]) < np.linalg.norm(x[rows] - r[rows]))
 
 
 def _apart(problem: FC3D, r: Array, other: Array) -> bool:
-    """Whether two impulses give two velocities."""
+    """Whether two impulses give two different velocities."""
 
     def size(x: Array) -> float:
         return math.sqrt(max(0.0, float(x @ problem.product(x))))
@@ -106,7 +110,7 @@ def _apart(problem: FC3D, r: Array, other: Array) -> bool:
 
 
 def jams(problem: FC3D, solution: Solution, contacts: int, fall: float, solve: Solve) -> NDArray[np.bool_]:
-    """Which of the contacts of a solution, its first rows, stop by an impulse that no force gives, shape (contacts,).
+    """Return which of the first `contacts` contacts stop by an impulse that no force gives, shape (contacts,).
 
     Free accelerations give a velocity `fall` in the step, m/s.
     """

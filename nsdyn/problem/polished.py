@@ -1,17 +1,17 @@
-"""What an answer is worth to first order: its distance from a polished one, and its defect in Coulomb's law.
+"""First-order error of a solution: its distance from a polished one, and its defect in Coulomb's law.
 
-With the shift s = μ‖u_T‖ of an answer r frozen, `gauss` bounds its distance from the velocity v* of least constraint by
-√η where r is right up to η. But for any other r' in K
+With the shift s = μ‖u_T‖ of a solution r frozen, `gauss` bounds its distance from the velocity v* of least constraint
+by √η where r is right up to η. But for any other r' in K
 
-    ‖v(r) - v*‖_M ≤ ‖v(r) - v(r')‖_M + bound(r'),
+    ‖v(r) - v*‖_M ≤ ‖v(r) - v(r')‖_M + bound(r').
 
-and if r' solves the frozen problem to round-off, the first term is the error itself, and the last 1e-8 of the root of
-the energy at play, the root of round-off. The frozen problem is convex, and `frozen.Least` solves it from r in a few
+If r' solves the frozen problem to round-off, the first term is the error itself. The last term is then 1e-8 of the root
+of the energy at play, the root of round-off. The frozen problem is convex, and `frozen.Least` solves it from r in a few
 Newton steps.
 
-v* is not Coulomb's: it slips otherwise than v, so that its own shift s' is another. How far v*(s') is from v*(s) is the
-defect in Coulomb's law: 0 at its solutions, where v*(s) = v. It is no bound of the distance to one, which need not be
-unique, or exist.
+v* is not a solution of Coulomb's problem: its slip differs from that of v, so that it has another shift s'. The
+distance of v*(s') from v*(s) is the defect in Coulomb's law. It is 0 at solutions of Coulomb's problem, where
+v*(s) = v. It does not bound the distance to a solution, which need not be unique, or exist.
 """
 
 from __future__ import annotations
@@ -31,29 +31,31 @@ __all__ = ["certify", "polished"]
 
 PENALTY, LEAST = 1e3, 50.0
 """Penalty times λ_max(W_cc) of the first multiplier step, and the least; the largest is that of `gauss`. Where contacts
-are redundant, which of them carry may change all impulses for a velocity that hardly does: the penalty grows by tens
-until they do, as long as Newton's method follows. Round-off grows with it, so it falls again once they are found."""
+are redundant, all impulses may change with the choice of the contacts that carry, while the velocity hardly changes.
+The penalty grows by factors of ten until these contacts are found, as long as Newton's method settles. Round-off grows
+with the penalty, so that it falls again once they are found."""
 
 STEPS = 30
-"""Most multiplier steps of a polished answer, and Newton steps of each."""
+"""Most multiplier steps of a polished solution, and Newton steps of each."""
 
 PART = 0.1
-"""Fraction of a multiplier step up to which Newton's method is exact, and of the last one, up to which the contacts
-that carry are found."""
+"""Newton's method is exact to this fraction of a multiplier step. A multiplier step of at most this fraction of the
+last one shows that the contacts that carry are found."""
 
 ROUND_OFF = _kernels.UNITS * ROUNDING
 
 SHARP, FLOOR = 0.01, 1.5
-"""What the bound of a polished answer need not fall below: fraction of the distance from it, and times what round-off
-alone makes of it."""
+"""Bounds of a polished solution that are sharp enough: as a fraction of the distance from it, and as a multiple of the
+bound that round-off alone gives."""
 
 
 def certify(
     problem: FC3D, r: Array, u: Array | None = None, slater: gauss.SlaterDirection | None = None
 ) -> tuple[gauss.Certificate, gauss.SlaterDirection | None]:
-    """`gauss.certify` with a bound that is linear in the error where that is tighter, and the defect in Coulomb's law.
+    """Return the certificate of an impulse, with a sharper bound, and the direction for the next certificate.
 
-    Parameters and results are those of `gauss.certify`. It takes some Newton steps for each of two convex problems,
+    The bound is linear in the error where this is tighter than that of `gauss.certify`, and the defect in Coulomb's law
+    is included. Parameters and results are those of `gauss.certify`. Two convex problems take some Newton steps each,
     about as long as the solve. Round-off of velocities is counted.
     """
     r = problem.impulse(r)
@@ -66,26 +68,26 @@ def certify(
     d = slater.d if slater is not None and (slater.d.size or slater.wedged) else gauss.of_all(problem)
     shift = _shift(problem, u)
     first, bound = _polished(problem, shift, impulse, d)
-    # Not the certificate's, which does not count round-off.
+    # The bound of the certificate does not count round-off.
     bound = min(_bound(problem, shift, impulse, d), _distance(problem, impulse, first) + bound)
     second, _ = _polished(problem, _shift(problem, problem.velocity(first)), first, d)
     return certificate._replace(bound=bound, coulomb=_distance(problem, first, second)), slater
 
 
 def polished(problem: FC3D, r: Array) -> Array:
-    """The best answer that is found to the problem with the shift of r (3 nc,) in K frozen."""
+    """Return the best solution found of the problem with the shift of r (3 nc,) in K frozen."""
     return _polished(problem, _shift(problem, problem.velocity(r)), r, gauss.of_all(problem))[0]
 
 
 def _shift(problem: FC3D, u: Array) -> Array:
-    """s = μ‖u_T‖ (nc,), m/s."""
+    """Return s = μ‖u_T‖ (nc,), m/s."""
     return problem.mu * np.sqrt(u[1::3] * u[1::3] + u[2::3] * u[2::3])
 
 
 def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float]:
-    """Best answer r' found to the problem with the shift s (nc,) frozen, from r in K, and its bound, √J.
+    """Return the best r' found for the problem with the shift s (nc,) frozen, from r in K, and its bound, √J.
 
-    A direction d, an `SlaterDirection.d`, may open the contacts.
+    A direction d, a `gauss.SlaterDirection.d`, may open the contacts.
     """
     b = -problem.q
     b[0::3] -= s
@@ -103,7 +105,7 @@ def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float
             break
         if penalty <= PENALTY and size <= _round_off(least, penalty):
             break
-        if not settled:  # too much at once
+        if not settled:  # penalty too large
             least.restart(x)
             penalty = largest = 0.1 * penalty
             continue
@@ -113,7 +115,10 @@ def _polished(problem: FC3D, s: Array, r: Array, d: Array) -> tuple[Array, float
 
 
 def _settled(problem: FC3D, least: Least, x: Array, penalty: float) -> tuple[bool, float]:
-    """Newton steps at an estimate x: whether they settle, and the size √λ_max(W_cc) |Δr| of the step that follows."""
+    """Take Newton steps at an estimate x until they settle.
+
+    Returns whether they do, and the size √λ_max(W_cc) |Δr| of the multiplier step that follows.
+    """
     for _ in range(STEPS):
         fraction, defect = least.step(x, penalty)
         step = (least.estimate - x).reshape(-1, 3)
@@ -124,12 +129,12 @@ def _settled(problem: FC3D, least: Least, x: Array, penalty: float) -> tuple[boo
 
 
 def _round_off(least: Least, penalty: float) -> float:
-    """Size of multiplier steps that are nothing but round-off."""
+    """Return the size of multiplier steps that are mere round-off."""
     return ROUND_OFF * math.sqrt(penalty**3 * abs(least.square))
 
 
 def _bound(problem: FC3D, s: Array, r: Array, d: Array) -> float:
-    """Bound of an impulse r in K to the problem with the shift s (nc,) frozen, round-off counted, √J."""
+    """Return the bound of an impulse r in K to the problem with the shift s (nc,) frozen, round-off counted, √J."""
     mu, u, error = problem.mu, problem.velocity(r), _rounding(problem, r, s)
     margin = u[0::3] + s - mu * np.hypot(u[1::3], u[2::3]) - (1.0 + mu) * error
     speed = max(0.0, -float(margin.min(initial=0.0)))
@@ -147,12 +152,12 @@ def _bound(problem: FC3D, s: Array, r: Array, d: Array) -> float:
 
 
 def _of_rounding(r: Array, error: Array) -> float:
-    """What round-off of velocities (nc,) adds to Σ r·û of an impulse, J."""
+    """Return the amount that round-off of velocities (nc,) adds to Σ r·û of an impulse, J."""
     return 2.0 * float(np.abs(r.reshape(-1, 3)).sum(axis=1) @ error)
 
 
 def _rounding(problem: FC3D, r: Array, s: Array) -> Array:
-    """Round-off of the velocities of the contacts of an impulse, shape (nc,), m/s."""
+    """Return the round-off of the velocities of the contacts of an impulse, shape (nc,), m/s."""
     scale = np.sqrt(problem.scales)
     push = scale * np.linalg.norm(r.reshape(-1, 3), axis=1)
     if problem.blocks is None:
@@ -160,7 +165,7 @@ def _rounding(problem: FC3D, r: Array, s: Array) -> Array:
         near = np.add.reduceat(push[indices], indptr[:-1])
     else:
         block = problem.blocks.block
-        total = np.zeros(problem.blocks.offset.size)  # the last is of none
+        total = np.zeros(problem.blocks.offset.size)  # the last entry stands for no block
         np.add.at(total, block, push[:, None])
         total[-1] = 0.0
         near = total[block].sum(axis=1)
@@ -169,12 +174,12 @@ def _rounding(problem: FC3D, r: Array, s: Array) -> Array:
 
 
 def _distance(problem: FC3D, r: Array, other: Array) -> float:
-    """‖v(r) - v(r')‖_M with its round-off, √J."""
+    """Return ‖v(r) - v(r')‖_M with its round-off, √J."""
     change = r - other
     size = ROUND_OFF * float(np.sqrt(problem.scales) @ np.linalg.norm(change.reshape(-1, 3), axis=1))
     if problem.blocks is not None:
         p = problem.blocks.momentum(change)
         return math.sqrt(max(0.0, float(p @ problem.blocks.velocity_change(change)))) + size
-    # What cancels in W r leaves the root of its round-off.
+    # Cancellation in W r leaves the root of its round-off.
     square = float(change @ problem.product(change))
     return math.sqrt(max(0.0, square) + size * size / (ROUND_OFF))

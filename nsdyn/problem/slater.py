@@ -1,4 +1,4 @@
-"""Whether a solution is sure to exist: a Slater point, velocities that open every contact."""
+"""Check that a solution is sure to exist: a Slater point, a velocity that opens every contact."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ SIMPLEX = 2_000_000
 """Iterations of the simplex method times contacts, some seconds of work, after which `has_slater_point` gives up."""
 
 CLEARANCE = 0.5
-"""Of the velocity by which contacts are to open, what they need not: inside K* is enough."""
+"""Fraction of the sought opening velocity that contacts may lack: inside K* is enough."""
 
 
 def has_slater_point(problem: FC3D, facets: int = 16) -> bool | None:
     """Whether velocities exist that open every contact: Hᵀ v + q ∈ int K* for some v. Then a solution exists.
 
-    A velocity change that opens them as far as the largest velocity, as a certificate looks for one, or, where none is
-    found soon, a linear program on a pyramid of that many facets inside K*: True is a proof; False may be wrong only
-    when no velocity clears the cone by more than the gap between pyramid and cone (2 % of μ ‖u_T‖ for 16 facets). None
-    if the program took too many iterations (some seconds). Without factors the range of W stands for that of Hᵀ. A
-    body on one side of everything it touches can leave and has such a point; a box jammed between two walls has no
-    such point.
+    First a velocity change is sought that opens the contacts by the largest velocity, as for a certificate. If none is
+    found soon, a linear program is solved on a pyramid of `facets` facets inside K*. True is a proof. False may be
+    wrong only when no velocity clears the cone by more than the gap between pyramid and cone (2 % of μ ‖u_T‖ for 16
+    facets). None if the program took too many iterations (some seconds). Without factors the range of W replaces that
+    of Hᵀ. A body on one side of everything it touches can leave and has a Slater point; a box jammed between two walls
+    has none.
 
     References
     ----------
     V. Acary, F. Cadoux, C. Lemaréchal, J. Malick, A formulation of the linear discrete Coulomb friction problem via
     convex optimization, ZAMM 91, 2011. A. Klarbring, J.-S. Pang, SIAM J. Optim. 8, 1998.
     """
-    from scipy.optimize import linprog  # a tenth of a second that few need
+    from scipy.optimize import linprog  # the import takes a tenth of a second and is rarely needed
 
     speed = float(np.abs(problem.q).max(initial=0.0)) or 1.0
     wanted = -problem.q
@@ -47,7 +47,7 @@ def has_slater_point(problem: FC3D, facets: int = 16) -> bool | None:
     G = sp.csr_array(
         sp.bsr_array((rows, np.arange(nc), np.arange(nc + 1)), shape=(facets * nc, 3 * nc), blocksize=(facets, 3))
     )
-    # W scaled to a mean of one; the velocities of the bodies are fewer, if they are known.
+    # W scaled to a mean of one; the velocities of the bodies are fewer unknowns, if factors are known.
     B = problem.W / problem.scales.mean() if problem.blocks is None else problem.blocks.jacobian()
     A = sp.hstack((-(G @ B), sp.csr_array(np.ones((facets * nc, 1)))))
     cost = np.zeros(A.shape[1])

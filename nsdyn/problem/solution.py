@@ -1,4 +1,4 @@
-"""What a solver returns, and how a solve ends."""
+"""Result of a solver, and the status in which a solve ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["ACCEPTED", "NotConverged", "Solution", "Status"]
 
 
 class Status(IntEnum):
-    """How a solve ended; `message` says it in words."""
+    """Status in which a solve ended; `message` explains it."""
 
     CONVERGED = 0
     MAX_ITERATIONS = 1
@@ -35,7 +35,7 @@ class Status(IntEnum):
 
     @property
     def message(self) -> str:
-        """One sentence for a person, with the remedy."""
+        """One sentence for the user, with the remedy."""
         return {
             Status.CONVERGED: "converged",
             Status.MAX_ITERATIONS: "the iteration limit was reached; allow more or use solver='auto'",
@@ -53,13 +53,13 @@ class Status(IntEnum):
 
 
 TOLD = Status.CONVERGED, Status.SEVERAL, Status.JAM
-"""Of what met its tolerance: what a simulation says of a step beyond that."""
+"""Statuses that meet the tolerance. The last two are findings of a simulation about such a step."""
 
 ACCEPTED = *TOLD, Status.LOOSE
 
 
 class Solution(NamedTuple):
-    """What a solver returns, measured by the problem itself.
+    """Result of a solver, measured by the problem itself.
 
     Attributes
     ----------
@@ -106,14 +106,14 @@ class Solution(NamedTuple):
 
     @property
     def accepted(self) -> bool:
-        """Whether a simulation goes on with it: converged, or within a loose tolerance where that was given."""
+        """Whether a simulation continues with it: converged, or within a loose tolerance where one was given."""
         return self.status in ACCEPTED
 
     @staticmethod
     def judge(
         problem: FC3D, r: Array, tol: float, iterations: int, time: float, otherwise: Status = Status.STALLED
     ) -> Solution:
-        """Solution of an impulse; converged only if the problem's own measures say so.
+        """Return the solution of an impulse; it is converged only if the measures of the problem say so.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class Solution(NamedTuple):
         time : float
             s.
         otherwise : Status
-            Where it is finite and has not converged.
+            Status if the measures are finite and have not converged.
         """
         _, error, residual, u = problem.solved(r, tol)
         return Solution.measured(r, u, error, residual, tol, iterations, time, otherwise)
@@ -135,7 +135,7 @@ class Solution(NamedTuple):
     def measured(
         r: Array, u: Array, error: float, residual: float, tol: float, iterations: int, time: float, otherwise: Status
     ) -> Solution:
-        """Solution of an impulse with the velocity and the measures that its problem gives it.
+        """Return the solution of an impulse with its velocity and measures already computed by the problem.
 
         Parameters are those of `judge`, and the velocity u (3 nc,) [m/s], error [-] and residual [m/s].
         """
@@ -147,17 +147,17 @@ class Solution(NamedTuple):
 
 
 class NotConverged(RuntimeError):
-    """A solve missed its tolerance.
+    """Error raised when a solve misses its tolerance.
 
     Attributes
     ----------
     problem : FC3D
     solution : Solution
-        The best answer found.
+        The best solution found.
     state : nsdyn.stepping.state.State or None
-        Where the step began that met it, for `Stepper.set_state`; None outside a simulation.
+        State at the beginning of the failed step, for `Stepper.set_state`; None outside a simulation.
     step : int or None
-        Its number, 1 for the first.
+        Number of the step, 1 for the first.
     """
 
     def __init__(
@@ -167,5 +167,5 @@ class NotConverged(RuntimeError):
         self.problem, self.solution, self.state, self.step = problem, solution, state, step
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """All of it, so that it comes back from another process."""
+        """Return all arguments, so that the exception can be passed between processes."""
         return type(self), (str(self), self.problem, self.solution, self.state, self.step)

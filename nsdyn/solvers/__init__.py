@@ -1,16 +1,16 @@
-"""Solvers of the frictional contact problem: one protocol, one list, one file each.
+"""Solvers of the frictional contact problem: one protocol, one registry, one file per solver.
 
 To add one:
 
-1. a file here, or in `nsdyn.literature` for a method that is kept to compare: a frozen dataclass of `Options`, with
-   `tol`, `max_iter` and those of the method, annotated with what they may be (`nsdyn.tools.options`), whose docstring
-   has its equations, its source, and where it fails;
-2. ``__call__(problem, r0=None)`` that returns ``Solution.judge(problem, r, tol, iterations, seconds)``: what the solver
-   believes is not asked, and what is not finite is told by the status;
+1. a file here, or in `nsdyn.literature` for a method kept for comparison: a frozen dataclass of `Options`, with `tol`,
+`max_iter` and the options of the method, each annotated with its admissible values (`nsdyn.tools.options`). Its
+docstring has its equations, its source, and where it fails;
+2. ``__call__(problem, r0=None)`` that returns ``Solution.judge(problem, r, tol, iterations, seconds)``: the measures
+are those of the problem, not of the solver, and the status reports values that are not finite;
 3. its name and its home in `HOMES`, for type checkers also among the imports above it;
-4. `tests/solvers/test_solvers.py` and `tests/literature/test_reference_solvers.py` run all of `SOLVERS`; what the
-   method cannot solve is named there;
-5. a line in `demos/guide/solvers.md`, and ``nsdyn profile DIR --solver NAME --solver auto`` to see where it stands.
+4. `tests/solvers/test_solvers.py` and `tests/literature/test_reference_solvers.py` run all of `SOLVERS`; they list the
+problems that the method cannot solve;
+5. a line in `demos/guide/solvers.md`, and ``nsdyn profile DIR --solver NAME --solver auto`` to compare it.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ __all__ = [
 
 
 class Solver(Protocol):
-    """A frozen dataclass of its own options that is called on a problem."""
+    """Protocol of a solver: a frozen dataclass of its own options that is called on a problem."""
 
     @property
     def tol(self) -> float:
@@ -92,20 +92,20 @@ class Solver(Protocol):
 
 @runtime_checkable
 class Graded(Solver, Protocol):
-    """A solver that may be asked for less than its tolerance, or for more, as `Auto` may."""
+    """Protocol of a solver that can also solve a problem to more or less than its tolerance, as `Auto` can."""
 
     def balanced(self, problem: FC3D, r0: Array, before: Array) -> Solution:
-        """Solve the problem from r0, which is no solution where contacts that hold change their velocity by it."""
+        """Solve the problem from r0; do not accept r0 if it changes the velocity of contacts that hold."""
 
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
-        """Solve the problem, what is dear to the loose tolerance only."""
+        """Solve the problem, its expensive islands only to the loose tolerance."""
 
     def roughly(self, problem: FC3D, r0: Array, effort: float) -> Solution | None:
-        """Few sweeps from r0, and so many times as many towards more; None where r0 is near enough to solve it from."""
+        """Solve roughly from r0, with up to `effort` times as much work for more; None if r0 is near the solution."""
 
 
 QUICK = 0.1
-"""s of solving that may be spent again, at most, where loading kernels took longer."""
+"""Longest solve, s, that is repeated for its time if kernels had to be loaded or compiled for it."""
 
 HOMES = {
     "aclm": ("literature.aclm", "ACLM"),
@@ -127,14 +127,14 @@ HOMES = {
     "tresca": ("literature.tresca", "Tresca"),
     "uzawa": ("literature.uzawa", "Uzawa"),
 }
-"""Module and class of the solvers by name."""
+"""Module and class of each solver, by its name."""
 
 FUNCTIONS = {"Nesterov": "solvers.nesterov", "relaxed": "literature.relaxation"}
-"""Modules of what has no name."""
+"""Modules of the classes and functions that have no name in `HOMES`."""
 
 
 class Known(Mapping[str, type]):
-    """The solvers by name, each loaded when it is asked for; without `nsdyn.literature`, those of this folder."""
+    """Solver classes by name, each loaded at its first look-up; without `nsdyn.literature` those of this folder."""
 
     def __getitem__(self, name: str) -> type:
         home, made = HOMES[name]
@@ -153,7 +153,7 @@ SOLVERS = Known()
 
 
 def __getattr__(name: str) -> Any:
-    """A class of solvers, loaded at its first use."""
+    """Return a solver class or function of this module, loaded at its first use."""
     home = {made: home for home, made in HOMES.values()} | FUNCTIONS
     if name in home:
         return getattr(import_module(f"nsdyn.{home[name]}"), name)
@@ -161,14 +161,14 @@ def __getattr__(name: str) -> Any:
 
 
 def by_name(name: str, tol: float = 1e-8) -> Solver:
-    """Return the solver of that name at tolerance `tol`, and no looser; ValueError for what is none of either."""
+    """Return the solver of that name at tolerance `tol`, and no looser; ValueError for a wrong name or tolerance."""
     made = SOLVERS[choice(name, SOLVERS, "solver")]
     solver: Solver = made(tol=tol, loose=tol) if name == "auto" else made(tol=tol)
     return solver
 
 
 def as_solver(given: str | Solver, tol: float = 1e-8) -> Solver:
-    """The solver of a name as `by_name`, or the solver itself; ValueError for anything else."""
+    """Return the solver of a name as `by_name` does, or the given solver itself; ValueError for anything else."""
     if callable(given) and hasattr(given, "tol") and not isinstance(given, type):
         return given
     if isinstance(given, str):
@@ -183,7 +183,7 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     ----------
     problem : FC3D
     solver : str or Solver
-        A name of `SOLVERS`, or a solver object, which brings its own tolerance.
+        A name of `SOLVERS`, or a solver object, which has its own tolerance.
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike, for a solver given by name.
     r0 : ndarray, shape (3 nc,), optional
@@ -192,14 +192,14 @@ def solve(problem: FC3D, solver: str | Solver = "auto", tol: float = 1e-8, r0: A
     Returns
     -------
     Solution
-        With r, u, status, error, residual, iterations, time: that of solving, without loading or compiling kernels. A
-        problem for which that was needed, and which is quickly solved, is solved twice more: the first use of code is
-        slow.
+        With r, u, status, error, residual, iterations and time. The time excludes loading and compiling kernels. If
+        kernels had to be loaded and the solve was quick, the problem is solved twice more, since the first use of code
+        is slow.
 
     Raises
     ------
     ValueError
-        For what is no problem, no solver or no tolerance, and for an r0 of another shape or with values not finite.
+        If the problem, the solver or the tolerance is invalid, or r0 has another shape or values that are not finite.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The portfolio: what a user gets without choosing."""
+"""Default solver: a portfolio that chooses a method for each island of contacts."""
 
 from __future__ import annotations
 
@@ -22,89 +22,98 @@ from nsdyn.tools.options import NonNegative, Options, Positive
 
 @dataclass(frozen=True)
 class Tuning:
-    """Constants of `Auto`. Efforts are counted in factorisations, so that results do not depend on the machine."""
+    """Constants of `Auto`. Efforts are counted in factorisations, so that results do not depend on the machine.
+
+    The measure of an impulse is the larger of `FC3D.error` and `FC3D.residual`.
+    """
 
     cost: int = 64
-    """Sweeps that count as a factorisation, as they do in a wall."""
+    """Sweeps that count as one factorisation, as measured in a wall."""
 
     length: int = 8
-    """What Newton takes in the first round, and in the next so many times what it took in the last."""
+    """Factorisations of Newton's method in the first round, and their growth factor from each round to the next."""
 
     path: int = 256
-    """What a path of smoothed laws takes in a round from the second on. A way that long is rather begun anew."""
+    """Factorisations of one smoothing path in a round, from the second round on. Beginning a new path is better than
+    following one for longer."""
 
     wide: tuple[float, float] = (1e6, 1e2)
-    """How wide the first path begins, see `Following`, and how many times as wide each later one: from the best impulse
-    most ways are short, and some only from farther off."""
+    """Initial smoothing `wide` of the first path, see `Following`, and its growth factor from each path to the next.
+    From the best impulse most paths are short, and some are short only if they begin farther off, with more
+    smoothing."""
 
     rounds: int = 4
-    """So many at most."""
+    """Largest number of rounds."""
 
     sweeps: tuple[int, int] = (20, 80)
-    """What sweeps with momentum take in a round, and what on their way to tolerances of `polish` and looser: these they
-    mostly reach by themselves, and Newton hardly sooner."""
+    """Factorisations' worth of momentum sweeps in a round: for tight tolerances, and for tolerances of `polish` and
+    looser. Sweeps mostly reach the latter by themselves, and Newton's method hardly sooner."""
 
     patience: int = 128
-    """Sweeps without gain that end those of a round after the first, where it begins with a measure of `polish`: from
-    farther off they may gain late, and nothing else reaches a loose tolerance as soon."""
+    """Sweeps without gain that end the sweeps of a round after the first, if the round begins with a measure of at most
+    `polish`. From farther off sweeps may gain late, and no other method reaches a loose tolerance as soon."""
 
     newton: int = 4
-    """What Newton takes from a warm start, as long as it gains."""
+    """Newton steps of one run from a warm start. Runs are repeated as long as they gain."""
 
     gain: float = 0.1
-    """Measure after a warm start's steps, over that before, at which they go on."""
+    """Largest ratio of the measures after and before a run of `newton` steps at which another run follows."""
 
     free: int = 200
-    """What may be spent on what the start already solves to the loose tolerance."""
+    """Factorisations allowed in all if the start already meets the loose tolerance."""
 
     small: tuple[float, int] = (1e2, 60)
-    """Penalty and Newton steps of islands of few bodies. What redundant contacts exchange drifts by round-off times the
-    penalty from step to step: from 1e4 on, to the cones of bodies at rest."""
+    """Penalty, and Newton steps at most, for islands of few bodies. The impulses that redundant contacts exchange drift
+    from step to step by round-off times the penalty. With penalties from 1e4 on, they drift as far as the cones of
+    bodies at rest."""
 
     polish: float = 1e-5
-    """Fraction of the tolerance to which Newton goes on where it gains, on larger islands only of tolerances that are
-    no looser: what is left of a sticking contact's velocity is a creep that a long simulation adds up. (No simulation
-    gives W alone.)"""
+    """Fraction of the tolerance to which Newton's method continues as long as it gains. On larger islands it does so
+    only for tolerances of at most this value. Reason: the velocity that remains at a sticking contact is a slow drift,
+    which accumulates in a long simulation. (A problem given by W alone is not polished, since no simulation gives W
+    alone.)"""
 
     hopeless: float = 100.0
-    """Loose tolerances that are enough where a problem is only to show what it lacks, see `Auto.roughly`."""
+    """Multiple of the loose tolerance that suffices for a problem solved only to find out which contacts it lacks, see
+    `Auto.roughly`."""
 
 
 TUNING = Tuning()
 
 FLOOR = 1e-14
-"""Round-off in m/s, below which `Tuning.polish` does not go."""
+"""Round-off in m/s. Sharper measures than this are not sought, whatever `Tuning.polish` gives."""
 
 UNKNOWN = np.empty(0)
 
 LIMITS = (DENSE, *TUNING.small)
-"""What `_start.by_factors` takes."""
+"""Limits passed to `_start.by_factors`: most coordinates, penalty, most Newton steps."""
 
 IN_TURN = TUNING.cost * TUNING.sweeps[0], TUNING.length, TUNING.small[0]
-"""What `_start.by_matrix` takes."""
+"""Limits passed to `_start.by_matrix`: most sweeps, Newton steps of the first run, penalty."""
 
-CONVERGED = Status.CONVERGED  # to look it up takes 70 ns
+CONVERGED = Status.CONVERGED  # a global, since looking up the attribute takes 70 ns
 
 
 class Search:
-    """The best impulse of one island so far, and what it has cost.
+    """Search for the impulse of one island. It keeps the best impulse so far and counts the effort.
 
     Parameters
     ----------
     problem : FC3D
     r : ndarray, shape (3 nc,)
-        Where it begins, N·s.
+        Initial impulse, N·s.
     tol, loose, effort : float
-        As of `Auto`.
+        As in `Auto`.
 
     Attributes
     ----------
     r, best : ndarray, float
-        Impulse, in place, and its measure.
+        Best impulse, written in place, and its measure.
     count : int
-        Sweeps and factorisations.
+        Sweeps and factorisations so far.
     spent, limit : float
-        Factorisations, of which sweeps are a fraction; there is a limit from the loose tolerance on.
+        Factorisations so far, where sweeps count as fractions, and their limit. The limit is infinite until the loose
+        tolerance is met.
     """
 
     def __init__(self, problem: FC3D, r: Array, tol: float, loose: float, effort: float) -> None:
@@ -119,11 +128,11 @@ class Search:
 
     @cached_property
     def W(self) -> Operator:
-        """W of the island, where it is factorised."""
+        """W of the island, in a form that can be factorised."""
         return operator(self.problem)
 
     def _note(self, best: float, count: int, spent: float, x: Array | None = None) -> None:
-        """Book what was done, and the impulse x it ended at where that is better than the best, after rounding too."""
+        """Record the work done, and keep its result x if it is better than the best, even with round-off counted."""
         before, self.count, self.spent = self.best, self.count + count, self.spent + spent
         if x is not None and best < before:
             best = max(best, self.problem.round_off(x))
@@ -135,16 +144,19 @@ class Search:
             self.limit = (1.0 + self._effort) * self.spent or TUNING.free
 
     def _most(self, wanted: float) -> float:
-        """So much of the effort, or what is left of it."""
+        """Return the `wanted` factorisations, or as many as the limit still allows."""
         return min(wanted, self.limit - self.spent)
 
     @property
     def over(self) -> bool:
-        """Whether the tolerance is met, or what rounding allows, or the effort spent."""
+        """Whether the tolerance or the round-off is reached, or the effort spent."""
         return self.spent >= self.limit or self.best <= self.tol or self.best <= self.problem.round_off(self.r)
 
     def sweep(self, patience: int) -> None:
-        """Sweeps with momentum from the best or on from the last, first to the loose tolerance: it bounds the rest."""
+        """Run momentum sweeps, first to the loose tolerance, which sets the limit of effort, then to the tight one.
+
+        Continue the last sweeps, or begin anew from the best impulse if another method found it.
+        """
         if self._sweeps is None or self.best < self._sweeps.best:
             self._x = self.r.copy()
             self._sweeps = Sweeps(self.problem, self._x)
@@ -157,7 +169,10 @@ class Search:
                 self._note(self._sweeps.best, used, used / TUNING.cost, self._x)
 
     def settle(self) -> None:
-        """One sweep from the best, unless it is of one: what it leaves may be worse, but misses no other tolerance."""
+        """Replace the best impulse by the result of one more sweep, unless a sweep produced it.
+
+        The result may be worse, but it meets each tolerance that the best impulse meets.
+        """
         if self._sweeps is not None and self._sweeps.best == self.best:
             return
         sweeps = Sweeps(self.problem, x := self.r.copy())
@@ -167,7 +182,7 @@ class Search:
             self.best, self.r[:] = sweeps.best, x
 
     def newton(self, most: float, tol: float) -> None:
-        """Newton from the best or on from the last."""
+        """Run Newton's method from the best impulse, or continue its last run, for at most `most` factorisations."""
         run = self._newton
         if run is None or run.ended or self.best < run.best:
             run = self._newton = Multipliers(self.problem, self.W, self.r.copy(), PENALTY)
@@ -177,24 +192,25 @@ class Search:
         self._note(run.best, used, used, run.r)
 
     def follow(self, wide: float) -> None:
-        """A path of smoothed laws from the best, see `Following`."""
+        """Follow a smoothing path from the best impulse, with the initial smoothing `wide` of `Following`."""
         path = Following(self.problem, self.W, self.tol, self.r, wide)
         path.run(int(np.ceil(self._most(TUNING.path))))
         self._note(path.best, path.count, path.count, path.r)
 
     def converge(self, tol: float) -> None:
-        """Newton as long as it gains, at least to a tolerance."""
+        """Run Newton's method to the sharp tolerance, a few steps at a time, until `tol` is met or gains cease."""
         before = np.inf
         while self.best > tol and self.best <= TUNING.gain * before:
             before = self.best
             self.newton(TUNING.newton, self.sharp)
 
     def run(self, warm: bool) -> None:
-        """Newton from a warm start; then all in turn, Newton longer every time; Newton to the last digits.
+        """Run Newton's method from a warm start, then rounds of all methods, then Newton's method to the last digits.
 
-        What is near is mostly Newton's, which stalls from farther off, where a path comes first.
-        What has converged is mostly nearer in its cones. What is loose is left as one sweep leaves it: what slips has
-        all the friction it can have then, and no impulse is outside its cone.
+        Newton's method takes more steps in each round. It usually solves a problem from nearby and stalls from farther
+        off, where a path comes before it. A converged impulse usually improves when it is projected on its cones. A
+        loose impulse is replaced by the result of one sweep: sliding contacts then have all the friction they can have,
+        and no impulse is outside its cone.
         """
         if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
             self.converge(self.tol)
@@ -202,7 +218,7 @@ class Search:
         for k in range(TUNING.rounds):
             if self.over:
                 break
-            if k > 0 or self.problem.blocks is not None:  # a W given alone has had the first
+            if k > 0 or self.problem.blocks is not None:  # a problem given by W alone has had its first sweeps
                 late = k > 0 and self.best <= TUNING.polish
                 self.sweep(TUNING.patience if late else TUNING.cost * sum(TUNING.sweeps))
             means = [partial(self.newton, TUNING.length ** (k + 1), self.tol)]
@@ -222,36 +238,39 @@ class Search:
 
 
 def sharp(tol: float) -> float:
-    """What a problem is solved to where Newton gets there."""
+    """Return the sharp tolerance: the measure to which a problem is solved if Newton's method reaches it."""
     return max(TUNING.polish * tol, FLOOR)
 
 
 @dataclass(frozen=True)
 class Auto(Options):
-    """Portfolio, island by island, to a tolerance where it buys something and with a bound on effort everywhere.
+    """Portfolio of methods, chosen island by island, with a bound on the effort beyond the loose tolerance.
 
-    An island with one contact is solved in closed form, one of few bodies by Newton from any start: both in one kernel
-    call. On larger ones a warm start first gets Newton steps as long as they gain, since the contact states of the last
-    step mostly hold. Then come rounds: sweeps with momentum, then Newton, longer every time, and a path of smoothed
-    laws from the best impulse, begun with more smoothing every time: before Newton from far off, from the second round
-    on, after it where that is near, from the third on. Sweeps and Newton go on where they were, and begin anew where
-    another has found better. A problem given by W alone, which need not be symmetric, has the sweeps of the first round
-    in one kernel call, with Newton in turn where that costs no more, and the same means after.
+    One kernel call solves all islands of one contact in closed form, and those of few bodies by Newton's method from
+    any start. On a larger island with a warm start Newton's method comes first, as long as it gains, since most contact
+    states of the last step still hold. Then come rounds of momentum sweeps, Newton's method (longer in each round) and
+    a smoothing path from the best impulse (with more smoothing in each round). Far from the solution the path comes
+    before Newton's method, from the second round on; near it, after Newton's method, from the third round on. Sweeps
+    and Newton's method continue from their own last iterates, or begin anew from the best impulse if another method has
+    found a better one. For a problem given by W alone, which need not be symmetric, one kernel call makes the sweeps of
+    the first round, in turn with Newton's method where that costs no more. The same methods follow.
 
-    What meets `tol` is CONVERGED. Effort towards it is bounded by a multiple of what it took to meet `loose`, in
-    operations and not in time, so that results do not depend on the machine; what then meets `loose` is LOOSE:
-    accepted, with its error on record. What misses `loose` has failed: it is STALLED where no more than rounding is
-    left; else it is checked for a Slater point, without which no solution is guaranteed, and its status says so.
+    A solution that meets `tol` is CONVERGED. The effort towards `tol` is bounded by a multiple of the effort that met
+    `loose`. Effort is counted in operations and not in time, so that results do not depend on the machine. A solution
+    that then meets only `loose` is LOOSE: it is accepted and its error recorded. A solution that misses `loose` has
+    failed. It is STALLED if its error is mere round-off. Otherwise the problem is checked for a Slater point, without
+    which no solution is guaranteed, and the status says so.
 
     Parameters
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     loose : float
-        What is acceptable where `tol` costs too much; `tol` itself where that is looser, and then every problem gets
-        all means.
+        Tolerance that is acceptable where `tol` costs too much. If `tol` is looser it replaces `loose`, and every
+        problem gets all methods.
     effort : float
-        Bound on the effort beyond `loose`, as a multiple of that for `loose`; `Tuning.free` where the start meets it.
+        Bound on the effort beyond `loose`, as a multiple of the effort that met `loose`; `Tuning.free` where the start
+        meets `loose`.
     """
 
     tol: Positive = 1e-8
@@ -260,7 +279,7 @@ class Auto(Options):
 
     @cached_property
     def aims(self) -> tuple[float, float]:
-        """What islands of few coordinates are solved to where Newton gets there, and at least; measures in m/s or -."""
+        """Measures (m/s or -) for islands of few coordinates: the aim of Newton's method, and the one required."""
         return sharp(self.tol), MARGIN * self.tol
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
@@ -269,25 +288,27 @@ class Auto(Options):
         return solution if solution.status is CONVERGED else self._explained(problem, solution)
 
     def balanced(self, problem: FC3D, r0: Array, before: Array) -> Solution:
-        """Solve the problem from r0, which is no solution where it changes velocities of contacts that hold by much.
+        """Solve the problem from r0; large islands also if r0 meets the tolerance but its impulses are out of balance.
 
-        As little as the tolerance allows, in every step, adds up; from `before` (3 nc,), the relative velocities before
-        the impulses, m/s.
+        The impulses of r0 are out of balance if they change the velocities of contacts that hold (`_start.change`).
+        Even changes within the tolerance add up if every step makes them. `before` (3 nc,) are the relative velocities
+        before the impulses, m/s.
         """
         return self._explained(problem, self._solved(problem, r0, self.tol, before=before))
 
     def loosely(self, problem: FC3D, r0: Array) -> Solution:
-        """Solve the problem from r0 (3 nc,), N·s, large islands to the loose tolerance only, as those of a collision.
+        """Solve the problem from r0 (3 nc,), N·s; large islands only to the loose tolerance, as in a collision.
 
-        For what follows on such a solution and differs little.
+        Meant for a problem that differs little from one whose solution was loose.
         """
         return self._explained(problem, self._solved(problem, r0, max(self.tol, self.loose)))
 
     def roughly(self, problem: FC3D, r0: Array, effort: float) -> Solution | None:
-        """Large islands to `Tuning.hopeless` loose tolerances from r0 where that misses these, None where it does not.
+        """Solve large islands to `Tuning.hopeless` loose tolerances; None if r0 is 0 or its residual is as small.
 
-        For a problem that is posed anew with what its motion shows: a miss of more than that is of a collision. Towards
-        the loose tolerance goes so much `effort`, as a multiple of that so far.
+        Meant for a problem that is posed again with the contacts its motion shows. A start that misses by more than
+        this many tolerances belongs to a collision. `effort` bounds the further effort towards the loose tolerance, as
+        a multiple of the effort so far.
         """
         loose = max(self.tol, self.loose)
         enough = TUNING.hopeless * loose
@@ -303,9 +324,10 @@ class Auto(Options):
         bound: tuple[float, float] | None = None,
         before: Array = UNKNOWN,
     ) -> Solution:
-        """Solve the problem from r0, islands that take more than a kernel call to the tolerance `large`.
+        """Solve the problem from r0; islands that need more than one kernel call to the tolerance `large`.
 
-        And with such a bound on effort, (loose, effort) as of `Auto`; with that of `Auto` itself if none is given.
+        For large islands `bound` is (loose, effort), with the meaning these have in `Auto`; by default it is taken from
+        `Auto`. `before` is that of `balanced`.
         """
         start, nc, blocks = clock(), problem.mu.size, problem.blocks
         r, u = np.zeros(3 * nc) if r0 is None else problem.impulse(r0).copy(), np.empty(3 * nc)
@@ -340,7 +362,7 @@ class Auto(Options):
                     r[i], count = x, count + search.count
             _, error, residual, u = problem.solved(r, self.tol)
         if error <= self.tol and residual <= self.tol:
-            # In half the time that Solution(...) takes
+            # Takes half the time of Solution(...)
             return tuple.__new__(Solution, (r, u, CONVERGED, error, residual, count, clock() - start))
         otherwise = Status.LOOSE
         if (worst := max(error, residual)) > self.loose:
@@ -349,7 +371,7 @@ class Auto(Options):
 
     @staticmethod
     def _explained(problem: FC3D, solution: Solution) -> Solution:
-        """The solution with `Status.NO_SLATER_POINT` where none is guaranteed to exist."""
+        """Return the solution, with `Status.NO_SLATER_POINT` if it failed and no solution is guaranteed to exist."""
         if solution.status is not Status.MAX_ITERATIONS:
             return solution
         from nsdyn.problem.slater import has_slater_point  # rarely needed, and its imports take long

@@ -1,4 +1,7 @@
-"""Continuation along smoothed laws to Coulomb's, which turns with its path where Newton's methods stall."""
+"""Continuation from smoothed laws to Coulomb's law along a path that is followed through its turning points.
+
+Newton's methods stall at such points.
+"""
 
 from __future__ import annotations
 
@@ -24,35 +27,36 @@ STRETCH = 40.0
 """κ λ_max(W_cc) of the normal map z = r - κ u."""
 
 CLOSE, CONTRACTION, AGAIN = 1e-3, 0.7, 0.5
-"""Defect in units of the smoothing at which a point is on the path, what a correction has to leave of it at most, and
-what it leaves where the next is made with the same matrix."""
+"""Largest defect of a point on the path, in units of the smoothing; largest ratio of the defects after and before a
+correction; and largest such ratio at which the next correction reuses the same matrix."""
 
 GROWTH, SHRINKAGE = 1.5, 0.5
-"""Length of the next step over that of the last: after one factorisation and little turning, and after more than two or
-where it was refused."""
+"""Ratio of the next step length to the last: after one factorisation and little turning; and after more than two
+factorisations or a refused step."""
 
 STRAIGHT, SHARP = 0.9, 0.5
-"""Cosines between the directions at both ends of a step: little turning, and too much."""
+"""Cosines between the directions at both ends of a step: above the first the path turns little, below the second too
+much."""
 
 ATTEMPT, ATTEMPTS, FLOOR = 1e-7, 1e-2, 1e-14
-"""τ / (max r_N² λ_max) from which on Newton's method for the law itself is tried, by which this falls between attempts,
-and below which the matrices are those of round-off, as steps of that length are."""
+"""Value of τ / (max r_N² λ_max) below which Newton's method for Coulomb's law itself is tried; factor by which this
+threshold falls between attempts; and value below which the matrices are mere round-off, as are steps of that length."""
 
 STEPS = 5
-"""Newton steps of such an attempt."""
+"""Newton steps of one such attempt."""
 
 
 class Point(NamedTuple):
-    """A point of the plane of (z, t) and what the smoothed law says there.
+    """Point (z, t) with the impulse and velocity of the smoothed law.
 
     Attributes
     ----------
     x : ndarray, shape (3 nc + 1,)
         z [N·s], the variable of the normal map, and t = log τ, τ in J.
     r, u : ndarray, shape (3 nc,)
-        The law's impulse, N·s, and its relative velocity, m/s.
+        Impulse, N·s, and relative velocity, m/s, of the law.
     slip : ndarray, shape (nc, 2)
-        The law's λ, kg⁻¹, and D, (N·s)².
+        λ, kg⁻¹, and D, (N·s)², of the law.
     v : ndarray, shape (3 nc,)
         W r + q, m/s.
     defect : ndarray, shape (3 nc,)
@@ -68,9 +72,9 @@ class Point(NamedTuple):
 
 
 class Path:
-    """The curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws, which any z_0 is on at any τ_0.
+    """Curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws. Any z_0 lies on it at any τ_0.
 
-    It begins at z_0 = r, an impulse (3 nc,) in N·s, and a τ_0 in J.
+    The curve begins at z_0 = r, an impulse (3 nc,) in N·s, and a τ_0 in J.
 
     Attributes
     ----------
@@ -81,13 +85,13 @@ class Path:
     kappa, k : ndarray, shapes (nc,) and (3 nc,)
         κ of each contact and of each of its components, kg.
     obeyed : ndarray of bool, shape (3 nc,)
-        Which components have an equation: not the tangents of a contact without friction.
+        Components that have an equation: all but the tangents of contacts without friction.
     G0 : ndarray, shape (3 nc,)
         W r + q - u at z_0 and τ_0, m/s.
     t0 : float
         log τ_0.
     start : Point
-        Where the curve begins.
+        First point of the curve.
     """
 
     def __init__(self, p: FC3D, W: Operator, r: Array, tau: float) -> None:
@@ -103,7 +107,7 @@ class Path:
         self.start = self.at(begin)
 
     def at(self, x: Array) -> Point:
-        """The point x = (z, t); ZeroDivisionError where floating point has none."""
+        """Return the point x = (z, t); ZeroDivisionError if it is out of the range of floating-point numbers."""
         tau, part = float(np.exp(x[-1])), float(np.exp(x[-1] - self.t0))
         r, u = np.empty((2, self.q.size))
         slip = np.empty((self.mu.size, 2))
@@ -120,20 +124,20 @@ class Path:
         return out
 
     def metric(self, t: float) -> Array:
-        """Weights of (dz, dt): a contact's z in units of √(κ τ), what the smoothing rounds off."""
+        """Weights of (dz, dt): the z of a contact is in units of √(κ τ), the length that the smoothing rounds off."""
         return np.append(np.exp(-t) / self.k, 1.0)
 
     def measure(self, point: Point) -> float:
-        """Larger of the literature's error and the residual in m/s of the impulse of a point."""
+        """Larger of the literature's error and the residual in m/s, for the impulse of a point."""
         return float(_cones.measure_at(self.scales, point.v, point.r, self.mu, self.q_norm))
 
     def size(self, point: Point) -> float:
-        """Root of the mean square of the defect in these units."""
+        """Root mean square of the defect, in units of the smoothing, √(τ / κ)."""
         return float(np.linalg.norm(point.defect * np.sqrt(self.k)) / np.sqrt(np.exp(point.x[-1]) * self.q.size))
 
 
 class Linear:
-    """The inverse of ∂G/∂z = (I + W A) (A + κ)⁻¹ at a point: one factorisation.
+    """Inverse of ∂G/∂z = (I + W A) (A + κ)⁻¹ at a point, from one factorisation.
 
     A, shape (nc, 3, 3), is -∂r/∂u of the law at constant τ, kg. RuntimeError where I + W A is singular.
     """
@@ -144,28 +148,29 @@ class Linear:
         self.solve = path.W.factor(self.A)
 
     def __call__(self, g: Array) -> Array:
-        """The dz of a change g of G: (A + κ) (I + W A)⁻¹ g."""
+        """Return the change dz that changes G by g: (A + κ) (I + W A)⁻¹ g."""
         dz = np.empty_like(g)
         _kernels.product(self.A, np.zeros_like(self.kappa), self.mu, g, dz)
         _kernels.product(self.A, self.kappa, self.mu, g - self.solve(dz), dz)
         return dz
 
     def tangent(self, rate: Array) -> Array:
-        """A direction (dz, dt) along the path."""
+        """Return a tangent (dz, dt) of the path, for its `rate` ∂G/∂t."""
         return np.append(-self(rate), 1.0)
 
 
 def _unit(direction: Array, metric: Array) -> Array:
-    """The direction at unit length."""
+    """Return the direction scaled to unit length in the metric."""
     out: Array = direction / np.sqrt(metric * direction @ direction)
     return out
 
 
-@np.errstate(all="ignore")  # a point too far is refused
+@np.errstate(all="ignore")  # a point out of range is refused
 def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array, int]:
-    """Newton's method to the path from x in a plane: the point, if it is reached, its tangent, and factorisations.
+    """Correct x to the path by Newton's method in a plane; return the point, its tangent, and the factorisations.
 
-    A matrix serves as long as it gains. The tangent is by the last one, which is of a point before.
+    The point is None if it is not reached. `plane` is the normal of the plane. A matrix is reused as long as the defect
+    falls fast enough. The tangent uses the last matrix, which belongs to an earlier point.
     """
     last, tangent, count = np.inf, plane, 0
     linear: Linear | None = None
@@ -190,21 +195,22 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
 
 
 class Following:
-    """The way along the path from an impulse, which may be interrupted; the best one found is in r.
+    """Follow the path of smoothed laws from an impulse, with interruptions; the best impulse so far is in r.
 
-    The smoothed law of `_kernels.smoothing` has a solution for every z, and with τ from large to 0 it describes a path
-    to a solution of Coulomb's law, which turns back in τ where much slides: there the methods stall that lower τ. Here
-    steps go along the tangent, in z and t = log τ alike, and Newton's method leads back to the path in the plane normal
-    to it (pseudo-arclength). On the way, where τ is small, Newton's method for Coulomb's law itself is tried.
+    The smoothed law of `_kernels.smoothing` has a solution for every z. As τ falls from large values to 0, the
+    solutions form a path to a solution of Coulomb's law. Where many contacts slide, the path turns back in τ. Methods
+    that only lower τ stall at such turning points. Here each step goes along the tangent, in z and t = log τ alike, and
+    Newton's method returns to the path in the plane normal to the tangent (pseudo-arclength). On the way, where τ is
+    small, Newton's method for Coulomb's law itself is tried.
 
     Parameters
     ----------
     problem : FC3D
     W : Operator
     tol : float
-        Measure of r at which the way ends.
+        Measure of r at which the search ends.
     r : ndarray, shape (3 nc,)
-        Where it begins, N·s.
+        Initial impulse, N·s.
     wide : float
         τ_0 λ_max(W_cc) over the square of the residual of r.
 
@@ -232,7 +238,7 @@ class Following:
         self._steps = self._taken(r.copy(), tau)
 
     def run(self, most: int) -> None:
-        """Go on to the tolerance or for so many factorisations, and what the last step takes."""
+        """Continue to the tolerance or for `most` factorisations; the last step may exceed them."""
         end = self.count + most
         while self.best > self.tol and self.count < end and next(self._steps, None) is not None:
             pass
@@ -243,7 +249,7 @@ class Following:
             self.r[:] = x
 
     def _attempt(self, r: Array, most: float) -> Iterator[bool]:
-        """Newton's method for the law itself from r, to its own end or for so many factorisations."""
+        """Try Newton's method for Coulomb's law itself from r, until it ends or for `most` factorisations."""
         run = Multipliers(self.problem, self.W, r.copy(), PENALTY)
         while not run.ended and run.count < most:
             before = run.count
@@ -253,14 +259,14 @@ class Following:
             yield True
 
     def _taken(self, r: Array, tau: float) -> Iterator[bool]:
-        """The steps of the path from r at τ = tau, then those of Newton's method from its end."""
+        """Take the steps of the path from r at τ = tau, then the steps of Newton's method from its end."""
         length, attempt = 1.0, ATTEMPT
         self.count += 1
         try:
             path = Path(self.problem, self.W, r, tau)
             here, scale = path.start, float(path.scales.mean())
             direction = -_unit(Linear(path, here).tangent(path.rate(here)), path.metric(here.x[-1]))
-        except (ZeroDivisionError, RuntimeError):  # no point of floating point, no inverse
+        except (ZeroDivisionError, RuntimeError):  # point out of range, or no inverse
             return
         while True:
             yield True
@@ -291,7 +297,7 @@ class Following:
 
 
 def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
-    """Solve one connected problem from nothing, the best impulse into r: (factorisations, its measure)."""
+    """Solve one connected problem from r = 0, with the best impulse written into r: (factorisations, its measure)."""
     way = Following(problem, W, tol, np.zeros_like(r), 1.0)
     way.run(most)
     r[:] = way.r
@@ -300,10 +306,11 @@ def continuation(problem: FC3D, W: Operator, r: Array, tol: float, most: int) ->
 
 @dataclass(frozen=True)
 class Continuation(Options):
-    """Pseudo-arclength continuation from smoothed laws to Coulomb's, island by island, from nothing.
+    """Pseudo-arclength continuation from smoothed laws to Coulomb's law, island by island, from r = 0.
 
-    Good where all else stalls: collisions of many bodies, large friction, redundant contacts. It costs 20 to 100
-    factorisations where sweeps would do and up to 350 where they would not, and it has no use for a warm start.
+    It solves problems at which all other methods stall: collisions of many bodies, large friction, redundant contacts.
+    It costs 20 to 100 factorisations where sweeps would do and up to 350 where they would not. It cannot use a warm
+    start.
 
     Parameters
     ----------
@@ -321,5 +328,5 @@ class Continuation(Options):
     max_iter: Count = 1000
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem; of r0 is only asked whether it is the solution."""
+        """Solve the problem; r0 is only checked for being a solution already."""
         return by_islands(problem, r0, self.tol, partial(continuation, most=self.max_iter))

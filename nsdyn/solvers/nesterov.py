@@ -1,4 +1,4 @@
-"""Projected Gauss–Seidel with Nesterov's momentum, contact by contact."""
+"""Projected Gauss–Seidel sweeps with Nesterov's momentum, which is restarted contact by contact."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ CHECK = 10
 
 
 class Sweeps:
-    """Sweeps with momentum, which may be interrupted; the best impulse so far is in r.
+    """Sweeps with momentum that can be interrupted and continued. The best impulse so far is in r.
 
-    Free bodies are swept by their factors, others by W, which need not be symmetric.
+    For free bodies sweeps use the factors of W, else W itself, which need not be symmetric.
 
     Attributes
     ----------
@@ -47,26 +47,26 @@ class Sweeps:
         self.count, self._keep = 0, 0.5
 
     def run(self, tol: float, most: int, patience: int) -> None:
-        """Go on to the tolerance, to so many sweeps in all or so many without gain."""
+        """Continue to the tolerance, to `most` sweeps in all, or to `patience` sweeps without gain."""
         self._run((self.count, self.count, self.best, self._keep), (tol, most, CHECK, patience))
 
     def once(self) -> None:
-        """One sweep more, whose impulse is the best, whatever it is."""
+        """Make one more sweep and take its impulse as the best, whatever its measure."""
         self._run((self.count, self.count, np.inf, self._keep), (0.0, self.count + 1, 1, 1))
 
     def _run(self, so_far: tuple[int, int, float, float], limits: tuple[float, int, int, int]) -> None:
-        """The kernel of sweeps, from so far to such limits."""
+        """Run the kernel of sweeps from the state `so_far` to the `limits`."""
         solve = _kernels.solve if self._free else _kernels.solve_matrix
         self.count, _, self.best, self._keep = solve(self._given, self._state, so_far, limits)
 
 
 @dataclass(frozen=True)
 class Nesterov(Options):
-    """Gauss–Seidel sweeps with Nesterov's momentum that each contact loses by itself.
+    """Gauss–Seidel sweeps with Nesterov's momentum, which is restarted contact by contact.
 
-    Good on random piles at loose tolerances: about 20 ns per contact and sweep, no factorisation, and momentum survives
-    contacts that open, stick or slip one after the other, where combinations of past sweeps (`pgs`) stall. It fails
-    where bodies are stacked high or tolerances are tight, at a linear rate.
+    Good on random piles at loose tolerances: a sweep takes about 20 ns per contact and needs no factorisation. The
+    momentum survives contacts that open, stick or slip one after the other, where combinations of past sweeps (`pgs`)
+    stall. The method fails where bodies are stacked high or tolerances are tight, since it converges linearly.
 
     Parameters
     ----------
@@ -75,14 +75,14 @@ class Nesterov(Options):
     max_iter : int
         Sweeps.
     patience : int
-        Sweeps without a better impulse after which the solve is called stalled.
+        Sweeps without a better impulse after which the solve has stalled.
 
     References
     ----------
-    Y. Nesterov, A method of solving a convex programming problem with convergence rate O(1/k²), Soviet Math. Dokl.
-    27, 1983. B. O'Donoghue, E. Candès, Adaptive restart for accelerated gradient schemes, Found. Comput. Math. 15,
-    2015. H. Mazhar, T. Heyn, D. Negrut, A. Tasora, Using Nesterov's method to accelerate multibody dynamics with
-    friction and contact, ACM Trans. Graph. 34, 2015.
+    Y. Nesterov, A method of solving a convex programming problem with convergence rate O(1/k²), Soviet Math. Dokl. 27,
+    1983. B. O'Donoghue, E. Candès, Adaptive restart for accelerated gradient schemes, Found. Comput. Math. 15, 2015. H.
+    Mazhar, T. Heyn, D. Negrut, A. Tasora, Using Nesterov's method to accelerate multibody dynamics with friction and
+    contact, ACM Trans. Graph. 34, 2015.
     """
 
     tol: Positive = 1e-8

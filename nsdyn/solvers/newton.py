@@ -1,4 +1,4 @@
-"""Semismooth Newton in the proximal method of multipliers, for the velocity."""
+"""Semismooth Newton method for the velocity, within the proximal method of multipliers."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from nsdyn.tools.options import Count, Options, Positive
 __all__ = ["DENSE", "MARGIN", "PENALTY", "Newton", "by_islands", "newton", "part"]
 
 DENSE = 120
-"""Islands up to this many coordinates are factorised densely: below it LAPACK in the kernel beats a sparse call."""
+"""Largest number of coordinates of an island with dense factorisations: up to it LAPACK in the kernel is faster than a
+sparse call."""
 
 PENALTY = 1e5
-"""First penalty times λ_max(W_cc) from what other methods have found; it adapts."""
+"""First penalty times λ_max(W_cc) from the result of another method; the penalty adapts."""
 
 MARGIN = 0.9
-"""Fraction of the tolerance that islands are solved to, so that what the judge measures stays below."""
+"""Fraction of the tolerance to which islands are solved, so that the final measure of the problem stays below it."""
 
 
 class Multipliers:
-    """The proximal method of multipliers of `_kernels.newton`, which may be interrupted; the best impulse is in r.
+    """Proximal method of multipliers of `_kernels.newton`, with interruptions. The best impulse so far is in r.
 
-    Islands of few coordinates are solved by one kernel call, every time from the best.
+    For an island of few coordinates each run is one kernel call that starts from the best impulse.
 
     Attributes
     ----------
@@ -56,7 +57,7 @@ class Multipliers:
             next(self._steps)
 
     def run(self, tol: float, most: int) -> None:
-        """Go on to the tolerance or for so many factorisations."""
+        """Continue to the tolerance or for `most` factorisations."""
         if self._dense is None:
             for _ in range(most):
                 if self.best <= tol or next(self._steps, None) is None:
@@ -68,7 +69,7 @@ class Multipliers:
         self.count, self.ended = self.count + used, used < most
 
     def _taken(self) -> Iterator[bool]:
-        """The steps, after the measure of the first impulse: `_kernels.dense` for any W."""
+        """Measure the initial impulse, then take one Newton step at a time: `_kernels.dense` for any W."""
         W, penalty, q, mu, scales = self.W, self._penalty, self.problem.q, self.problem.mu, self.problem.scales
         given = mu, scales, self.problem.q_norm
         (P, step), A, estimate = np.empty((2, self.r.size)), np.empty((mu.size, 3, 3)), self.r.copy()
@@ -101,14 +102,17 @@ class Multipliers:
 
 
 def newton(problem: FC3D, W: Operator, r: Array, tol: float, penalty: float, most: int) -> tuple[int, float]:
-    """Newton for any W from r (3 nc,), N·s, in place: (factorisations, which are `most` at most, measure of r)."""
+    """Solve by Newton's method for any W from r (3 nc,), N·s, in place; return (factorisations, measure of r).
+
+    At most `most` factorisations are made.
+    """
     run = Multipliers(problem, W, r, penalty)
     run.run(tol, most)
     return run.count, run.best
 
 
 def part(problem: FC3D, label: Index, k: int) -> tuple[Any, FC3D]:
-    """Rows of island k in the 3 nc vectors, and the island as a problem of its own."""
+    """Return the rows of island k in vectors of 3 nc entries, and the island as a problem of its own."""
     blocks = problem.blocks
     whole = not label.any() and (
         blocks is None or np.unique(blocks.block[blocks.block >= 0]).size == blocks.offset.size - 1
@@ -127,11 +131,11 @@ def part(problem: FC3D, label: Index, k: int) -> tuple[Any, FC3D]:
 def by_islands(
     problem: FC3D, r0: Array | None, tol: float, solve: Callable[[FC3D, Operator, Array, float], tuple[int, float]]
 ) -> Solution:
-    """Solve a problem from r0, every island by itself, unless r0 solves it.
+    """Solve a problem from r0, each island by itself, unless r0 already solves it.
 
-    `solve` takes an island's problem, its W, the impulse to improve in place, and its tolerance; it returns its
-    iterations and the measure of what it found. An island has its own norm of q, so that what each meets all meet
-    together.
+    `solve` takes the problem of an island, its W, the impulse to improve in place, and a tolerance. It returns the
+    number of iterations and the measure of the result. Each island has its own norm of q: a tolerance that each island
+    meets is met by the whole problem.
     """
     start, count = clock(), 0
     r = np.zeros_like(problem.q) if r0 is None else problem.impulse(r0).copy()
@@ -147,11 +151,11 @@ def by_islands(
 
 @dataclass(frozen=True)
 class Newton(Options):
-    """Semismooth Newton on the augmented Lagrangian of the velocity problem, island by island.
+    """Semismooth Newton method on the augmented Lagrangian of the velocity problem, island by island.
 
-    Good near the solution: quadratic, immune to mass ratios, and a rank-deficient W is no obstacle since the matrix
-    M + Σ H_c A_c H_cᵀ is as large as the coordinates. It fails from a cold start when many contacts change their
-    state at once: `auto` finds the states first.
+    Good near the solution: it converges quadratically and is insensitive to mass ratios. A rank-deficient W is no
+    obstacle, since the matrix M + Σ H_c A_c H_cᵀ has the size of the coordinates. It fails from a cold start when many
+    contacts change their state at once: `auto` finds the contact states first.
 
     Parameters
     ----------

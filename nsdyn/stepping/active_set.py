@@ -16,13 +16,14 @@ import numpy as np
 from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.stepping import active_set as _active_set
 from nsdyn._kernels.stepping import touching as _touching
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, Poses, carry, take, united
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Midpoint
-from nsdyn.stepping.scene_state import FAST, JOINT, SceneState, System, among
+from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = [
@@ -93,7 +94,7 @@ def captured_limits(
     held = begin.limits[np.where(friction, 0, place)] <= s.gap_tol if begin.limits.size else friction
     pressed = begin.warm.joints[joints.slot, 0] > 0.0
     rate = np.where(pressed, laws.rates(joints.slot, begin.v), laws.rates(joints.slot, v))
-    shallow = joints.gap + ahead * rate > -s.depth * JOINT
+    shallow = joints.gap + ahead * rate > -s.depth * OPTIONS.joint
     shallow &= ~among(-1 - place, located)
     return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
 
@@ -155,7 +156,7 @@ def continuous_contacts(
     closed = take(begin.contacts, begin.contacts.gap <= s.gap_tol)
     touches = s.touches(begin.placement, there, memory, None, closed)
     c = touches.contacts
-    deep = c.gap < -FAST * np.minimum(s.inscribed[c.geom1], s.inscribed[c.geom2])
+    deep = c.gap < -OPTIONS.unseen * np.minimum(s.inscribed[c.geom1], s.inscribed[c.geom2])
     if not deep.any():
         return contacts, memory
     first = take(c, deep)

@@ -1,13 +1,14 @@
-"""Dry friction of ball joints, ‖τ‖ ≤ τ_c, of the cones with two tangents that the solvers have.
+"""Dry friction of ball joints, ‖τ‖ ≤ τ_c, built from the solvers' cones, which have two tangents.
 
-The first two axes slip as a disk pressed with p cos α, the third as a clutch pressed with p sin α, where p = h τ_c.
-Whatever α is, both resist what slips, and together they are in the ball. They are its law,
+The first two axes are a disk pressed with p cos α, the third axis is a clutch pressed with p sin α, where p = h τ_c.
+For any α both parts resist their slip, and their sum lies in the ball ‖τ‖ ≤ p. The two parts satisfy the law of the
+ball,
 
     τ = -p ω/‖ω‖  where ω ≠ 0,   ‖τ‖ ≤ p  where ω = 0,
 
-where both stick, or α is the angle of τ - s ω between the plane of the disk and the third axis, for any s > 0. This
-fixed point is found by secants: only velocities of the problem change with α, and few solves more are needed in a step,
-for the last impulses tell where to begin.
+if both stick, or if α is the angle of τ - s ω with the plane of the disk, for any s > 0. Secants find this fixed point.
+Only velocities of the problem change with α. A step needs few additional solves, because the last impulses give a good
+first α.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def angles(axes: Array) -> Array:
 
 
 def _wanted(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Array:
-    """Angles that impulses r and velocities u of all rows ask for; those there are where both parts stick."""
+    """Angles α after one fixed-point step, from impulses r and velocities u of all rows; unchanged if both stick."""
     tau, shares = rows.ball_axes(r), rows.shares
     inside = (np.hypot(tau[:, 0], tau[:, 1]) < STICKS * shares[:, 0]) & (np.abs(tau[:, 2]) < STICKS * shares[:, 1])
     mobility = np.maximum(scales[rows.balls], scales[rows.balls + 1])
@@ -55,9 +56,9 @@ def _now(rows: ContactJacobian) -> Array:
 
 
 def unbalanced(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Bools:
-    """Which ball joints slip along another direction than their friction, shape (balls,).
+    """Ball joints whose friction is not opposite to their slip, shape (balls,).
 
-    At impulses r and velocities u (3 nc,) of all rows, whose mobilities are `scales` (nc,), as of `FC3D`.
+    At impulses r and velocities u (3 nc,) of all rows, with mobilities `scales` (nc,) as in `FC3D`.
     """
     out: Bools = np.abs(_wanted(rows, r, u, scales) - _now(rows)) > ALIKE
     return out
@@ -66,7 +67,8 @@ def unbalanced(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Bool
 class Search:
     """Broyden's secants for the angles α of all ball joints of a move.
 
-    They begin with the fixed point's own step, and do so again where a secant leaves the quadrant or has led far away.
+    The first step is that of the fixed-point iteration. The secants restart with it if one leaves the quadrant or has
+    led far away.
     """
 
     def __init__(self) -> None:
@@ -74,7 +76,7 @@ class Search:
         self._inverse = np.empty((0, 0))
 
     def next(self, rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Array | None:
-        """Angles to try after a solve with those of `rows`, rad; None where they are found."""
+        """Return the angles to try after a solve with those of `rows`, rad; None if the latter are the solution."""
         now = _now(rows)
         wanted = _wanted(rows, r, u, scales)
         off = wanted - now

@@ -1,7 +1,7 @@
-"""The state of a run as plain arrays, from which it goes on bit for bit.
+"""Checkpoints: the state of a run as plain arrays, from which the run continues bit for bit.
 
-Everything of `nsdyn.stepping.stepper.State` is stored but what is found again to the last bit: the links of trees and
-their energies, which follow from their coordinates.
+All of `nsdyn.stepping.stepper.State` is stored except the links of trees and their energies. Both are computed again
+from the coordinates, to the last bit.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ OPENING = SlaterDirection(NOTHING, 0, 0.0)
 
 
 def pack(state: State) -> Arrays:
-    """The arrays of a state by the names of its parts, numbers as arrays without axes."""
+    """Return the arrays of a state by the names of its parts, numbers as arrays without axes."""
     out = dict(_parts(_plain(state), "state"))
     if state.slater is not None:
         out |= _parts(state.slater, "opening")
@@ -40,7 +40,7 @@ def pack(state: State) -> Arrays:
 
 
 def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
-    """The state of `pack`; `like` is any state of the same scene.
+    """Return the state that `pack` stored; `like` is any state of the same scene.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def unpack(arrays: Arrays, like: State, dynamics: Dynamics) -> State:
 
 
 def _plain(state: State) -> State:
-    """The state without what is stored apart or found again."""
+    """The state without its Slater direction and last step, and without links and energies of trees."""
     i = state.instant
     i = i._replace(placement=i.placement._replace(links=()), energies=())
     return state._replace(instant=i, slater=None, last=None)
@@ -71,7 +71,7 @@ def _children(value: tuple[Any, ...], name: str) -> Iterator[tuple[str, Any]]:
 
 
 def _parts(value: Any, name: str) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Arrays and numbers of nested tuples."""
+    """Names and values of the arrays and numbers in nested tuples."""
     if isinstance(value, tuple):
         for key, child in _children(value, name):
             yield from _parts(child, key)
@@ -80,7 +80,7 @@ def _parts(value: Any, name: str) -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def _made(like: Any, name: str, arrays: Arrays) -> Any:
-    """Nested tuples like some others, from arrays and numbers."""
+    """Nested tuples of the same structure as `like`, filled from `arrays`."""
     if isinstance(like, tuple):
         children = [_made(child, key, arrays) for key, child in _children(like, name)]
         return type(like)(*children) if hasattr(like, "_fields") else tuple(children)
@@ -92,9 +92,9 @@ def _made(like: Any, name: str, arrays: Arrays) -> Any:
 
 
 def checksums(scene: Scene) -> dict[str, int]:
-    """What moves a scene and `Scene.describe` does not tell, each as a CRC-32: pairs, motions, articulations.
+    """CRC-32 checksums of the parts of a scene that `Scene.describe` omits: pairs, prescribed motions, articulations.
 
-    Functions of the time that prescribe motions are not looked into.
+    Functions of time that prescribe motions are not included.
     """
     pairs = sorted((sorted(names), values) for names, values in scene.pairs.items())
     motions = [

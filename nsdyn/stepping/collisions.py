@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, ordered, take
 from nsdyn.dynamics.values import MidpointState, Placement
 from nsdyn.stepping.active_set import normal_velocities
@@ -14,7 +15,7 @@ from nsdyn.stepping.impulses import Impulses, book
 from nsdyn.stepping.midpoint import SILENT, Midpoint
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
-from nsdyn.stepping.scene_state import DEEP, JOINT, SceneState, System, among
+from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["captured_impacts", "collide", "limits_struck", "striking"]
@@ -35,21 +36,21 @@ def captured_impacts(
         return kin, None
     # The drift of rows that turn with their bodies is no approach.
     resting = s.resting(kin, there, rate)
-    resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.local[3, 0::3]))
+    resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.jacobian_drift[0::3]))
     closed = struck | (kin.end_gap <= s.gap_tol)
     while True:
         impact = _strike(s, kin, closed, resting, resting)
         after = kin.changed(kin.rows.velocity_change(impact.r), struck)
-        # Contacts that these impacts make approach and close strike, too.
-        driven = ~closed & (kin.restitution > 0.0) & (after.local[1, 0::3] < -resting) & _closes(s, after, h)
+        # What is so driven against others strikes them too.
+        driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, h)
         if not driven.any():
             return after, impact
         closed, struck = closed | driven, struck | driven
 
 
 def _closes(s: System, kin: ContactKinematics, h: float) -> Bools:
-    """Mark the gaps that close within a move of h s if no impulse acts."""
-    u_free, jacobian_drift = kin.local[2:4, 0::3]
+    """Which gaps close within a move of h s if nothing else acts."""
+    u_free, jacobian_drift = kin.u_free[0::3], kin.jacobian_drift[0::3]
     out: Bools = kin.end_gap + s.theta * h * (u_free + jacobian_drift) <= 0.0
     return out
 
@@ -58,7 +59,7 @@ def striking(s: System, kin: ContactKinematics, there: Placement, rate: Array, h
     """Mark the rows that strike within a move of h s, for `captured_impacts`; None if none does."""
     if not s.elastic or not kin.mu.size:
         return None
-    u_begin, u = kin.local[:2, 0::3]
+    u_begin, u = kin.u_begin[0::3], kin.u[0::3]
     resting = s.resting(kin, there, rate)
     struck: Bools = (kin.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, kin, h)
     return struck if struck.any() else None
@@ -82,11 +83,11 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
     )
     kin = ContactKinematics.of(mid, at.placement, contacts, joints, at._replace(contacts=contacts))
     resting = s.resting(kin, at.placement, rate)
-    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * JOINT)
+    slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * OPTIONS.joint)
     depth[:nc] = s.penetration_tol(contacts)
-    if s.depth >= DEEP:
-        # A contact that pressed before turns with its bodies: it closes a little without striking. But a contact that
-        # has just closed its gap still approaches, and where that gains energy it is stopped first.
+    if s.depth >= OPTIONS.depth_located:
+        # What was pressed before turns with its bodies: it closes a little without striking. But what has just closed
+        # its gap still approaches, and where that gains energy it is stopped first.
         depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
     slow = np.where(kin.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, kin, kin.end_gap <= s.gap_tol, resting, slow)
@@ -125,8 +126,8 @@ def _passing(s: System, at: SceneState, closed: ContactSet, surfaces: Array, lim
 
 
 def _strike(s: System, kin: ContactKinematics, closed: Bools, resting: Array, slow: Array) -> Impact:
-    """Compute the impacts of the closed contacts and joint limits."""
-    at = Round(kin.rows.blocks, kin.local[1], kin.mu, kin.restitution, closed, s.solver)
+    """Impacts of the closed contacts and joint limits."""
+    at = Round(kin.rows.blocks, kin.u, kin.mu, kin.restitution, closed, s.solver)
     return strike(s.impact, at, resting, slow)
 
 
@@ -135,5 +136,5 @@ def limits_struck(s: System, at: SceneState, h: float) -> Index:
     if not _reductions.any_below(at.limits, s.gap_tol):
         return NO_SLOTS
     joints, slots = s.dynamics.joints, s.dynamics.joints.limits
-    limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * JOINT / h)
+    limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * OPTIONS.joint / h)
     return slots[(at.limits <= s.gap_tol) & (joints.rates(slots, at.v) < -limit)]

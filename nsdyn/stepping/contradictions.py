@@ -1,4 +1,4 @@
-"""What moves as prescribed must not go through what is there: nothing gives way, so that no impulse can stop it."""
+"""Check that kinematic bodies pass through neither each other nor fixed bodies: no impulse could stop them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -15,7 +16,6 @@ from nsdyn.dynamics.trees import Tree
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.scene import checks, pairs
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.scene_state import JOINT
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
@@ -32,11 +32,11 @@ STAYS: Way = 0.0, lambda part, x, R: None
 
 
 class Prescribed:
-    """Bodies, links and joints of a scene that nothing but prescribed motion moves, and what they may run into.
+    """Bodies, links and joints of a scene that only prescribed motion moves, and the fixed bodies that they may hit.
 
-    Shapes reach `arm` (frames,) from the origins of their frames, m. The deepest `overlap` that is taken is a fraction
-    of the inscribed radius of the smaller body, of joint limits one of `JOINT`. ValueError where they contradict each
-    other from the start, as of `check`.
+    Shapes reach `arm` (frames,) from the origins of their frames, m. The deepest `overlap` that is accepted is a
+    fraction of the inscribed radius of the smaller body, for joint limits a fraction of `Options.joint`. ValueError, as in
+    `check`, if the initial poses contradict each other.
     """
 
     def __init__(self, scene: Scene, dynamics: Dynamics, arm: Array, overlap: float) -> None:
@@ -55,18 +55,18 @@ class Prescribed:
         self.check(start, start, dynamics.place(start), (0.0, 0.0))
 
     def check(self, begin: Position, end: Position, there: Placement, times: tuple[float, float]) -> float:
-        """Deepest overlap that prescribed motions leave at the end of a step, m, 0 if none.
+        """Return the deepest overlap that prescribed motions leave at the end of a step, m, 0 if none.
 
-        The way from `begin` to `end`, where the frames are placed `there`, at such times [s], is followed in so many
-        parts that nothing passes through anything unseen. ValueError where what is deeper than what is taken is met
-        there or on the way: naming both, the depth and the time.
+        The way from `begin` to `end`, at these times [s], is followed in so many parts that no body passes through
+        another unseen; `there` are the placements of the frames at `end`. ValueError if an overlap at the end or on the
+        way is deeper than accepted: it names both bodies, the depth and the time.
         """
         self._check_limits(there, times[1])
         if not self._frames.size:
             return 0.0
         ways = [self._of_tree(k, begin.trees[k], end.trees[k], times) for k in range(len(begin.trees))]
         ways.append(self._of_bodies(begin, end, times))
-        # Two may meet halfway.
+        # Two bodies may move towards each other.
         farthest = 2.0 * max(length for length, _ in ways)
         x, R, parts = there.x.copy(), there.R.copy(), math.ceil(min(farthest / self._radius.min(), MOST))
         for part in range(1, parts):
@@ -76,9 +76,9 @@ class Prescribed:
         return self._deepest(there.x, there.R, times[1])
 
     def _of_tree(self, k: int, begin: Array, end: Array, times: tuple[float, float]) -> Way:
-        """How far links of a tree that are held move from one configuration to another, and where they are on the way.
+        """Length of the way of the prescribed links of a tree between two configurations, and their poses on the way.
 
-        Joints turn and shift at constant rates, driven ones by whole turns more where they are so fast.
+        Joints turn and shift at constant rates; fast driven joints make additional whole turns.
         """
         tree, h = self._dynamics.trees[k], times[1] - times[0]
         if not tree.held_links.any():
@@ -97,7 +97,7 @@ class Prescribed:
         return float(reach * moved[tree.turns].sum() + moved[shifts].sum()), place
 
     def _of_bodies(self, begin: Position, end: Position, times: tuple[float, float]) -> Way:
-        """The same of bodies, which move straight and turn about one axis."""
+        """Length of the way of the kinematic bodies, and their poses on it: straight, with one axis of rotation."""
         surfaces, count = self._dynamics.surfaces, len(begin.driven_x)
         if not count:
             return STAYS
@@ -118,7 +118,7 @@ class Prescribed:
             lower, upper = tree.limits()
             beyond = np.where(tree.held, np.maximum(lower - links.angle, links.angle - upper), -math.inf)
             j = int(beyond.argmax())
-            if beyond[j] > self._overlap * JOINT:
+            if beyond[j] > self._overlap * OPTIONS.joint:
                 joint = tree.joint_of(j)
                 raise ValueError(
                     f"prescribed motions contradict: joint '{tree.name}/{joint}' is {beyond[j]:.3g} rad or m beyond "
@@ -140,7 +140,7 @@ class Prescribed:
 
 
 def _span(tree: Tree, arm: Array) -> float:
-    """The farthest that shapes of links that are held may be from a joint before them, m, but for what joints shift."""
+    """Farthest distance of shapes of prescribed links from a joint before them, m, without translations of joints."""
     placements, out = tree.model.jointPlacements, 0.0
     for joint, far in zip(np.array(tree.joints)[tree.held_links].tolist(), arm[tree.held_links], strict=True):
         between = list(tree.model.supports[joint])[2:]  # the world, and the first joint

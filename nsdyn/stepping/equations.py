@@ -12,7 +12,7 @@ __all__ = ["bias", "jacobian", "mass_matrix"]
 
 
 def mass_matrix(d: Dynamics, at: SceneState) -> Array:
-    """M(q), shape (n, n), kg, kg m and kg m²."""
+    """Mass matrix M(q), shape (n, n), kg, kg m and kg m²."""
     return _factors(d, at)[1]
 
 
@@ -28,14 +28,14 @@ def bias(d: Dynamics, at: SceneState) -> Array:
 
 
 def jacobian(d: Dynamics, at: SceneState) -> tuple[Array, Array]:
-    """Frames of the contacts, (nc, 3, 3), rows n, t1, t2 in world axes, and J, (3 nc, n), of u = J v."""
+    """Contact frames, (nc, 3, 3), rows n, t1, t2 in world axes, and the contact Jacobian J, (3 nc, n), of u = J v."""
     frame, _, H = _factors(d, at)
     for k, R in enumerate(at.placement.R[: d.free]):
-        H[6 * k : 6 * k + 3] = R.T @ H[6 * k : 6 * k + 3]  # from the world's axes to the body's
+        H[6 * k : 6 * k + 3] = R.T @ H[6 * k : 6 * k + 3]  # from world axes to body axes
     return frame, H.T
 
 
 def _factors(d: Dynamics, at: SceneState) -> tuple[Array, Array, Array]:
-    """(frames of the contacts, M, H) in the step's own coordinates."""
+    """Return (contact frames, M, H) in the coordinates of the step."""
     rows, frame = d.rows(at.contacts, at.placement, d.inertia(at.position, at.v), None)
     return frame, *rows.full.dense()

@@ -1,7 +1,7 @@
-"""Steps that meet no event: what rests, slides and rolls on what it touches, and what flies.
+"""Steps without an event: bodies in flight, and bodies that rest, slide or roll on each other.
 
-A kernel in place of the stages of `nsdyn.stepping.move`. Python makes the motion of trees and asks the user's functions
-(`nsdyn.stepping.tree_motion`). What has been made of a step that meets an event is the first move of that step.
+One kernel replaces the stages of `nsdyn.stepping.move`. Python computes the motion of trees and calls the user's
+functions (`nsdyn.stepping.tree_motion`). If a step meets an event, its computed part becomes the step's first move.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 from nsdyn._kernels.stepping import columns as _col
-from nsdyn._kernels.stepping.islands import EVENT, WORK
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -41,10 +41,10 @@ ASKS = 50
 
 
 class EventlessSteps:
-    """Steps by a kernel as long as they meet no event: nothing strikes or overlaps, and no slip turns round.
+    """Eventless steps by a kernel: steps without an impact, an overlap or a reversal of slip.
 
-    If certificates are to `polish`, none of the kernel is enough. `loads` is what the user has to say at a time [s]; of
-    `paradoxes` there are none in such a step.
+    With `polish` no certificate of the kernel is accepted. `loads` gives the user's callbacks at a time [s]. A step
+    with one of the `paradoxes` is left to the general step.
     """
 
     def __init__(self, system: System, mover: MoveKernel, polish: bool, loads: Loads, paradoxes: Paradoxes) -> None:
@@ -58,7 +58,7 @@ class EventlessSteps:
             mover.numbers[_col.WEAK] = math.nan
 
     def step(self, now: State | FlatState, certify: Certify) -> tuple[FlatState, FlatState] | None:
-        """The state and the next one; None where more may happen, or is likely to, as it did in the steps before."""
+        """Return the state and the next one; None if the step may have an event, or a recent step had one."""
         self._tried = NOTHING_TRIED
         if self._left > 0:
             self._left -= 1
@@ -70,14 +70,15 @@ class EventlessSteps:
             if (new := self._next(old, certify)) is not None:
                 self._pause = 0
                 return old, new
-            if self._tried[1] is not None and EVENT * old.found.nc <= WORK:  # in larger scenes little of it serves
+            # Larger scenes reuse little of the move.
+            if self._tried[1] is not None and OPTIONS.event * old.found.nc <= OPTIONS.work:
                 self._pause = 0
                 return None
         self._left, self._pause = self._pause, min(2 * self._pause + 1, PAUSE)
         return None
 
     def begun(self, state: State) -> Known:
-        """What the last attempt at a step from a state has found of it."""
+        """Return the part of the step from a state that the last attempt has already computed."""
         s, (old, made, motion) = self._system, self._tried
         if old is not None:
             self._mover.given = state.instant, ((old.floats, old.acted, old.status), old.found)
@@ -86,7 +87,7 @@ class EventlessSteps:
         return made.values(s, state.instant, state.next_t - s.dt, s.dt, motion)
 
     def _next(self, old: FlatState, certify: Certify) -> FlatState | None:
-        """The next state, None where more may happen."""
+        """Return the next state; None if the step may have an event."""
         s = self._system
         t = old.origin + (old.count + 1) * old.dt - s.dt
         callbacks = self._loads(t + (1.0 - s.theta) * s.dt)
@@ -98,7 +99,7 @@ class EventlessSteps:
         motion = TreeMotion(begin, midpoint(s, begin, t, s.dt, callbacks))
         self._tried = old, None, motion
         while True:
-            # Rows of trees change whatever moves: those of the last step are still to be told.
+            # Contact Jacobians of trees change with every motion; a copy keeps those of the last step, read later.
             found = old.found.anew() if s.dynamics.trees else old.found
             if not motion.meets_nothing() or (made := self._made(old, found, motion)) is None:
                 return None
@@ -111,7 +112,7 @@ class EventlessSteps:
         return self._told(old, made, like, motion, certify)
 
     def _made(self, old: FlatState, found: Found, motion: TreeMotion | None) -> KernelResult | None:
-        """A step that the kernel has made; what it has made of one that meets an event is kept."""
+        """Return the step made by the kernel; None if it meets an event, whose computed part is then kept."""
         direction = old.slater.d if old.slater else NOTHING
         begun = old.floats, old.acted, old.status
         made = self._mover(begun, found, self._length, direction, NO_PAIRS, True, self._moves, motion)
@@ -119,7 +120,7 @@ class EventlessSteps:
             some = made.floats[_col.WENT] or made.floats[_col.GOES] or made.head[_col.SOME]
             self._moves = bool(some)
             if not made.whole:
-                if motion is self._tried[2]:  # not with what callbacks say of the motion itself
+                if motion is self._tried[2]:  # not with the callbacks' values at the mean velocity
                     self._tried = old, made, motion
                 return None
         return made
@@ -132,7 +133,10 @@ class EventlessSteps:
         motion: TreeMotion | None,
         certify: Certify,
     ) -> FlatState | None:
-        """What was made as a state, with its certificate; None where it passes through something."""
+        """Return the kernel's result as a state with its certificate; None if bodies pass through each other.
+
+        None also for an energy that is not finite, and for a paradox.
+        """
         floats = made.floats
         if not math.isfinite(floats[_col.KINETIC] + floats[_col.POTENTIAL]):
             return None
@@ -152,7 +156,7 @@ class EventlessSteps:
         return out
 
     def _passes(self, old: FlatState, new: FlatState, made: KernelResult) -> bool:
-        """Whether anything touches on its way what it is not seen to meet."""
+        """Whether bodies touch within the step without a contact of the active set (a missed contact)."""
         s, n, w = self._system, self._system.dynamics.frames, made.work
         there = Placement(vectors(w, _col.X, n), matrices(w, _col.R_THERE, n), ())
         places, reach = (old.place, there, new.place), w[_col.REACH * n : _col.DETECTED_THERE * n]
@@ -161,7 +165,7 @@ class EventlessSteps:
         return time_of_impact(s, contacts, places, turns, made.found.contacts(), s.dt, reach / (s.theta * s.dt)) < s.dt
 
     def _is_ready(self, old: FlatState) -> bool:
-        """Whether the kernel is compiled: that takes half a minute, in which general steps do the same."""
+        """Whether the kernel is compiled. Compiling takes half a minute; general steps replace the kernel meanwhile."""
         self._asked += 1
         if self._asked % ASKS != 1:
             return False

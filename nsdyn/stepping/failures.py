@@ -1,4 +1,4 @@
-"""What is done where a step misses its tolerance, or its law of impact creates energy: told, written, or raised."""
+"""Warnings, files and errors for steps that miss their tolerance or whose law of impact creates energy."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ NAMED = 3
 
 
 class Failures:
-    """Failing steps of a run, and what is done of each, as of `nsdyn.Stepper`; the names are of the shapes.
+    """Failing steps of a run, treated by `on_fail` as described in `nsdyn.Stepper`; `names` are those of the shapes.
 
     Problems of failing steps are written into the `folder`; None writes none, unless `on_fail` is "dump". ValueError
-    for what is none of the choices, and where the folder cannot be written.
+    if `on_fail` is none of the choices, or if the folder cannot be written.
     """
 
     def __init__(self, on_fail: str, folder: str | Path | None, names: list[str]) -> None:
@@ -52,7 +52,7 @@ class Failures:
         self.count, self.created = 0, False
 
     def tell(self, problem: FC3D, solution: Solution, contacts: ContactSet, state: State, tol: float) -> None:
-        """Warn of a step from a state that missed its tolerance, write its problem, or raise `NotConverged`."""
+        """Warn of the step from `state` that missed its tolerance, write its problem, or raise `NotConverged`."""
         step = state.count + 1
         message = (
             f"step {step} from t = {state.t:.6g} s did not converge: error {solution.error:.2e}, residual "
@@ -67,7 +67,7 @@ class Failures:
             message += f"; its problem is in {path}"
         none = _is_none(solution)
         if self.on_fail == "raise" or (self.on_fail in ("warn", "dump") and none):
-            if none and solution.status is not Status.NO_SLATER_POINT:  # which says what to look for
+            if none and solution.status is not Status.NO_SLATER_POINT:  # whose message says what to look for
                 message += "; no answer is near: try a smaller dt"
             raise NotConverged(message, problem, solution, state, step)
         if self.on_fail != "ignore" and not self.count:
@@ -75,7 +75,7 @@ class Failures:
         self.count += 1
 
     def tell_created(self, law: str, acted: Impulses, t: float) -> None:
-        """Warn, the first time, of the energy that a law of impact created at a time, s."""
+        """Warn, the first time only, of the energy that the law of impact created at the time t, s."""
         if self.created:
             return
         self.created = True
@@ -91,29 +91,29 @@ class Failures:
         )
 
     def _culprits(self, problem: FC3D, solution: Solution, contacts: ContactSet) -> str:
-        """The bodies between which a problem is furthest from being solved, in words."""
+        """Name the pairs of bodies whose contacts have the largest errors of the solution, as part of a message."""
         u, r = solution.u.reshape(-1, 3), solution.r.reshape(-1, 3)
         wrong = r - cones.project(r - cones.saxce(u, problem.mu) / problem.scales[:, None], problem.mu)
         size = problem.scales * np.linalg.norm(wrong, axis=1)
-        if problem.nc < contacts.gap.size:  # an impact of some of them
+        if problem.nc < contacts.gap.size:  # an impact of some of the contacts
             size = np.ones(contacts.gap.size)
         pairs = self._pairs(contacts, size[: contacts.gap.size])
         return f"; worst between {pairs}" if pairs else ""
 
     def _pairs(self, contacts: ContactSet, size: Array) -> str:
-        """The bodies of contacts in words, those of largest `size` (nc,) first."""
+        """Name the pairs of bodies of the contacts with the largest `size` (nc,), largest first."""
         names = [(self.names[i], self.names[j]) for i, j in zip(contacts.geom1, contacts.geom2, strict=True)]
         order = [names[k] for k in np.argsort(-size, kind="stable")]
         return ", ".join(f"{a!r} and {b!r}" for a, b in list(dict.fromkeys(order))[:NAMED])
 
 
 def _is_none(solution: Solution) -> bool:
-    """Whether an answer is none that a simulation could go on with."""
+    """Whether a simulation cannot continue with this solution."""
     return solution.status is Status.NO_SLATER_POINT or not solution.error <= WORST
 
 
 def worst(solved: list[tuple[FC3D, Solution]]) -> int:
-    """Which problem of a step stands for it: the last, or the one furthest from its tolerance where any missed it."""
+    """Index of the problem that represents a step: the last, or the furthest from its tolerance if any missed it."""
 
     def badness(k: int) -> tuple[bool, bool, float]:
         solution = solved[k][1]

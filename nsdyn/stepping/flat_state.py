@@ -1,4 +1,4 @@
-"""States as a few arrays, as `nsdyn._kernels.stepping.eventless` takes them, and what they tell."""
+"""States as a few arrays, the layout of `nsdyn._kernels.stepping.eventless`, and the values they contain."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ Acted = tuple[Array, Index, NDArray[np.int8]]
 
 
 class Found(NamedTuple):
-    """The contacts of a configuration, and rows of W once they are made.
+    """The contacts detected at a configuration, and the factors of W once they are computed.
 
     Attributes
     ----------
     floats : ndarray
-        Points, normals, points in both frames; gaps, mu, restitution; frames; scales; H.
+        Points, normals, points in both frames; gaps, mu, restitution; contact frames; scales; H.
     integers : ndarray of int, shape (9 nc + 2,)
-        Both geoms, both frames, keys; blocks, their starts; the size of H and whether rows are made.
+        Both geoms, both frames, keys; blocks, their starts; the size of H and whether H is computed.
     next_key : int
-        As of `ContactSet`.
+        As in `ContactSet`.
     """
 
     floats: Array
@@ -52,11 +52,11 @@ class Found(NamedTuple):
     next_key: int
 
     def of(self, nc: int) -> Found:
-        """The same, with as many contacts as there are in a room for more."""
+        """The same, cut to `nc` contacts; the arrays had memory for more."""
         return Found(self.floats, self.integers[: _col.FOUND_NAMES * nc + 2], self.next_key)
 
     def anew(self) -> Found:
-        """The same, for other rows."""
+        """A copy whose factors of W are to be computed anew."""
         integers = self.integers.copy()
         integers[_col.MADE - 2] = 0
         return Found(self.floats.copy(), integers, self.next_key)
@@ -67,7 +67,7 @@ class Found(NamedTuple):
         return self.integers.size // _col.FOUND_NAMES
 
     def contacts(self) -> ContactSet:
-        """Them as values."""
+        """The contacts as a `ContactSet`."""
         names, points, scalars = contacts(self[:2], self.nc)
         return ContactSet(names, points, scalars, self.next_key)
 
@@ -90,24 +90,24 @@ class Found(NamedTuple):
 
 
 class FlatState(NamedTuple):
-    """A state, and what the step did that led to it.
+    """A state, and the results of the step that led to it.
 
     Attributes
     ----------
     origin, dt, count : float, float, int
-        As of `State`.
+        As in `State`.
     floats : ndarray
-        Results, then columns of the bodies and of the contacts that acted.
+        Results, then columns of the bodies and of the contacts of the active set.
     acted : ndarray of int, shape (2 nc,)
-        Keys of these, and their pairs of shapes.
+        Keys of the contacts of the active set, then their pairs of shapes.
     status : ndarray of int8, shape (nc,)
     active, found : Found
-        Where the impulses acted, and where the step ended.
+        The active set at the midpoint, and the contacts found at the end of the step.
     slater : SlaterDirection, optional
     like : SceneState
-        What is no column is that of this one. With trees it is also where the next motion begins.
+        Supplies all fields that have no column. With trees the next motion also begins there.
     motion : TreeMotion, optional
-        Of the trees in the step.
+        Motion of the trees in the step.
     """
 
     origin: float
@@ -139,7 +139,7 @@ class FlatState(NamedTuple):
 
     @property
     def energies(self) -> tuple[float, float]:
-        """Kinetic and potential, J."""
+        """Kinetic and potential energy, J."""
         kinetic, potential = self.floats[_col.KINETIC : _col.EXTERNAL].tolist()
         for more in () if self.motion is None else self.motion.energies:
             kinetic, potential = kinetic + more[0], potential + more[1]
@@ -147,7 +147,7 @@ class FlatState(NamedTuple):
 
     @classmethod
     def of(cls, state: State, wide: int) -> FlatState | None:
-        """The same as arrays; None where contacts are remembered that are not there. Rows of W have `wide` numbers."""
+        """Return a state as arrays, `wide` numbers of H per contact; None if its memory differs from its contacts."""
         s = state.instant
         if (given := packed(s, state.rate, wide)) is None:
             return None
@@ -158,24 +158,24 @@ class FlatState(NamedTuple):
         return cls(state.origin, state.dt, state.count, *own)
 
     def frame(self, first: int, width: int) -> Array:
-        """So many columns of the frames from one on, (frames, width)."""
+        """`width` columns of the frames, from column `first` on, (frames, width)."""
         n, _ = self.size
         begin = _col.RESULTS + first * n
         return self.floats[begin : begin + width * n].reshape(n, width)
 
     def coordinate(self, which: tuple[int, int]) -> Array:
-        """A column of the coordinates, (n,)."""
+        """The column `which` of the coordinates, (n,)."""
         out: Array = velocity(self.floats[_col.RESULTS :], which, self.size)
         return out
 
     def contact(self, first: int, width: int = 1) -> Array:
-        """So many columns of the contacts from one on, as one array."""
+        """`width` columns of the contacts, from column `first` on, as one array."""
         nc, (n, nv) = self.status.size, self.size
         begin = _col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv + first * nc
         return self.floats[begin : begin + width * nc]
 
     def instant(self) -> SceneState:
-        """Its end."""
+        """The state at the end of the step as a `SceneState`."""
         nc, found = self.status.size, self.found.contacts()
         force = self.contact(_col.FORCE, 3).reshape(-1, 3)
         return self.begin()._replace(
@@ -189,9 +189,9 @@ class FlatState(NamedTuple):
         )
 
     def begin(self) -> SceneState:
-        """Where a motion begins: all but contacts, what acted on them, and energies."""
+        """The state where the next motion begins, without new contacts, their warm start and energies."""
         like = self.like
-        if like.position.trees:  # the last motion has left it
+        if like.position.trees:  # the last motion of trees stored it
             return like
         found, v = (like.contacts, like.limits, like.memory), self.coordinate(_col.V)
         where = detected_at(self.floats[_col.RESULTS :], _col.DETECTED_AT, self.size[0])
@@ -199,7 +199,7 @@ class FlatState(NamedTuple):
 
     @property
     def position(self) -> Position:
-        """Where everything is."""
+        """Positions of all bodies."""
         free = self.like.position.x.shape[0]
         return self.like.position.moved(self.frame(_col.X, 3)[:free], self.frame(_col.QUATERNION, 4)[:free])
 
@@ -210,26 +210,26 @@ class FlatState(NamedTuple):
 
     @property
     def place(self) -> Placement:
-        """Where the frames are, but for links."""
+        """Placements of the frames, without links."""
         return Placement(self.frame(_col.X, 3), self.frame(_col.R, 9).reshape(-1, 3, 3), ())
 
     def solved(self, d: Dynamics, tol: float) -> tuple[FC3D, Solution]:
-        """The problem of the step and its solution, as of the function `solved`."""
+        """The contact problem of the step and its solution, by the function `solved`."""
         masses = d.masses[3:]
         if self.motion is not None:
             masses = self.motion.mid.forces.m, self.motion.mid.forces.minv
         return solved(self.floats, self.contact(0, _col.CONTACT), self.active, self.active.blocks(d, masses), tol)
 
     def state(self) -> State:
-        """The state as the general step takes it."""
+        """The state in the form of the general step."""
         rate = self.coordinate(_col.RATE)
         return State(self.origin, self.dt, self.count, self.instant(), rate, self.energies, self.slater)
 
 
 def packed(s: SceneState, rate: Array, wide: int) -> tuple[Acted, Found] | None:
-    """A state and what was found there, as the kernel takes them; its results are not set, nor rows of W.
+    """Return a state and its contacts in the kernel's layout; its results and factors of W are not set.
 
-    These have `wide` numbers. None where contacts are remembered that are not there.
+    H has `wide` numbers per contact. None if the remembered contacts are not those of the state.
     """
     m, c, w = s.memory, s.contacts, s.warm
     nc, p, acted = c.gap.size, s.position, np.concatenate((w.key, w.pair))
@@ -246,9 +246,9 @@ def packed(s: SceneState, rate: Array, wide: int) -> tuple[Acted, Found] | None:
 
 
 def solved(floats: Array, acted: Array, active: Found, blocks: DelassusFactors, tol: float) -> tuple[FC3D, Solution]:
-    """The problem of contacts met and its solution, to a solver's tolerance or accepted all the same.
+    """Return the problem of the active set and its solution, from the results and contact columns of a state.
 
-    From the results and the columns of contacts of a state.
+    The status is `CONVERGED` within the solver's tolerance `tol`, else `LOOSE`.
     """
     r, u, b = (acted[k * active.nc : (k + 3) * active.nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
     problem = FC3D.prepared(blocks, b, active.contacts().mu, active.scales, float(floats[_col.NORM]))
@@ -258,10 +258,10 @@ def solved(floats: Array, acted: Array, active: Found, blocks: DelassusFactors, 
 
 
 def put(f: Array, k: int, n: int, values: Array) -> None:
-    """Set the columns from k on, of the first frames."""
+    """Write values into the columns from k on, starting at the first frame."""
     f[k * n : k * n + values.size] = values.ravel()
 
 
 def detected_at(f: Array, k: int, n: int) -> DetectionPose:
-    """Where contacts are looked for, in the columns from k on."""
+    """Poses and reaches at which contacts are detected, stored in the columns from k on."""
     return DetectionPose(*placed(f, k, n))

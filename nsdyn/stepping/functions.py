@@ -1,4 +1,4 @@
-"""The functions of a user that act in a run: a controller and external forces."""
+"""The user's functions of a run: a controller and external forces."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Callback = (
 
 
 class Functions:
-    """What controls the joints of a scene and pushes its bodies, as of `nsdyn.Stepper`.
+    """The controller of the joints and the external forces on the bodies of a scene, as in `nsdyn.Stepper`.
 
     Attributes
     ----------
     take_last : bool
-        Whether one of them takes the last step.
+        Whether one of the functions takes the last step.
     push : bool
-        Whether free bodies have loads, as of `nsdyn.dynamics.dynamics.Wrenches`.
+        Whether free bodies have external loads, as in `nsdyn.dynamics.dynamics.Wrenches`.
     """
 
     def __init__(self, controller: Callback | None, external_force: Callback | None, dynamics: Dynamics) -> None:
@@ -53,7 +53,7 @@ class Functions:
         return self._given[what]
 
     def at(self, t: float, last: Step | None) -> Callbacks:
-        """What they say at a time, after the last step; None without any."""
+        """Return the callbacks for the time t, given the last step; None without functions."""
         if not self._some:
             return None
         dynamics = self._dynamics

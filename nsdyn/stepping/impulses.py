@@ -132,7 +132,7 @@ def book(
         last = normal, kin.stays if impact is None else kin.stays | (struck > 0.0), kin.sticks
     else:
         status, normal, friction, world = np.empty(nc, np.int8), np.zeros(nr), np.zeros(nr), np.zeros((nc, 3))
-        total, u_end = np.zeros(3 * nr), kin.local[1]
+        total, u_end = np.zeros(3 * nr), kin.u
     if impact is not None:
         total, u_end = total + impact.r, u_end if h > 0.0 else impact.u
         normal, friction, created = normal + impact.work_normal, friction + impact.work_friction, impact.created

@@ -1,4 +1,4 @@
-"""What the law of contact leaves open in a step is told: several velocities, and impulses that are no force."""
+"""Indeterminacy of the contact law in a step: several possible velocities, and jams (impulses that are no force)."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ FEW = 8
 
 
 class Paradoxes:
-    """Finds them, in scenes where there may be some.
+    """Find jams and further velocities in scenes where they are possible.
 
-    A body of mass m, whose least moment of inertia is J and whose shapes reach b from its centre, has
-    W_NN - μ‖W_NT‖ ≥ 1/m - μ² b²/4 J: friction turns it so fast only where μ > 2 (J/m)^½/b. Of articulations nothing is
-    known beforehand. Shapes reach `arm` (frames,) from the origins of their frames, m, and μ is at most `mu`.
+    A body of mass m, whose least moment of inertia is J and whose shapes reach b from its centre, has W_NN - μ‖W_NT‖ ≥
+    1/m - μ² b²/4 J: friction turns it fast enough for a paradox only if μ > 2 (J/m)^½/b. For articulations no such
+    bound is known in advance. Shapes reach `arm` (frames,) from the origins of their frames, m, and μ is at most `mu`.
     """
 
     def __init__(self, dynamics: Dynamics, solver: Solver, arm: Array, mu: float) -> None:
@@ -40,7 +40,7 @@ class Paradoxes:
         self.possible = mu > 0.0 and bool(dynamics.trees or (mu > steep).any())
 
     def paradox(self, problem: FC3D, solution: Solution, dt: float, rate: Array) -> bool:
-        """Whether there is one in a step of one move and the contacts of a problem alone, as of `told`."""
+        """Whether a step of one move, with the contacts of this problem alone, has a paradox, as in `told`."""
         if not solution.accepted:
             return False
         jam = self._jam(problem, solution, problem.nc, dt, rate)
@@ -49,9 +49,9 @@ class Paradoxes:
     def told(
         self, done: list[Impulses], works: Works, dt: float, rate: Array
     ) -> tuple[list[Impulses], Works, Status | None]:
-        """What acted and its works, with jams as impacts, and the status of the step, None for nothing odd.
+        """Return impulses and works with jams booked as impacts, and the status of the step, None without a paradox.
 
-        The free acceleration is `rate` (n,). Impacts in no time are collisions.
+        The free acceleration is `rate` (n,). Impacts, which act in no time, are not examined: they are collisions.
         """
         status: Status | None = None
         for k, acted in enumerate(done):
@@ -65,7 +65,7 @@ class Paradoxes:
                 states = np.where(jam, JAM, acted.status).astype(np.int8)
                 normal, friction = acted.work_normal + moved, acted.work_friction - moved
                 done[k] = acted._replace(status=states, work_normal=normal, work_friction=friction)
-                # What lasts is booked as numerics, but a jam is an impact.
+                # Work of persistent contacts is booked as numerics, but that of a jam as an impact.
                 rest = rest_normal = 0.0
                 if acted.lasting is not None:
                     pressed, stays, sticks = acted.lasting
@@ -82,12 +82,12 @@ class Paradoxes:
         return done, works, status
 
     def _jam(self, problem: FC3D, solution: Solution, nc: int, dt: float, rate: Array) -> Bools | None:
-        """Which of the contacts, the first of a problem, jam; None where none is stopped by so much."""
+        """Contacts that jam, of the first nc of a problem; None if no velocity change is large enough for a jam."""
         load, change = _kernels.stopped(problem.q, solution.u, solution.r, nc)
         if change <= _kernels.ODD * load:
             return None
         return paradox.jams(problem, solution, nc, dt * float(np.abs(rate).max(initial=0.0)), self._solver)
 
     def _several(self, problem: FC3D, solution: Solution) -> bool:
-        """Whether another velocity obeys the law."""
+        """Whether another velocity also obeys the contact law."""
         return problem.nc <= FEW and paradox.others(problem, solution.r, self._solver, solution.u) is not None

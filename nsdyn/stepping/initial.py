@@ -1,4 +1,4 @@
-"""The initial instant of a run, whose bodies do not overlap deeply."""
+"""The initial state of a run, checked for deep overlaps."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ ROUNDING = 1e-9
 def begin(
     s: System, geoms: list[Geom], overlap: float, lift: bool, q: ArrayLike | None = None, v: ArrayLike | None = None
 ) -> SceneState:
-    """The instant in which a run starts.
+    """Return the state in which a run starts.
 
     Parameters
     ----------
     s : System
     geoms : list of Geom
     overlap : float
-        Deepest overlap that is taken, as a fraction of the inscribed radius of the smaller body.
+        Deepest overlap that is accepted, as a fraction of the inscribed radius of the smaller body.
     lift : bool
-        Whether bodies that overlap are moved apart here; else the first step does, and a warning says so.
+        Whether overlapping bodies are moved apart here. Otherwise the first step does this, and a warning says so.
     q, v : array, shapes (nq,) and (nv,), optional
         Pinocchio's layout; by default those of the scene.
 
     Raises
     ------
     ValueError
-        Naming bodies that overlap more deeply, or that nothing moves apart, and the depth [m]; for q and v that no
-        state has.
+        For deeper overlaps, and overlaps that the projection cannot remove, naming the bodies and the depth [m]; for q
+        and v that are no state of the scene.
     """
     d = s.dynamics
     position, velocity = d.start() if q is None and v is None else _chosen(d, q, v)
@@ -69,7 +69,7 @@ def begin(
 
 
 def _chosen(d: Dynamics, q: ArrayLike | None, v: ArrayLike | None) -> tuple[Position, Array]:
-    """Position and velocity of a state in Pinocchio's layout; what is not given is that of the scene."""
+    """Position and velocity from q and v in Pinocchio's layout; by default those of the scene."""
     start, _ = d.start()
     q0, v0 = d.pinocchio_state(*d.start())
     q = q0 if q is None else checks.vector(q, q0.size, "q")
@@ -95,7 +95,7 @@ def _chosen(d: Dynamics, q: ArrayLike | None, v: ArrayLike | None) -> tuple[Posi
 
 
 def _check_limits(d: Dynamics, at: Placement) -> None:
-    """Refuse joints beyond their limits."""
+    """ValueError for a joint beyond its limits."""
     for tree, links in zip(d.trees, at.links, strict=True):
         lower, upper = tree.limits()
         for k in np.flatnonzero((links.angle < lower - ROUNDING) | (links.angle > upper + ROUNDING)).tolist():
@@ -106,7 +106,7 @@ def _check_limits(d: Dynamics, at: Placement) -> None:
 
 
 def _overlap(geoms: list[Geom], contacts: ContactSet, most: float) -> str:
-    """Refuse scenes whose bodies start deeper in each other than a fraction `most`; shallow overlaps in words."""
+    """ValueError for an initial overlap deeper than the fraction `most`; returns a message for a shallow overlap."""
     if not contacts.gap.size:
         return ""
     k = int(contacts.gap.argmin())
@@ -118,5 +118,5 @@ def _overlap(geoms: list[Geom], contacts: ContactSet, most: float) -> str:
         remedy = f"; self_collisions='apart' of {a.body!r}, or an SRDF file, keeps links of one robot from touching"
         remedy = remedy if a.body == b.body else ""
         raise ValueError(f"{where}, more than {most:.0%} of the smaller one's radius ({size:.3g} m){remedy}")
-    # Less is the rounding of a user's own numbers.
+    # A smaller overlap is rounding of the user's numbers.
     return where if depth > 1e-6 * size else ""

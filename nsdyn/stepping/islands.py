@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from nsdyn._kernels.stepping import islands as _islands
-from nsdyn._kernels.stepping.eventless_checks import GAIN
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
@@ -26,7 +26,7 @@ from nsdyn.stepping.collisions import limits_struck, striking
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Loads, Midpoint, midpoint
 from nsdyn.stepping.move import try_islands
-from nsdyn.stepping.scene_state import FAST, SceneState, System
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.slip_reversal import endings
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
@@ -76,7 +76,7 @@ class Islands:
         label, count = self._foreseen(begin, mid)
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._struck(begin, mid)]] = True
-        large = _islands.EVENT * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > _islands.WORK
+        large = OPTIONS.event * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > OPTIONS.work
         if made is None and (unseen := large & ~opened).any():
             # A rough move first shows whether an island whose events are not located meets any.
             meets |= self._hit(try_islands(s, begin, mid, None, label, ~unseen[label], rough=True), label, unseen)
@@ -258,8 +258,8 @@ class Islands:
         changed = [x is not y for x, y in zip(limited.trees, a.mid.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
         opened[label[np.concatenate(out)]] = True
-        # Bodies that pass through others unseen.
-        fast = d.node[:-1][a.mid.reach > FAST * s.smallest] if a.mid.fast else d.node[:0]
+        # What passes through something unseen.
+        fast = d.node[:-1][a.mid.reach > OPTIONS.unseen * s.smallest] if a.mid.fast else d.node[:0]
         if (fast < 0).any() or not opened[label[fast]].all():
             poses = begin.placement, mid.state.placement, a.moved.placement
             known = tracked(s, begin.contacts, found)
@@ -295,7 +295,7 @@ class Islands:
                 linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
                 of_bodies = d.mass * (linear * linear).sum(axis=1) + np.einsum("ki,kij,kj->k", spin, d.J, spin)
                 energies.append(np.bincount(label[: d.free], 0.5 * of_bodies, count))
-            opened |= gained > GAIN * np.maximum(*energies)
+            opened |= gained > OPTIONS.gain * np.maximum(*energies)
 
     def _kept(self, a: Attempt, left: Bools, next_key: int) -> Attempt:
         """Return the part of an attempt that concerns the nodes `left`; new contacts get keys from `next_key` on."""

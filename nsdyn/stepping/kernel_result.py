@@ -1,4 +1,4 @@
-"""What the kernel of moves has made, and the move as values."""
+"""The result of the move kernel, and its conversion to an `Attempt`."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ NOTHING = np.empty(0)
 
 
 class KernelResult(NamedTuple):
-    """What the kernel has made.
+    """A move, or a step, as the kernel has made it.
 
     Attributes
     ----------
     floats, acted, status : ndarray
-        The state at the end, as of `FlatState`.
+        The state at the end, as in `FlatState`.
     work : ndarray
-        What it worked with, columns of the bodies and of the contacts met.
+        Work array: columns of the bodies and of the contacts of the active set.
     head : ndarray of int
-        The first integers at work.
+        The first integers of the work arrays.
     flags : ndarray of bool, shape (FLAGS, nc)
     found, active, end : Found
-        What was found where the impulses acted, what of that was met, and what was found at the end.
+        Contacts found at the midpoint, the active set of these, and contacts found at the end.
     whole : bool
-        Whether it is all that was asked for: if not, a move as long as the step, which meets an event.
+        Whether the request is complete. If False it is a move as long as the step that meets an event.
     """
 
     floats: Array
@@ -55,7 +55,7 @@ class KernelResult(NamedTuple):
     whole: bool
 
     def values(self, s: System, begin: SceneState, t: float, h: float, motion: TreeMotion | None) -> Attempt:
-        """The move of h s from the time t as values; its motion where Python knows of it."""
+        """Return the move of h s from the time t as an `Attempt`; `motion` is given if Python computed the motion."""
         d, f, w, p = s.dynamics, self.floats, self.work, begin.position
         n, _ = size = d.frames, d.n
         b, went, goes = f[_col.RESULTS :], f[_col.WENT] > 0.0, f[_col.GOES] > 0.0
@@ -87,7 +87,7 @@ class KernelResult(NamedTuple):
         )
 
     def _answer(self, s: System, begin: SceneState, active: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:
-        """What is met, its problem, and the impulses, by the names of `Attempt`."""
+        """Return the active set, its contact problem and its impulses, by the field names of `Attempt`."""
         n, nv = size = s.dynamics.frames, s.dynamics.n
         nc, f, w = self.status.size, self.floats, self.work
         a, own = f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :], w[_col.FRAME_WORK * n :]
@@ -123,7 +123,7 @@ class KernelResult(NamedTuple):
         }
 
     def _half(self, s: System, begin: SceneState, t: float, h: float) -> Midpoint:
-        """The first half of a move of h s of free bodies from the time t."""
+        """Return the first half of a move of free bodies, of h s from the time t."""
         d, w = s.dynamics, self.work
         n, _ = size = d.frames, d.n
         x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)

@@ -1,4 +1,4 @@
-"""What tells of steps of the kernel when it is asked for: of one, or of many together."""
+"""Results of steps of the kernel, computed on demand: of one step, or of many together."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ COLUMNS: dict[str, tuple[int, ...]] = {
 
 
 class LazyStep(NamedTuple):
-    """What tells of a quiet step when it is asked for, alone or together with others.
+    """Results of an eventless step, computed on demand, for one step or for many together.
 
-    So are works and energies of trees found, which the motion does not need.
+    Works and energies of trees are also computed only on demand: the motion does not need them.
 
     Attributes
     ----------
     flat : FlatState
-        Where it ended.
+        The state at the end.
     before : State or FlatState
-        Where it began.
+        The state at the beginning.
     system : System
     """
 
@@ -57,7 +57,7 @@ class LazyStep(NamedTuple):
         return self.flat.status.size
 
     def told_with(self, name: str) -> dict[str, Any]:
-        """What is told of the step together with `name`: its contacts, its problem and solution, or all else."""
+        """Attributes of `Step` that are computed together with `name`: contacts, problem and solution, or the rest."""
         flat = self.flat
         if name in COLUMNS:
             return {name: _column(flat.contact(0, _col.CONTACT), self.nc, *COLUMNS[name])}
@@ -73,7 +73,7 @@ class LazyStep(NamedTuple):
         return self.told()
 
     def told(self) -> dict[str, Any]:
-        """Where the step led, by the names of `Step`."""
+        """Return the state after the step and its other results, by the names of `Step`."""
         flat, d = self.flat, self.system.dynamics
         x, quaternion = d.poses(flat.position, flat.place)
         q, v = d.pinocchio_state(flat.position, flat.coordinate(_col.V))
@@ -91,7 +91,7 @@ class LazyStep(NamedTuple):
         }
 
     def _booked(self) -> tuple[Works, Array, Array]:
-        """Works, with those of what Python moved, and `joints` and `links` as of `Step`."""
+        """Return the works, with those of trees and loads computed in Python, and `joints`, `links` as in `Step`."""
         flat, d = self.flat, self.system.dynamics
         own = Works(*flat.floats[_col.EXTERNAL : _col.NORM].tolist())
         if flat.motion is None:
@@ -99,18 +99,18 @@ class LazyStep(NamedTuple):
         return flat.motion.told(self.before.of_trees, own)
 
     def _wrenches(self) -> OnBodies | None:
-        """What acted on free bodies besides contacts."""
+        """External wrenches on the free bodies."""
         motion, ((time,), (duration,)) = self.flat.motion, self._times(1)
         return None if motion is None else OnBodies.of([(time, duration, motion.mid.wrench())])
 
     def _times(self, *shape: int) -> tuple[Array, Array]:
-        """When the impulses of as many contacts acted, s after the beginning of the step, and how long it lasts."""
+        """Times of the contact impulses, s after the beginning of the step, and its duration, as arrays of `shape`."""
         dt = self.flat.dt
         return np.full(shape, (1.0 - self.system.theta) * dt), np.full(shape, dt)
 
     @staticmethod
     def steps(some: Sequence[LazyStep]) -> Step:
-        """What m steps of a scene did but for their contacts, arrays with a leading axis of m, of joints (7, m)."""
+        """Results of m steps of a scene without their contacts; arrays have a leading axis of m, `joints` (7, m)."""
         first, d, m, nothing = some[0].flat, some[0].system.dynamics, len(some), np.zeros(len(some))
         x = quaternion = joints = links = pieces = None
         booked = [one._booked() for one in some]
@@ -155,7 +155,7 @@ class LazyStep(NamedTuple):
     def contacts(some: Sequence[LazyStep]) -> Step:
         """The contacts of m steps of a scene with nc each, every array with leading axes (m, nc) or (1, nc)."""
         m, nc, active = len(some), some[0].nc, [one.flat.active for one in some]
-        if all(each is active[0] for each in active):  # what rests touches where it touched
+        if all(each is active[0] for each in active):  # bodies at rest keep their contacts
             active = active[:1]
         names, points, scalars, next_keys = zip(*(each.contacts() for each in active), strict=True)
         arrays = np.stack(names, axis=1), np.stack(points, axis=1), np.stack(scalars, axis=1)
@@ -168,12 +168,12 @@ class LazyStep(NamedTuple):
 
 
 def _column(source: Array, nc: int, column: int, *shape: int) -> Array:
-    """Columns of nc contacts from one on, of such a shape, of one state or of many with a leading axis."""
+    """Columns of nc contacts from `column` on, in `shape` per contact, of one state or of many with a leading axis."""
     return source[..., column * nc : (column + math.prod(shape)) * nc].reshape(*source.shape[:-1], nc, *shape)
 
 
 def _told(contacts: ContactSet, frame: Array, status: Any, times: tuple[Array, Array]) -> dict[str, Any]:
-    """What was met in a step, or in many with an axis before that of the contacts, by the names of `Step`."""
+    """Contacts of a step, or of many with an axis before that of the contacts, by the names of `Step`."""
     return {
         "contacts": contacts,
         "frame": frame,

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Forces, MidpointState, Position
-from nsdyn.stepping.scene_state import FAST, SceneState, System
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools
 
 __all__ = ["STILL_SURFACES", "Callbacks", "Given", "Midpoint", "Loads", "corrected", "midpoint"]
@@ -88,8 +89,8 @@ class Midpoint:
 
     @cached_property
     def fast(self) -> bool:
-        """Whether some points may move so far in the second half that contacts go unseen."""
-        fast: bool = _reductions.most(self.reach) > FAST * self.s.smallest
+        """Whether that is so far that it might go unseen."""
+        fast: bool = _reductions.most(self.reach) > OPTIONS.unseen * self.s.smallest
         return fast
 
     def turns(self, begin: SceneState, moved: SceneState) -> tuple[Array, Array]:

@@ -344,7 +344,7 @@ def _resume(kin: ContactKinematics, sliding: Bools, last: Attempt) -> None:
     nc = kin.contacts.gap.size
     where = np.empty(nc, np.int64)
     _touching.places(key, kin.contacts.key, where)
-    known, guess = where >= 0, kin.local[4].reshape(-1, 3)
+    known, guess = where >= 0, kin.r_last.reshape(-1, 3)
     guess[:nc][known] = r[where[known]]
     sliding[known] = last.sliding[where[known]]
     if kin.joints is not None and rows is not None:  # some may be new: those of actuators

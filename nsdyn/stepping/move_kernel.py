@@ -1,4 +1,4 @@
-"""Moves in one call of a kernel, `nsdyn._kernels.stepping.eventless`, but for the motion of trees and the user's forces."""
+"""Moves in one call of the kernel `nsdyn._kernels.stepping.eventless`; motion of trees, user forces are in Python."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from nsdyn._kernels.packing import pack
 from nsdyn._kernels.stepping import columns as _col
 from nsdyn._kernels.stepping import eventless as _eventless
 from nsdyn._kernels.stepping import eventless_contacts as _contacts
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto
@@ -19,7 +20,7 @@ from nsdyn.stepping.attempt import Attempt
 from nsdyn.stepping.flat_state import Acted, Found, detected_at, packed, put, solved, velocity
 from nsdyn.stepping.kernel_result import KernelResult
 from nsdyn.stepping.midpoint import Midpoint
-from nsdyn.stepping.scene_state import FAST, STILL, SceneState, System
+from nsdyn.stepping.scene_state import STILL, SceneState, System
 from nsdyn.stepping.solving import again
 from nsdyn.stepping.tree_motion import TreeMotion
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -33,7 +34,7 @@ Rooms = tuple[tuple[Array, Index], tuple[Array, Index], tuple[Array, Index]]
 
 
 class MoveKernel:
-    """Moves of a system, of free bodies under gravity alone, or of others by what a `TreeMotion` has.
+    """Moves of a system: free bodies under gravity alone, or with a `TreeMotion` trees and bodies under other forces.
 
     Parameters
     ----------
@@ -42,11 +43,11 @@ class MoveKernel:
     Attributes
     ----------
     given : (SceneState, (Acted, Found))
-        Where a move last began, and that as the kernel takes it.
+        The state where the last move began, and the same state in the kernel's layout.
     """
 
     ready: ClassVar[bool] = False
-    """Whether the kernel is compiled: that takes half a minute, in which general moves do the same."""
+    """Whether the kernel is compiled. Compiling takes half a minute; general moves replace the kernel meanwhile."""
 
     def __init__(self, s: System) -> None:
         d, solver, own = s.dynamics, s.solver, isinstance(s.solver, Auto)
@@ -61,7 +62,7 @@ class MoveKernel:
             shallow,
             until,
             s.depth,
-            FAST * s.smallest,
+            OPTIONS.unseen * s.smallest,
             s.least_penetration,
             STILL * s.gap_tol,
             s.elastic,
@@ -106,14 +107,14 @@ class MoveKernel:
         moves: bool = True,
         motion: TreeMotion | None = None,
     ) -> KernelResult | None:
-        """The move of length = (h [s], depth) from a state; None where the kernel does not make it.
+        """Return the move of length = (h [s], depth) from a state; None if the kernel cannot make it.
 
-        It begins at `old`, with the contacts `begun`. Direction, what is barred and whether it is a `step` are as of
-        the kernel; if it `moves`, which is likely, there should be room for what is found then. The `motion` is of
-        trees, or under the forces of the user.
+        The move begins at the state `old` with the contacts `begun`. `direction`, the pairs `located` and `step` are
+        arguments of the kernel. With `moves` (frames probably move) memory for newly found contacts is allocated at
+        once. `motion` is the motion of trees, or the motion under the user's forces.
         """
         detector, constrained = self._detector, self._dynamics.constrained
-        if constrained and begun.nc:  # problems have the coordinates that loops leave
+        if constrained and begun.nc:  # with closed loops problems use reduced coordinates
             return None
         self.numbers[_col.GIVEN] = motion is not None
         self._set(length)
@@ -139,7 +140,7 @@ class MoveKernel:
                 (stage, ready, detector.asks, step),
             )
             if code in (_contacts.DONE, _contacts.EVENT):
-                if code == _contacts.EVENT:  # whose values are views of it
+                if code == _contacts.EVENT:  # the values of this move are views of the work arrays
                     self._work = self._for_work(0)
                 if constrained and head[_col.ACTIVE]:
                     return None
@@ -158,7 +159,7 @@ class MoveKernel:
             stage, ready = code, True
 
     def _go_on(self, code: int, motion: TreeMotion | None, floats: Array, work: Array) -> bool:
-        """Do what the kernel asks for, but for a solve; whether the move goes on."""
+        """Do the work in Python that a return code of the kernel requests, except a solve; whether the move goes on."""
         if code == _contacts.OTHERWISE:
             return False
         if code == _contacts.MOVE:
@@ -169,7 +170,7 @@ class MoveKernel:
         return True
 
     def _load(self, motion: TreeMotion, work: Array) -> None:
-        """Where a step has come to halfway, and what acts there."""
+        """Copy the midpoint of a motion into the kernel's arrays: positions, velocities, mass matrices, Jacobians."""
         mid, n, views = motion.mid, self._size[0], self._views
         (x, R, links), forces = mid.state.placement, mid.forces
         put(work, _col.X, n, x)
@@ -186,7 +187,7 @@ class MoveKernel:
             first = last
 
     def _move(self, motion: TreeMotion, floats: Array, work: Array) -> bool:
-        """Bring the scene to the end of its step; whether it goes there."""
+        """Move the scene from the midpoint to the end of its step, into `floats`; whether this succeeds."""
         n, b = self._size[0], floats[_col.RESULTS :]
         found = motion.end(
             velocity(work, _col.V_PLUS, self._size).copy(), velocity(work, _col.PUSHED, self._size).copy()
@@ -204,9 +205,9 @@ class MoveKernel:
     def respond(
         self, s: System, begin: SceneState, t: float, h: float, located: Index, mid: Midpoint | None = None
     ) -> Attempt | None:
-        """The move of h s from the time t, with `located` as of `try_islands`; None where the kernel does not make it.
+        """Return the move of h s from the time t, `located` as in `try_move`; None if the kernel cannot make it.
 
-        Its first `midpoint` is known where there are trees, or forces of the user.
+        With trees, or forces of the user, the first half `mid` is given.
         """
         if not MoveKernel.ready:
             return None
@@ -223,7 +224,7 @@ class MoveKernel:
         return None if made is None else made.values(s, begin, t, h, motion)
 
     def _set(self, length: tuple[float, float]) -> None:
-        """Make moves of such a length."""
+        """Set the length (h [s], depth) of the moves to come."""
         if length == self._length:
             return
         (h, depth), num, self._length = length, self.numbers, length
@@ -231,7 +232,7 @@ class MoveKernel:
         num[_col.UNTIL] = num[_col.THETA] * h + (1.0 - num[_col.THETA]) * self._dt
 
     def is_ready(self, old: Acted, begun: Found) -> bool:
-        """Whether the kernel is compiled; if not, another process does that."""
+        """Whether the kernel is compiled; if not, another process compiles it."""
         found, detector = begun[:2], self._detector
         given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
         work = self._rooms(False, False)[2]
@@ -239,9 +240,9 @@ class MoveKernel:
         return MoveKernel.ready
 
     def _rooms(self, moves: bool, step: bool) -> tuple[Acted, Rooms, tuple[Array, Index, Bools]]:
-        """Room for a state, for what is found on the way there, if anything moves, and to work in."""
+        """Allocate memory for a state, for the contacts found during the move if frames move, and for work arrays."""
         nc, work = self._most, self._work
-        if not step or work[2].shape[1] != nc:  # of what a step has worked with nothing is kept
+        if not step or work[2].shape[1] != nc:  # a step keeps nothing of its work arrays
             work = self._for_work(nc)
         if step:
             self._work = work
@@ -249,11 +250,11 @@ class MoveKernel:
         return new, (self._room(nc), self._room(nc), self._room(nc)) if moves else self._none, work
 
     def _room(self, nc: int) -> tuple[Array, Index]:
-        """Room for what is found of so many contacts."""
+        """Allocate memory for `nc` contacts of one detection."""
         return np.empty((_col.ROWS + self.wide) * nc), np.empty(_col.FOUND_NAMES * nc + 2, np.int64)
 
     def _for_work(self, nc: int) -> tuple[Array, Index, Bools]:
-        """Room to work in, for so many contacts."""
+        """Allocate the work arrays for `nc` contacts."""
         own = np.empty(self._own + _col.CONTACT_WORK * nc)
         return own, np.empty(_col.HEAD + 2 * nc, np.int64), np.empty((_col.FLAGS, nc), np.bool_)
 
@@ -265,7 +266,7 @@ class MoveKernel:
         begun: Found,
         whole: bool,
     ) -> KernelResult:
-        """What is made so far, as large as it is."""
+        """Return the move as computed so far, its arrays cut to the number of contacts."""
         (floats, acted, status), (own, head, flags) = new, work
         nc, went, goes = int(head[_col.ACTIVE]), floats[_col.WENT] > 0.0, floats[_col.GOES] > 0.0
         found = Found(*rooms[0], int(head[_col.KEY_MIDDLE])).of(int(head[_col.MIDDLE])) if went else begun
@@ -285,7 +286,7 @@ class MoveKernel:
         )
 
     def _solve(self, made: KernelResult) -> bool:
-        """Solve the problem of a step where the kernel does not; whether that is an answer."""
+        """Solve the contact problem of a step that the kernel leaves to Python; whether the solution is accepted."""
         nc, floats, active, masses = made.status.size, made.floats, made.active, self._views[_col.M : _col.MINV + 1]
         own, a = made.work[self._own :], floats[self._acted :]
         problem, _ = solved(floats, a, active, active.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)

@@ -1,15 +1,16 @@
-"""Persistent contacts do no work: where the impulses of a move act, a couple per pair of free bodies sees to that.
+"""Couples with which persistent contacts do no work: one per pair of free bodies, at the midpoint of a move.
 
-Impulses at one configuration do a little work on contacts that stay closed, and stick: w = r·ū with ū the mean of the
-relative velocities before and after, an error of second order of either sign. A couple along ω̄, the mean spin of one
-body on the other, takes it: τ = -w ω̄/‖ω̄‖² on body 2, -τ on body 1. It is as if the contact force acted at a point moved
-by O(h²), and keeps both momenta exactly. With the gaps closed where the move ends, for which `ContactKinematics.corrected`
-sees, it is a discrete gradient (O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Science 6,
-1996; P. Betsch, Energy-consistent numerical integration of mechanical systems with mixed holonomic and nonholonomic
-constraints, CMAME 195, 2006) that leaves W and the solver as they are.
+Impulses act at one configuration. On contacts that stay closed and stick they do a small work w = r·ū, where ū is the
+mean of the relative velocities before and after. This work is an error of second order, of either sign. A couple along
+ω̄, the mean angular velocity of body 2 relative to body 1, cancels it: τ = -w ω̄/‖ω̄‖² on body 2, -τ on body 1. It is
+as if the contact force acted at a point moved by O(h²), and it keeps both momenta exactly.
+`ContactKinematics.corrected` closes the gaps at the end of the move. With both, the scheme is a discrete gradient (O.
+Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Science 6, 1996; P. Betsch, Energy-consistent
+numerical integration of mechanical systems with mixed holonomic and nonholonomic constraints, CMAME 195, 2006). W and
+the solver are unchanged.
 
-Contacts with links of articulations and with bodies that move as prescribed have no couples: their work, O(h²) of a
-motion, is in the ledger as `integration`.
+Contacts with links of articulations and with kinematic bodies have no couples. Their work, O(h²) of a motion, is in the
+ledger as `integration`.
 """
 
 from __future__ import annotations
@@ -32,16 +33,16 @@ __all__ = ["NO_COUPLE", "Couple", "turned", "worked"]
 
 
 class Couple(NamedTuple):
-    """Couples of the contacts of a move; all empty for none.
+    """Couples of the contacts of a move; all arrays are empty if there are none.
 
     Attributes
     ----------
     impulse : ndarray, shape (nc, 3)
-        On body 2, world axes, N·m·s.
+        Couples on body 2, world axes, N·m·s.
     work : ndarray, shape (nc,)
-        J.
+        Work of the couples, J.
     dv : ndarray, shape (n,)
-        Change of v by them.
+        Change of v by the couples.
     """
 
     impulse: Array
@@ -62,10 +63,11 @@ def turned(
     couple: Couple,
     left: Array,
 ) -> tuple[Couple, Bools] | None:
-    """Couples with which contacts that persist do no work, and which contacts have others than act; None if none do.
+    """Return the couples with which persistent contacts do no work, and the contacts whose couples changed.
 
-    With the impulses of a solution, which lead to the velocity v (n,), contacts that slide through (nc,), and the
-    couples that act; `left` (nc,), the work that couples leave, J, changes as in the kernel `couples`.
+    None if no couple changes. The impulses of `solution` lead to the velocity v (n,). `sliding` (nc,) are contacts that
+    slide through the step, `couple` the couples so far. `left` (nc,), the work that couples leave, J, is updated as in
+    the kernel `couples`.
     """
     d, c, rows = s.dynamics, kin.contacts, kin.rows.full
     if not d.free:
@@ -88,7 +90,7 @@ def turned(
 
 
 def worked(s: System, kin: ContactKinematics, mid: Midpoint, v: Array, couple: Couple) -> Couple:
-    """The same with the works of couples that act until the velocity v (n,)."""
+    """Return the couples with their works, for a move that leads to the velocity v (n,)."""
     if not couple.dv.size:
         return couple
     work, c, R = np.empty(len(couple.impulse)), kin.contacts, mid.state.placement.R

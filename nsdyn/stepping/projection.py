@@ -1,4 +1,4 @@
-"""Positions without overlap: what a step leaves is removed on the shapes themselves, and no velocity is touched."""
+"""Position projection: remove the penetration that a step leaves, on the true shapes; velocities do not change."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ where bodies move fast, and numbers so much larger than those that matter cost t
 
 
 def found(s: System, at: SceneState, detected_at: DetectionPose) -> SceneState:
-    """The contacts and limits where an instant is, whatever overlaps, where they are `detected_at` for."""
+    """Return the state with the contacts found at the poses `detected_at`, overlaps included, and its joint limits."""
     contacts = s.detector.find(*detected_at, at.memory)
     return at._replace(
         contacts=contacts, limits=s.dynamics.limits(at.placement), memory=contacts, detected_at=detected_at
@@ -38,12 +38,12 @@ def found(s: System, at: SceneState, detected_at: DetectionPose) -> SceneState:
 
 
 def project(s: System, at: SceneState, forces: Forces) -> tuple[SceneState, bool]:
-    """The closest position without overlap, in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0.
+    """Return the closest position without overlap, and whether no overlap exceeds the gap tolerance.
 
-    Each pass is a frictionless contact problem for the shift δ, on the gaps g of the shapes and joint limits where the
-    last one has brought them; the mass matrices of the forces are the metric. Velocities stay what they are `at` the
-    end of the motion. That itself is returned where nothing overlaps by more than what counts as closed, and whether
-    that is so at last: where bodies are squeezed nothing helps. These, and what touches them, stay.
+    Closest in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0. Each pass solves a frictionless contact problem
+    for the shift δ, with the gaps g of shapes and joint limits at the position of the last pass. The mass matrices of
+    `forces` are the metric. Velocities stay those of `at`, the end of the motion. `at` itself is returned if no overlap
+    exceeds the gap tolerance. Squeezed bodies cannot be separated: they and the bodies that touch them stay in place.
     """
     d, closed = s.dynamics, s.gap_tol
     for _ in range(PASSES):
@@ -57,7 +57,7 @@ def project(s: System, at: SceneState, forces: Forces) -> tuple[SceneState, bool
             joints = d.limit_rows(at.placement, np.zeros(d.n))
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
         rows, _ = d.rows(contacts, at.placement, forces, joints)
-        # In units of the deepest overlap, which the tolerance is a fraction of.
+        # Gaps in units of the deepest overlap; the tolerance is a fraction of it.
         g = np.zeros(3 * gap.size)
         g[0::3] = gap / -deepest
         problem = FC3D.from_blocks(rows.blocks, g, np.zeros(gap.size))
@@ -66,7 +66,7 @@ def project(s: System, at: SceneState, forces: Forces) -> tuple[SceneState, bool
         if not push.any():
             break
         moved = d.shift(at.position, -deepest * rows.velocity_change(push))
-        # What the next shift may reach, which is about as far as this one, must be seen.
+        # Detection must cover the reach of the next shift, which is about as long as this one.
         there = d.place(moved)
         detected_at = DetectionPose(there.x, there.R, np.full(d.frames, -deepest))
         at = found(s, at._replace(position=moved, placement=there), detected_at)
@@ -74,7 +74,7 @@ def project(s: System, at: SceneState, forces: Forces) -> tuple[SceneState, bool
 
 
 def _without_squeezed(blocks: DelassusFactors, solution: Solution) -> Array:
-    """The impulses of a projection, none in islands where they do not even halve an overlap."""
+    """Return the impulses of a projection, set to 0 in islands where they do not even halve an overlap."""
     label = blocks.islands()
     squeezed = np.isin(label, label[solution.u[0::3] < -0.5])
     out: Array = np.where(np.repeat(squeezed, 3), 0.0, solution.r)
@@ -82,6 +82,6 @@ def _without_squeezed(blocks: DelassusFactors, solution: Solution) -> Array:
 
 
 def _least(at: SceneState) -> float:
-    """The least gap, 0 if none is negative."""
+    """Return the least gap of contacts and joint limits, 0 if none is negative."""
     least: float = _reductions.least(at.contacts.gap)
     return min(least, _reductions.least(at.limits)) if at.limits.size else least

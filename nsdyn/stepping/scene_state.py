@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels import sorting as _sorting
 from nsdyn._kernels.stepping import touching as _touching
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, DetectionPose, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
@@ -22,24 +23,9 @@ from nsdyn.tools.arrays import Array, Bools, Index
 if TYPE_CHECKING:
     from nsdyn.stepping.move_kernel import MoveKernel
 
-__all__ = ["DEEP", "EVENTS", "FAST", "JOINT", "SHALLOW", "SceneState", "System", "WarmStart", "among"]
+__all__ = ["SceneState", "System", "WarmStart", "among"]
 
 NOTHING = np.empty(0)
-
-FAST = 0.1
-"""Fraction of the inscribed radius of the smallest shape beyond which bodies may get so far into each other in half a
-move that only the way there tells which sides met."""
-
-DEEP, SHALLOW = 1e-5, 1e-3
-"""Fractions of the inscribed radius of the smaller shape up to which bodies may run into each other within a step, in
-scenes whose impacts are located, and in those that catch them. What falls so far is lifted again at the end, and the
-energy of that is numerical; what else carries the body when it lands is struck too late."""
-
-JOINT = 0.1
-"""What counts for joint limits as the inscribed radius of a shape does, rad or m."""
-
-EVENTS = 16
-"""Most impacts at which one step is cut, and bounces in a step that count as infinitely many."""
 
 STILL = 0.5
 """Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
@@ -86,7 +72,7 @@ class System(NamedTuple):
     arm: Array
     impact: Law
     elastic: bool
-    depth: float = DEEP
+    depth: float = OPTIONS.depth_located
     mover: MoveKernel | None = None
 
     @property
@@ -96,8 +82,8 @@ class System(NamedTuple):
 
     @property
     def capturing(self) -> System:
-        """The system of a move that captures the contacts it meets, and impacts as slow where it begins."""
-        return self._replace(depth=max(self.depth, SHALLOW))
+        """The same in a move that catches what it meets, and what strikes as slowly where it begins."""
+        return self._replace(depth=max(self.depth, OPTIONS.depth_captured))
 
     def during(self, t: float, h: float, begin: Position) -> System:
         """Return the system in a step of h s from the time t on that begins at a position."""
@@ -110,7 +96,11 @@ class System(NamedTuple):
         next impulses: they are of second order, and not deep. Contacts that cross wider gaps strike. No gap stays open
         so where impacts are located.
         """
-        shallow = min(SHALLOW * min(self.smallest, JOINT), self.dynamics.weight * self.dt**2) if captured else 0.0
+        shallow = (
+            min(OPTIONS.depth_captured * min(self.smallest, OPTIONS.joint), self.dynamics.weight * self.dt**2)
+            if captured
+            else 0.0
+        )
         return self.gap_tol, shallow, self.theta * h, self.theta * h + (1.0 - self.theta) * self.dt
 
     def touches(
@@ -122,8 +112,8 @@ class System(NamedTuple):
         together: ContactSet | None = None,
         foreseen: Array | None = None,
     ) -> Touches:
-        """Return the contacts (`Detector.touches`) of pairs so fast that their end does not tell which sides met."""
-        return self.detector.touches(begin, end, memory, known, FAST * self.inscribed, together, foreseen)
+        """Contacts of `Detector.touches` of pairs so `Options.unseen` that where they end does not tell which sides met."""
+        return self.detector.touches(begin, end, memory, known, OPTIONS.unseen * self.inscribed, together, foreseen)
 
     def detection_pose(self, last: DetectionPose, now: Poses, reach: Array) -> DetectionPose | None:
         """Return where to search for contacts: each frame at its last pose if that still holds, else at its present.
@@ -164,8 +154,8 @@ class System(NamedTuple):
         """
         c, w = at.contacts, at.warm
         warm = w.key, w.pair, w.status
-        # But where a contact has just closed its gap and that gains energy, the contact is stopped first.
-        if self.depth < DEEP:
+        # But where such a contact has just closed its gap and that gains energy, it is stopped first.
+        if self.depth < OPTIONS.depth_located:
             warm = w.key, w.pair, np.zeros_like(w.status)
         least: float = _touching.striking_speed(
             c[:3], at.placement.x, at.twists, warm, self.inscribed.size, self.gap_tol
@@ -174,16 +164,15 @@ class System(NamedTuple):
 
     @property
     def bounces(self) -> tuple[float, float]:
-        """Half a step, s, and the least 1 - e that counts in it, for `resting`."""
-        return 0.5 * self.dt, 1.0 / EVENTS
+        """Half a step, s, and the least 1 - e that counts in it, as of `resting`."""
+        return 0.5 * self.dt, 1.0 / OPTIONS.bounces
 
     def resting(self, kin: ContactKinematics, there: Placement, rate: Array) -> Array:
         """Return speeds of approach, m/s, up to which contacts rest after an impact, at the free acceleration `rate`.
 
-        The shape of `rate` is (n,). After an impact that leaves u the flight takes 2 u/a_n, where a_n adds up the free
-        accelerations of both bodies along the normal. The next flights take e, e², ... times as long. Where u ≤ ½ a_n
-        dt max(1 - e, 1/N), all flights end within a step, or the N flights do that count as infinitely many. An
-        approach within the solver's tolerance is none.
+        After an impact that leaves u the flight takes 2 u/a_n, with the free accelerations of both bodies along the
+        normal added up, and those that follow e, e², ... times as long: they are over within a step, or the `Options.bounces` of
+        it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS). What the solver's tolerance leaves of a velocity is no approach.
         """
         d, c, e = self.dynamics, kin.contacts, kin.restitution
         weight = np.empty(c.gap.size)
@@ -196,21 +185,21 @@ class System(NamedTuple):
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
-        """Return whether bodies penetrate by more than a fixed fraction of the smaller shape's inscribed radius."""
-        if _reductions.least(contacts.gap) >= -FAST * self.smallest:
+        """Whether bodies are in each other by more than `Options.unseen` of the inscribed radius of the smaller shape."""
+        if _reductions.least(contacts.gap) >= -OPTIONS.unseen * self.smallest:
             return False
         radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
-        return bool((contacts.gap < -FAST * radius).any())
+        return bool((contacts.gap < -OPTIONS.unseen * radius).any())
 
     def shifted(self, before: Position, after: Position) -> bool:
-        """Return whether a projection moved points of a free body by more than a fixed fraction of `smallest`."""
+        """Whether a projection moved points of a free body by more than `Options.unseen` of the least inscribed radius."""
         free = before.x.shape[0]
         if after is before or not free:
             return False
         # A small turn changes the quaternion by half its angle.
         turn = 2.0 * np.linalg.norm(after.quaternion - before.quaternion, axis=1)
         moved = np.linalg.norm(after.x - before.x, axis=1) + self.arm[:free] * turn
-        return float(moved.max()) > FAST * self.smallest
+        return float(moved.max()) > OPTIONS.unseen * self.smallest
 
 
 class WarmStart(NamedTuple):

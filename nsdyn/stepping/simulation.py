@@ -36,7 +36,7 @@ command: ContextVar[str] = ContextVar("command", default="")
 
 
 class RunOptions(TypedDict, total=False):
-    """Keywords of `simulate` but for its dt and its files; see there."""
+    """Keywords of `simulate` except dt and files; see `simulate`."""
 
     theta: float
     solver: str | Solver | None
@@ -54,7 +54,7 @@ class RunOptions(TypedDict, total=False):
 
 
 class Options(RunOptions, total=False):
-    """Keywords of `simulate` but for its files; see there."""
+    """Keywords of `simulate` except files; see `simulate`."""
 
     dt: float
 
@@ -90,19 +90,19 @@ def simulate(
     dt, theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift, polish
         As in `Stepper`.
     record : path, optional
-        HDF5 file written while the simulation runs; a killed run keeps its steps.
+        HDF5 file written while the simulation runs. A killed run leaves its steps in the file.
     progress : bool
         Show a progress bar on stderr when it is a terminal.
     every : int
-        Record only every so many steps. Works are summed over the steps between, so that the ledger closes; contacts,
-        with their impulses, are those of the step recorded: see `nsdyn.recording.columns`.
+        Record only every n-th step, n = `every`. Works are summed over all steps, so that the ledger closes. Contacts,
+        with their impulses, are those of the recorded step: see `nsdyn.recording.columns`.
     contacts : bool
         Whether contacts are recorded.
     resume : path, optional
-        Recording, in place of `record`, of a run of the same arguments that ended or was killed. It goes on from the
-        last state there, about half a second of computing before a kill, and the rows after it are added to the file:
-        the same bits as if it had never stopped. Controllers and external forces must be functions of (t, q, v) alone,
-        without memory.
+        Recording, in place of `record`, of a run with the same arguments that ended or was killed. The run continues
+        from the last state in the file, which is from about half a second of computing before a kill. The rows after
+        it are added to the file, with the same bits as if the run had never stopped. Controllers and external forces
+        must be functions of (t, q, v) alone, without memory.
 
     Returns
     -------
@@ -111,12 +111,12 @@ def simulate(
     Raises
     ------
     ValueError
-        For bad arguments, before anything is written; where `resume` is a recording of another scene or of other
-        options, naming one.
+        For bad arguments, before anything is written; if `resume` is a recording of another scene or of other
+        options, naming one that differs.
     FileNotFoundError
         If there is no recording to resume.
     NotConverged
-        As `on_fail` has it; the steps before are in `record`.
+        According to `on_fail`; the steps before are in `record`.
 
     Examples
     --------
@@ -131,7 +131,7 @@ def simulate(
     >>> round(float(trajectory.body("box").position[-1, 0]), 4), round(float(trajectory.energy.friction.sum()), 6)
     (0.4077, -2.0)
     """
-    from tqdm import tqdm  # costs 50 ms that a library user may not need
+    from tqdm import tqdm  # the import takes 50 ms, which a library user may not need
 
     check_seconds(duration=duration)
     check_flags(contacts=contacts, progress=progress)
@@ -162,7 +162,7 @@ def simulate(
 
 
 def _packed(later: Callable[[], State]) -> dict[str, NDArray[Any]]:
-    """A state that is made when it is written."""
+    """The arrays of a state, which is computed only when it is written."""
     return checkpoint.pack(later())
 
 
@@ -174,7 +174,7 @@ def _recorder(
     duration: float,
     rows: int,
 ) -> Recorder:
-    """What records a stepper, which is set to the last state of a recording to resume."""
+    """Return the recorder of a stepper; with `resume` the stepper is set to the last state of that recording."""
     scene = stepper.scene
     if resume is not None and stepper.functions.take_last:
         raise ValueError("resume must be None where a function takes the last step, which a recording does not hold")

@@ -73,7 +73,7 @@ def endings(kin: ContactKinematics, problem: FC3D, solution: Solution) -> NDArra
     """
     local, slid = kin.begun, NONE
     if kin.joints is not None:
-        last = kin.local[4].reshape(-1, 3)[kin.frame.shape[0] :]
+        last = kin.r_last.reshape(-1, 3)[kin.frame.shape[0] :]
         dry = (kin.joints.mu > 0.0) & ~kin.joints.actuated
         # New rows are taken to slide as they move.
         slid = dry & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])

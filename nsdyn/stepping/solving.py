@@ -42,7 +42,7 @@ def solve(
     def once(kin: ContactKinematics, last: Solution | None, off: Bools | None) -> tuple[FC3D, Solution]:
         """Solve the problem with the present split of ball-joint friction."""
         problem = FC3D.from_blocks(kin.rows.blocks, kin.offsets(sliding, gap_rule), kin.mu)
-        solution = again(solver, last, problem, kin.local[4], kin.local[0], effort)
+        solution = again(solver, last, problem, kin.r_last, kin.u_begin, effort)
         if last is not None and off is not None:
             r, u = solution.r.copy(), solution.u.copy()
             _solving.thaw(kin.rows.full.arrays, off, (last.r, last.u), (r, u))
@@ -51,9 +51,9 @@ def solve(
 
     if not kin.rows.balls.size:
         return kin, *once(kin, last, off)
-    rows, local = kin.rows, kin.local
-    pushed, free = rows.ball_axes(local[4]), rows.ball_axes(local[2])
-    kin = kin.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), local[4])
+    rows = kin.rows
+    pushed, free = rows.ball_axes(kin.r_last), rows.ball_axes(kin.u_free)
+    kin = kin.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), kin.r_last)
     problem, solution = once(kin, last, off)
     search = Search()
     for _ in range(SHARES if shares else 0):

@@ -1,4 +1,4 @@
-"""States of a run, and what one step did, as values."""
+"""States of a run, and results of one step, as values."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["Names", "OnBodies", "Pieces", "State", "Step", "Touch"]
 
 
 class State(NamedTuple):
-    """Everything a run needs to go on bit for bit.
+    """All data with which a run continues bit for bit.
 
     Attributes
     ----------
@@ -41,11 +41,11 @@ class State(NamedTuple):
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
     energies : (float, float)
-        Kinetic and potential, J.
+        Kinetic and potential energy, J.
     slater : gauss.SlaterDirection, optional
-        Direction that the last certificate rests on.
+        Slater direction of the last certificate.
     last : Step, optional
-        The last step, where a callback takes it.
+        The last step, if a callback takes it.
     """
 
     origin: float
@@ -77,19 +77,19 @@ class State(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """The moves and impacts of a step with articulations that was cut, of each island one after the other.
+    """The moves and impacts of a step that was cut into substeps, in scenes with articulations, island by island.
 
     Attributes
     ----------
     begin, duration : ndarray, shape (m,)
-        s, after the beginning of the step; 0 of impacts in no time. The impulses of a move act (1 - theta) of it after
-        its beginning.
+        Beginning, s after the beginning of the step, and duration, s, which is 0 for impacts. The impulses of a move
+        act after the fraction 1 - theta of its duration.
     contacts : ndarray of int, shape (m,)
-        How many of the contacts of the step are of it.
+        Number of contacts of the step that belong to each move or impact.
     moves : ndarray of int8, shape (m, nv)
-        1 for the coordinates of articulations of its island, 0 for others.
+        1 for the coordinates of articulations of its island, 0 for all other coordinates.
     joints : ndarray, shape (7, m, nv)
-        As of `Step`.
+        As in `Step`.
     """
 
     begin: Array
@@ -100,7 +100,7 @@ class Pieces(NamedTuple):
 
     @staticmethod
     def of(done: list[Impulses]) -> Pieces:
-        """The parts of a step with trees."""
+        """Return the moves and impacts of a step with trees."""
         begin, duration = np.array([(a.begin, a.duration) for a in done]).T
         contacts, every = np.array([a.contacts.gap.size for a in done]), np.ones(done[0].joints.shape[1], np.bool_)
         moves = np.stack([every if a.moves is None else a.moves for a in done]).astype(np.int8)
@@ -108,17 +108,17 @@ class Pieces(NamedTuple):
 
 
 class OnBodies(NamedTuple):
-    """What was done to free bodies in the moves of a step and is not 0: external wrenches, or lifts by projections.
+    """Nonzero external wrenches on free bodies in the moves of a step, or lifts of free bodies by position projections.
 
     Attributes
     ----------
     body : ndarray of int, shape (m,)
     time, duration : ndarray, shape (m,)
-        Of the move, s: when its impulses acted, after the beginning of the step, and how long it was. Lifts are at its
-        end, θ durations after its time.
+        Time of the impulses of the move, s after the beginning of the step, and duration of the move, s. A lift is at
+        the end of the move, θ times the duration after this time.
     done : ndarray, shape (m, 6)
-        World axes. Of wrenches force and moment about the centre of mass, N·s and N·m·s; of lifts the displacement of
-        that, m, and the rotation vector, rad, which leave both momenta as they are.
+        World axes. Wrenches: impulse of the force and of its moment about the centre of mass, N·s and N·m·s. Lifts:
+        displacement of the centre of mass, m, and rotation vector, rad; they do not change the momenta.
     """
 
     body: NDArray[np.int64]
@@ -128,7 +128,7 @@ class OnBodies(NamedTuple):
 
     @staticmethod
     def of(moves: list[tuple[float, float, Array | None]]) -> OnBodies | None:
-        """From when impulses acted, how long moves were, and (free, 6) as of `Impulses`; None without any."""
+        """From (time of impulses, duration, values (free, 6) as in `Impulses`) of each move; None without values."""
         some = [(time, h, done, np.flatnonzero(done.any(axis=1))) for time, h, done in moves if done is not None]
         if not some:
             return None
@@ -149,9 +149,9 @@ class Touch(NamedTuple):
     velocity : ndarray, shape (m, 3)
         Of the second body relative to the first at the end of the step, m/s.
     force : ndarray, shape (m, 3)
-        On the second body, mean of the step, N. Of redundant contacts only the sum is unique.
+        On the second body, mean over the step, N. For redundant contacts only the sum is unique.
     status : ndarray of int8, shape (m,)
-        0 open, 1 stick, 2 slip, 3 jam, as `Step.contact_status`.
+        0 open, 1 stick, 2 slip, 3 jam, as in `Step.contact_status`.
     """
 
     point: Array
@@ -163,7 +163,7 @@ class Touch(NamedTuple):
 
 
 class Names:
-    """The names of a scene with such shapes."""
+    """Names of bodies and articulations of a scene, and the shapes and frames that belong to each."""
 
     def __init__(self, scene: Scene, geoms: Sequence[Geom]) -> None:
         labels = [(g.body, g.link or g.name) for g in geoms]
@@ -175,77 +175,77 @@ class Names:
                 self._places[link["name"]] = link["frame"], np.array(link["placement"])[:3, 3]
 
     def members(self, name: str) -> Bools:
-        """Whether each shape belongs to a body, "articulation/body" or articulation; ValueError if there is none."""
+        """Whether each shape belongs to a body, "articulation/body" or articulation; ValueError for an unknown name."""
         return self._members[choice(name, self._members, "body")]
 
     def place(self, name: str) -> tuple[int, Array]:
-        """The frame that carries a free body or "articulation/body", and its origin there, m; ValueError if none."""
+        """Frame of a free body or "articulation/body", and its origin there, m; ValueError for an unknown name."""
         return self._places[choice(name, self._places, "moving body")]
 
 
 class Step:
-    """What one step did.
+    """Results of one step.
 
-    It does not change. What a quiet step did is looked up when it is asked for, and then kept.
+    A step is immutable. Results of an eventless step are computed at their first access, and then kept.
 
     Attributes
     ----------
     t, q, v : float, ndarray, ndarray
-        At the end of the step; q and v in Pinocchio's layout.
+        Time, s, configuration and velocity at the end of the step; q and v in Pinocchio's layout.
     frames_x, frames_quat : ndarray of shapes (frames, 3) and (frames, 4), or None
         Poses of all moving frames when the scene has articulations.
     contacts : ContactSet
-        Where the impulses acted, those of impacts first.
+        Contacts at the midpoint, where the impulses acted; those of impacts first.
     gap : ndarray, shape (nc,)
-        Of the shapes at the end of the step, m; negative inside.
+        Gaps of the shapes at the end of the step, m; negative for penetration.
     frame : ndarray, shape (nc, 3, 3)
         Contact frames, rows (n, t1, t2), world axes.
     u, r : ndarray, shape (nc, 3)
         Relative velocity at the end of the step [m/s], or after the impact, and impulse on body 2 [N·s], normal first.
     couple : ndarray, shape (nc, 3)
-        Couple on body 2, world axes, N·m·s, with which a contact that persists does no work, 0 of others: its force
-        acts a little off its point (`nsdyn.stepping.persistence`).
+        Couple on body 2, world axes, N·m·s, with which a persistent contact does no work; 0 for any other contact. It
+        is as if the force acted a little off the contact point (`nsdyn.stepping.persistence`).
     contact_status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip, faster than the solver's tolerance; 3 jam, stopped by an impulse that does not fall
-        with dt though nothing collides, whose work is that of an impact, normal.
+        0 open, 1 stick, 2 slip, faster than the solver's tolerance; 3 jam: stopped by an impulse that does not decrease
+        with dt although nothing collides. The work of a jam is booked as that of an impact, as normal work.
     contact_time, contact_duration : ndarray, shape (nc,)
-        When the impulse acted, s after the beginning of the step, and how long the move was that it acted in, s: the
-        step, a piece of one that was cut, or 0 of an impact in no time.
+        Time of the impulse, s after the beginning of the step, and duration of its move, s: that of the step or of a
+        substep, 0 for an impact.
     work_normal, work_friction : ndarray, shape (nc,)
-        J; that of the couple with the normal one.
+        Works, J; the work of the couple is in the normal one.
     joints : ndarray, shape (7, nv), or None
-        On the coordinates of the articulations: impulses of actuation, of limits, of dry friction and of external
-        wrenches, N m s or N s; displacement by position projections, rad or m; the most that actuators may give,
-        N m s or N s, infinite where they have no limit; and the change of velocity of driven joints, rad/s or m/s.
-        None in scenes without any.
+        Per coordinate of the articulations: impulses of actuation, of limits, of dry friction and of external
+        wrenches, N m s or N s; displacement by position projections, rad or m; the largest impulse of actuators,
+        N m s or N s, infinite without a limit; and the change of velocity of prescribed joints, rad/s or m/s.
+        None in scenes without articulations.
     links : ndarray, shape (links, 6)
-        Impulses of external wrenches on the links of articulations, one by joint, in its order: force and moment about
-        the world's origin, N·s and N m s.
+        Impulses of external wrenches on the links of articulations, one per joint, in the order of joints: force and
+        moment about the world's origin, N·s and N m s.
     pieces : Pieces or None
-        What the step was cut into; None where it was made in one, and in scenes without articulations.
+        Moves and impacts of a step that was cut; None for a step of one move, and in scenes without articulations.
     wrenches, lifts : OnBodies or None
-        External wrenches on free bodies, and displacements of these by projections; None where there are none.
+        External wrenches on free bodies, and displacements of free bodies by projections; None if there are none.
     created : float
-        Energy that impacts created, J, summed over islands of contacts: 0 but for `Newton`'s law with friction or in
-        chains, and `Poisson`'s with several restitutions (`nsdyn.stepping.impacts`).
+        Energy that impacts created, J, summed over islands of contacts: 0 except for `Newton`'s law with friction or in
+        chains, and `Poisson`'s law with several restitutions (`nsdyn.stepping.impacts`).
     ledger : Ledger
         Energies at the end and works of the step, J.
     gauss : Certificate
-        Of the last problem.
+        Certificate of all problems of the step.
     problem : FC3D
     solution : Solution
-        Of the last problem solved, or of the worst where any missed its tolerance; its status is OVERLAP where shapes
-        are left in each other by more than what counts as closed, JAM where bodies jam, and SEVERAL where another
-        velocity is found to obey Coulomb's law as well (`nsdyn.problem.paradox`).
+        The last contact problem of the step, or the worst if any missed its tolerance. The status is OVERLAP if shapes
+        still overlap by more than the gap tolerance, JAM if bodies jam, and SEVERAL if another velocity is found that
+        also obeys Coulomb's law (`nsdyn.problem.paradox`).
     twists : two ndarrays of shape (frames, 3)
-        Of all moving frames at the end of the step: velocities of their origins, m/s, and angular velocities, rad/s,
-        world axes.
+        Twists of all moving frames at the end of the step: velocities of their origins, m/s, and angular velocities,
+        rad/s, world axes.
     dt : float
         Length of the step h, s.
     names : Names
-        What `force`, `tree_motion` and `velocity` find their bodies by.
+        Names by which `force`, `between` and `velocity` find their bodies.
     untold : LazyStep or None
-        What tells of a quiet step; None of others.
+        Source of the results of an eventless step; None for any other step.
     """
 
     t: float
@@ -299,7 +299,7 @@ class Step:
         raise AttributeError(f"a step does not change: {name} cannot be set")
 
     def __repr__(self) -> str:
-        if not hasattr(self, "solution"):  # where a recording begins
+        if not hasattr(self, "solution"):  # the first row of a recording
             return f"<Step of nothing at t = {self.t:.6g} s>"
         return f"<Step to t = {self.t:.6g} s: {counted(self.gap.size, 'contact')}, {self.solution.status.name}>"
 
@@ -317,9 +317,9 @@ class Step:
         return out
 
     def force(self, name: str) -> Array:
-        """Net contact force on a body, "articulation/body" or articulation, mean of the step, (3,), N, world axes.
+        """Net contact force on a body, "articulation/body" or articulation, mean over the step, (3,), N, world axes.
 
-        Between the links of one articulation it cancels. ValueError naming the known ones.
+        Forces between the links of one articulation cancel. ValueError for an unknown name, naming the known ones.
         """
         on = self.names.members(name)
         sign = 1.0 * on[self.contacts.geom2] - 1.0 * on[self.contacts.geom1]
@@ -327,7 +327,7 @@ class Step:
         return out
 
     def between(self, a: str, b: str) -> Touch:
-        """The contacts of two bodies, as seen from `a`; names as of `force`. ValueError naming the known ones."""
+        """The contacts of two bodies, `a` as the first; names as in `force`. ValueError naming the known ones."""
         on_a, on_b = self.names.members(a), self.names.members(b)
         first, second = self.contacts.geom1, self.contacts.geom2
         sign = 1.0 * (on_a[first] & on_b[second]) - 1.0 * (on_b[first] & on_a[second])
@@ -345,7 +345,8 @@ class Step:
     def velocity(self, name: str) -> tuple[Array, Array]:
         """Velocity of a free body or "articulation/body" at the end of the step: (3,) m/s, (3,) rad/s, world axes.
 
-        The linear one is that of its centre of mass, or of the origin of the link's frame. ValueError naming the known.
+        The linear velocity is that of the centre of mass, or of the origin of the link's frame. ValueError for an
+        unknown name, naming the known ones.
         """
         frame, origin = self.names.place(name)
         linear, angular = (twist[frame].copy() for twist in self.twists)

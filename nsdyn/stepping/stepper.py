@@ -1,7 +1,7 @@
-"""The Moreau–Jean time-stepper: moves between located impacts, and their record.
+"""The Moreau–Jean time-stepper: moves between located impacts, and their results.
 
-A step makes a dozen immutable values. They are named tuples, where the rest of the package has frozen dataclasses,
-which take three times as long to make: in a small scene that is a fifth of the step.
+A step creates a dozen immutable values. They are named tuples, although the rest of the package has frozen dataclasses:
+those take three times as long to create, which is a fifth of the step in a small scene.
 """
 
 from __future__ import annotations
@@ -48,18 +48,19 @@ __all__ = ["Stepper"]
 class Stepper:
     """Moreau–Jean time-stepping of a scene.
 
-    With the free flow Φ, which bends nothing and turns bodies without torque, and h = dt:
+    With the free flow Φ (straight lines, torque-free rotation) and h = dt:
 
         q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
         K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K,        u the relative velocity at the end of the step.
 
-    All forces and impulses act at one configuration, so that their works are those of the ledger; smooth motion is
-    second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut at
-    impacts with restitution, which act in no time, until they are too many to tell apart, and where slip turns round.
-    Each island of what may touch is cut by itself: what it does depends on nothing else, to the last bit, but on the
-    size of the scene's smallest moving body, of which a fraction counts as closed. No shapes overlap at the end: what a
-    step leaves is removed by a projection of the positions. Contacts of free bodies that stay closed, and stick, do no
-    work: a couple per pair sees to that, which keeps every momentum. What numerics do besides is in the ledger.
+    All forces and impulses act at one configuration, so that their works are those of the ledger. Smooth motion is
+    second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut into
+    substeps at impacts with restitution, which act in no time, until they are too many to tell apart, and at reversals
+    of slip. Each island (group of bodies that may touch) is cut by itself. Its motion depends on no other body, to the
+    last bit, except on the size of the scene's smallest moving body: a fraction of it is the gap tolerance. No shapes
+    overlap at the end of a step: a projection of the positions removes remaining penetration. Contacts of free bodies
+    that stay closed and stick do no work: a couple per pair of bodies ensures this and keeps every momentum. The ledger
+    has all other numerical works.
 
     Parameters
     ----------
@@ -67,50 +68,51 @@ class Stepper:
     dt : float
         Step h, s.
     theta : float
-        In [½, 1]: 1 - θ is the fraction of a step before its impulses. More than ½ is first order, and damps joint
-        springs, `PD` control and stiff trees.
+        In [½, 1]: the impulses act after the fraction 1 - θ of a step. θ > ½ is first order, and damps joint springs,
+        `PD` control and stiff trees.
     solver : str or Solver
-        A name of `nsdyn.solvers.SOLVERS`, then at a tolerance of 1e-8, or a solver object. Default and "auto":
+        A name of `nsdyn.solvers.SOLVERS`, with the tolerance 1e-8, or a solver object. Default and "auto":
         ``Auto(tol=1e-8, loose=1e-4)``.
     controller : callable, optional
         ``controller(t, q, v)`` returns {articulation: `PD`, or joint forces by name or as an array, N m or N, or
         an `Actuation` of the actuators of its file}. It is called twice a step, at the
         time and the configuration q~ where forces and impulses act: first with the velocity v⁻ before them, then with
-        the mean velocity ½ (v⁻ + v⁺) of the motion so found. If it says something else there, that acts, and the
-        motion is found again: laws of the velocity are of second order for θ = ½, as is their work. A step that is cut,
-        at impacts or because it is too coarse, calls so in each move that is tried, at its own times. Layout as
-        Pinocchio's, for q and for v. A function that has a fourth argument `last` is given the last `Step`, with its
-        contacts and forces; None before the first.
+        the mean velocity ½ (v⁻ + v⁺) of the resulting motion. If its values differ, the second ones act and the motion
+        is computed again: laws of the velocity are of second order for θ = ½, as is their work. A step that is cut, at
+        impacts or because it is too coarse, calls the function in this way in each move that is tried, at the times of
+        the move. q and v have Pinocchio's layout. A function that has a fourth argument `last` is given the last
+        `Step`, with its contacts and forces; None before the first.
     external_force : callable, optional
         ``external_force(t, q, v)``, called the same way, returns {free body: force (3,) at its centre of mass, or
         (force, torque)}, world axes, N and N·m; of a robot {"articulation/body": ...}, at the origin of the body's
-        frame. Nothing persists to the next step. Both return {} for nothing; None is refused.
+        frame. Forces do not persist to the next step. Both functions return {} for no force; None is refused.
     on_fail : {"warn", "raise", "dump", "ignore"}
-        What to do when the solver misses its tolerance. The status is always recorded. "warn" goes on with the best
-        answer and warns once, but raises where that is none: an error above 1e-3, or no velocity that opens every
-        contact, which a solution needs. "dump" does the same, and writes the problem of every such step.
+        What to do when the solver misses its tolerance. The status is always recorded. "warn" continues with the best
+        solution and warns once. It raises if that solution is unusable: an error above 1e-3, or no velocity that opens
+        every contact, which a solution needs. "dump" does the same, and writes the problem of every such step.
     max_points : int
-        Most contact points per pair of shapes, but for corners and points of rims that the motion shows to be missed.
+        Most contact points per pair of shapes, not counting corners and points of rims that the motion shows to be
+        missed.
     dump_on_fail : path, optional
-        Folder for the problems of failing steps, whatever else is done: FCLIB global files named by the step, the
-        answer as a guess in them. "failed-steps" where `on_fail` is "dump".
+        Folder for the problems of failing steps, with any `on_fail`: FCLIB global files named by the step, with the
+        solution found as a guess. "failed-steps" if `on_fail` is "dump".
     impact : {"dissipative", "newton", "poisson", "fremond"} or Law
-        Law of contacts with restitution, a name or an object of `nsdyn.stepping.impacts`, which is ``nd.impacts``.
-        "dissipative" is Newton's, with the restitution of an island lowered where it would create energy. A law that
-        does create some warns the first time; `Step.created` is how much.
+        Law of impact for contacts with restitution, a name or an object of `nsdyn.stepping.impacts`, which is
+        ``nd.impacts``. "dissipative" is Newton's law with the restitution of an island lowered where it would create
+        energy. The first time a law creates energy it warns; `Step.created` is the energy created.
     overlap : float
-        Deepest initial overlap that is taken, as a fraction of the inscribed radius of the smaller body; at most 1.
+        Deepest initial overlap that is accepted, as a fraction of the inscribed radius of the smaller body; at most 1.
     lift : bool
         Move bodies that overlap at the start apart before the first step, by the projection that follows every step.
-        Otherwise the first step does, its work is in the ledger, and a warning says so.
+        Otherwise the first step does this, its work is in the ledger, and a warning says so.
     polish : bool
-        Certify every step through polished answers (`nsdyn.problem.polished`): its bound is of the order of the error,
-        not of its root, and the defect in Coulomb's law is measured. It costs about as much as the solves.
+        Certify every step through polished solutions (`nsdyn.problem.polished`). The bound is then of the order of the
+        error, not of its root, and the defect in Coulomb's law is measured. It costs about as much as the solves.
 
     Raises
     ------
     ValueError
-        For arguments out of range, and for bodies that overlap deeply at the start, naming them and the depth.
+        For arguments out of range, and for bodies that overlap deeply at the start, naming the bodies and the depth.
 
     References
     ----------
@@ -152,7 +154,7 @@ class Stepper:
         self.failures = Failures(on_fail, dump_on_fail, [g.name for g in geoms])
         self.dynamics = Dynamics(scene)
         self.functions = Functions(controller, external_force, self.dynamics)
-        # Pairs that only prescribed motion moves exert no impulses: no velocity could obey them.
+        # Pairs moved by prescribed motion alone exert no impulses: no velocity could obey the contact law.
         apart = pairs.excluded(scene, geoms) | pairs.among(geoms, self.dynamics.held)
         self.detector = Detector(geoms, pairs.pair_material(scene, geoms), apart, max_points)
         self.system = system_of(scene, geoms, self.dynamics, self.detector, solver, (self.theta, self.dt), law)
@@ -185,49 +187,49 @@ class Stepper:
 
     @property
     def solver(self) -> Solver:
-        """Of the contact problems."""
+        """Solver of the contact problems."""
         return self.system.solver
 
     @property
     def controller(self) -> Callback | None:
-        """What controls the joints."""
+        """The controller of the joints."""
         return self.functions["controller"]
 
     @property
     def external_force(self) -> Callback | None:
-        """What pushes the bodies."""
+        """The function of external forces on the bodies."""
         return self.functions["external_force"]
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
-        """Begin anew at t = 0, from a state of one's own.
+        """Restart at t = 0, from a given state or that of the scene.
 
         Parameters
         ----------
         q, v : array, shapes (nq,) and (nv,), optional
-            Pinocchio's layout, as of `Step.q` and `Step.v`; by default those of the scene. Loops are closed from there,
-            joints whose motion is prescribed have its velocity.
+            Pinocchio's layout, as of `Step.q` and `Step.v`; by default those of the scene. From there loops are closed,
+            and joints with prescribed motion get its velocity.
 
         Raises
         ------
         ValueError
-            For other shapes, quaternions that are not of norm 1, joints beyond their limits, and deep overlaps, naming
-            them; the state is left as it was.
+            For wrong shapes, quaternions that are not of norm 1, joints beyond their limits, and deep overlaps, naming
+            the cause; the state is then unchanged.
         """
         instant, d = self._begin(q, v), self.dynamics
         energies = d.energies(instant.position, instant.v, instant.energies)
         self._now: State | FlatState = State(0.0, self.dt, 0, instant, np.zeros(d.n), energies)
 
     def get_state(self) -> State:
-        """State after the last step; with `set_state` a run goes on bit for bit, warm start included."""
+        """State after the last step; with `set_state` a run continues bit for bit, warm start included."""
         return self.later()()
 
     def later(self) -> Callable[[], State]:
-        """The present state, to be made when it is asked for."""
+        """Return a function that computes the present state when it is called."""
         now = self._now
         return (lambda: now) if isinstance(now, State) else now.state
 
     def set_state(self, state: State) -> None:
-        """Go on from a state of a stepper of the same scene; ValueError if it does not fit."""
+        """Continue from a state of a stepper of the same scene; ValueError if the state does not fit."""
         if not isinstance(state, State):
             raise ValueError(f"state must come from get_state, got {type(state).__name__}")
         v, x = state.instant.v, state.instant.position.x
@@ -238,7 +240,7 @@ class Stepper:
         self._now = state
 
     def start(self) -> Step:
-        """The present state as row 0 of a recording: a step without what steps do."""
+        """The present state as row 0 of a recording: a `Step` with a state and energies only."""
         state, d = self.get_state(), self.dynamics
         s, ledger = state.instant, Ledger.of(state.energies, state.energies, Works())
         q, v = d.pinocchio_state(s.position, s.v)
@@ -252,12 +254,12 @@ class Stepper:
     def bias(self) -> Array:
         """Coriolis, centrifugal and gravity terms at the present state, shape (n,), N and N m.
 
-        M v̇ + bias = joint forces + Jᵀ contact forces, but for joint springs and damping; v in Pinocchio's layout.
+        M v̇ + bias = joint forces + Jᵀ contact forces, without joint springs and damping; v in Pinocchio's layout.
         """
         return equations.bias(self.dynamics, self.get_state().instant)
 
     def contact_jacobian(self) -> tuple[ContactSet, Array, Array]:
-        """The contacts at the present state, their frames and their Jacobian.
+        """The contacts at the present state, their frames and the contact Jacobian.
 
         Returns
         -------
@@ -266,8 +268,8 @@ class Stepper:
         frame : ndarray, shape (nc, 3, 3)
             Rows n, t1, t2 of each, world axes.
         J : ndarray, shape (3 nc, n)
-            u = J v [m/s], (N, T1, T2) of body 2 relative to body 1, v in Pinocchio's layout; without what prescribed
-            motions and surfaces add.
+            u = J v [m/s], (N, T1, T2) of body 2 relative to body 1, v in Pinocchio's layout; without the velocities
+            that prescribed motions and moving surfaces add.
         """
         at = self.get_state().instant
         return at.contacts, *equations.jacobian(self.dynamics, at)
@@ -275,17 +277,17 @@ class Stepper:
     # -- one step ----------------------------------------------------------------------------------------------
 
     def step(self) -> Step:
-        """Advance by dt and return what happened; where that raises, the state is left as it was.
+        """Advance by dt and return the step; if it raises, the state is unchanged.
 
         Raises
         ------
         NotConverged
-            As `on_fail` has it.
+            According to `on_fail`.
         ValueError
-            Naming the step, where motion leaves the range of numbers, or loops no longer close. Naming the file and
-            the line of a function, where what it returned does not fit.
+            If the motion leaves the range of numbers, or loops no longer close, naming the step. If the return value of
+            a user's function does not fit, naming the file and the line of the function.
         Exception
-            As a function of the user raises it.
+            Any exception of a user's function.
         """
         try:
             return self._advance()
@@ -337,14 +339,14 @@ class Stepper:
         return step
 
     def _quietest(self, polish: bool) -> EventlessSteps | None:
-        """What makes steps of the scene that meet no event; None where only the general way does."""
+        """The kernel's eventless steps of the scene; None if only the general step can treat it."""
         s, functions = self.system, self.functions
         if s.mover is None or functions.take_last:
             return None
         return EventlessSteps(s, s.mover, polish, lambda t: functions.at(t, None), self._paradoxes)
 
     def _quietly(self, quiet: EventlessSteps) -> Step | None:
-        """A step of the kernel; None where it is more than that."""
+        """Return an eventless step by the kernel; None if the general step is needed."""
         if (found := quiet.step(self._now, self._certificate)) is None:
             return None
         before, after = found
@@ -361,7 +363,7 @@ class Stepper:
     def _certify(
         self, solved: list[tuple[FC3D, Solution]], slater: gauss.SlaterDirection | None
     ) -> tuple[gauss.Certificate, gauss.SlaterDirection | None]:
-        """Certificate of all problems of a step: sum of the gaps, the largest of all others; direction of the last."""
+        """Certificate of all problems of a step (sum of duality gaps, largest other values), last Slater direction."""
         if len(solved) == 1:
             problem, solution = solved[0]
             return self._certificate(problem, solution.r, solution.u, slater)
@@ -374,7 +376,7 @@ class Stepper:
     def _record(
         self, done: list[Impulses], ledger: Ledger, certificate: gauss.Certificate, problem: FC3D, solution: Solution
     ) -> Step:
-        """What the moves and impacts of a step did."""
+        """Return the results of the moves and impacts of a step."""
         d, end = self.dynamics, self.get_state().instant
         acted = done[0] if len(done) == 1 else Impulses.joined(done)
         q, v = d.pinocchio_state(end.position, end.v)

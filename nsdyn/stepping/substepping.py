@@ -8,9 +8,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import active_set as _active_set
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn._kernels.stepping.eventless_checks import GAIN
-from nsdyn._kernels.stepping.islands import EVENT, WORK
-from nsdyn._kernels.stepping.law import TURNS
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.active_set import normal_velocities, surface_normal_velocities
 from nsdyn.stepping.attempt import Attempt, Known
@@ -18,7 +16,7 @@ from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.midpoint import Loads
 from nsdyn.stepping.move import try_move
-from nsdyn.stepping.scene_state import DEEP, SceneState, System, among
+from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.stepping.slip_reversal import reversal
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
@@ -29,11 +27,6 @@ __all__ = ["integrate", "turns_far"]
 SOON, AGAIN = 1e-6, 0.1
 """Fractions of a move in which slip that turns round is not located: where it begins and ends, as nothing but
 round-off, and where slip has just been cut, which is located to second order, what is left of it."""
-
-SHALLOWER = 0.125
-"""By what fraction bodies may run less far into each other in halves of a move in which they sank, were lifted far, or
-gained energy: impulses and projections at more configurations err less. It is halved as long as that is affordable: if
-all pieces as short have no more than `WORK` contacts."""
 
 LOOKS = 30
 """Most moves by which an impact is located."""
@@ -54,7 +47,7 @@ class Budget:
     """The effort that an island may still spend in a step, counted in contacts of moves."""
 
     def __init__(self) -> None:
-        self.left = WORK
+        self.left = OPTIONS.work
 
     def affords(self, begin: SceneState, moves: int) -> bool:
         """Return whether the island may try so many moves from an instant."""
@@ -84,11 +77,14 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
     path = [now.placement]
     while pieces:
         end, halvings = pieces[-1]
-        # In halves, bodies are stopped at a smaller penetration.
-        own, span = s._replace(depth=DEEP * SHALLOWER**halvings), (state.next_t - (s.dt - at), end - at)
+        # In halves bodies run less far into each other before they are stopped.
+        own, span = (
+            s._replace(depth=OPTIONS.depth_located * OPTIONS.refine**halvings),
+            (state.next_t - (s.dt - at), end - at),
+        )
         move, length, rejected = _substep(own, loads, now, span, rate, effort, cut, begun, meets)
         begun, meets = None, False
-        if rejected and _contacts(now) << halvings <= WORK:
+        if rejected and _contacts(now) << halvings <= OPTIONS.work:
             pieces[-1:] = [(end, halvings + 1), (at + 0.5 * length, halvings + 1)]
             continue
         done += [_later(acted, at) for acted in move.done]
@@ -133,7 +129,7 @@ def _substep(
     meets : bool
         As in `integrate`.
     """
-    (t, h), locates, now, done = span, effort.affords(begin, EVENT), begin, []
+    (t, h), locates, now, done = span, effort.affords(begin, OPTIONS.event), begin, []
     meets = meets or (not locates and s.striking_speed(begin) < -s.least_penetration / h)
     if (struck := collide(s if locates else s.capturing, begin, t, h, rate)) is not None:
         now, begun, done = struck[0], None, [struck[1]]
@@ -163,15 +159,15 @@ def _gains_energy(s: System, begin: SceneState, m: StepResult, h: float) -> bool
             gained += sum(max(0.0, w.normal + w.friction) for w in works)
     if gained <= 0.0 or d.trees:  # trees keep their own errors small
         return False
-    # For bodies at rest, the scale is the energy that gravity gives in a move.
-    return gained > GAIN * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
+    # Where all is at rest, what gravity gives in a move is the scale.
+    return gained > OPTIONS.gain * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
 
 
 def turns_far(s: System, h: float, acted: Impulses, begin: SceneState, end: SceneState) -> Bools:
     """Mark the contacts (nc,) that touch and whose bodies turn too far in half a move of h s for the contact law."""
     c, out = acted.contacts, np.empty(acted.status.size, np.bool_)
     spins = begin.twists[1], end.twists[1]
-    _touching.turns_far(c[:3], acted.status, s.gap_tol, spins, TURNS / (s.theta * h), out)
+    _touching.turns_far(c[:3], acted.status, s.gap_tol, spins, OPTIONS.turn / (s.theta * h), out)
     return out
 
 
@@ -223,8 +219,8 @@ def _to_event(
     def capture(begun: Known) -> tuple[float, Attempt]:
         return h, try_move(s.capturing, loads, begin, t, h, None, begun)
 
-    # The first move is tried however many contacts it has: most first moves meet no event.
-    if not (affords := effort.affords(begin, EVENT)) and (meets or effort.left < WORK):
+    # The first move is tried however many contacts it has: most meet no event.
+    if not (affords := effort.affords(begin, OPTIONS.event)) and (meets or effort.left < OPTIONS.work):
         return capture(begun)
     effort.spend(begin)
     m = try_move(s, loads, begin, t, h, NONE, begun)

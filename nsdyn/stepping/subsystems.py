@@ -1,7 +1,7 @@
-"""Parts of a scene: systems of some of the bodies, and states cut into such and put together again.
+"""Subsystems: systems of some nodes of a scene. States are split into subsystems and merged again.
 
-What moves freely is a node: a free body or a tree, by the index of its block of coordinates. What stands still or moves
-as prescribed is in every part.
+A node is a free body or a tree; its index is that of its block of coordinates. Every subsystem has all fixed and all
+kinematic (prescribed) bodies. "Whole" is the system of all nodes, "part" a subsystem.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ T = TypeVar("T")
 
 
 class Subsystem:
-    """Some nodes of a scene, ascending, as a system of their own.
+    """A system of some nodes of a scene.
 
     Attributes
     ----------
     system : System
     nodes, geoms, coordinates : ndarray of int
-        Those of the part in the whole, ascending.
+        Indices in the whole system of the nodes, geoms and coordinates of the subsystem, ascending.
     """
 
     def __init__(self, whole: System, nodes: Index) -> None:
         d, frame_of_geom = whole.dynamics, whole.detector.frame
         self.nodes, self._bodies, self._trees = nodes, nodes[nodes < d.free], nodes[nodes >= d.free] - d.free
-        self._node = np.append(d.block_of_frame, -1)  # the last is the world's
+        self._node = np.append(d.block_of_frame, -1)  # the last entry is the world's
         mine = among(d.block_of_frame, nodes)
         self._frames = np.append(np.flatnonzero(mine | (d.block_of_frame < 0)), -1)
         self._moved, frames = np.flatnonzero(mine), self._frames[:-1]
@@ -67,13 +67,13 @@ class Subsystem:
         self.system = own._replace(mover=MoveKernel(own)) if whole.mover is not None else own
 
     def _has(self, frame1: Index, frame2: Index) -> Bools:
-        """Which contacts of such frames are of the part."""
+        """Which contacts, given by their two frames, belong to the subsystem."""
         first = self._node[frame1]
         out: Bools = among(np.where(first >= 0, first, self._node[frame2]), self.nodes)
         return out
 
     def cut(self, at: SceneState, next_key: int) -> SceneState:
-        """The instant of the part, whose new contacts get names from a number on."""
+        """Return the state of the subsystem; keys of its new contacts start at `next_key`."""
         p, place, w, frames, trees = at.position, at.placement, at.warm, self._frames[:-1], self._trees.tolist()
         position = Position(
             p.x[self._bodies],
@@ -106,11 +106,11 @@ class Subsystem:
         )
 
     def _own(self, c: ContactSet, next_key: int) -> ContactSet:
-        """Contacts of the whole that are of the part, as its own."""
+        """Contacts of the whole system that belong to the subsystem, in the indices of the subsystem."""
         return _renamed(take(c, self._has(c.frame1, c.frame2)), self._geom, self._frame)._replace(next_key=next_key)
 
     def given(self, wrenches: Wrenches | None, controls: Controls) -> tuple[Wrenches | None, Controls]:
-        """What the user's functions gave, of the part."""
+        """Forces and controls of the user's functions, cut to the subsystem."""
         trees = self._trees.tolist()
         own = {j: controls[k] for j, k in enumerate(trees) if k in controls}
         if wrenches is None:
@@ -120,7 +120,7 @@ class Subsystem:
         return ({name: load[:, self._bodies] for name, load in loads.items()}, pushed), own
 
     def loads(self, loads: Loads, at: SceneState) -> Loads:
-        """What the user has to say of the part: of the whole, whose other nodes are where they are at an instant."""
+        """The user's callbacks for the subsystem; other nodes of the whole stay where they are in the state `at`."""
 
         def of_part(t: float) -> Callbacks:
             if (said := loads(t)) is None:
@@ -139,20 +139,20 @@ class Subsystem:
         return of_part
 
     def state(self, whole: State, next_key: int) -> State:
-        """The state of the part, whose new contacts get names from a number on."""
+        """The state of the subsystem; keys of its new contacts start at `next_key`."""
         return whole._replace(instant=self.cut(whole.instant, next_key), rate=whole.rate[self.coordinates])
 
     def contacts(self, c: ContactSet) -> ContactSet:
-        """Contacts of the part as those of the whole."""
+        """Contacts of the subsystem in the indices of the whole system."""
         return _renamed(c, self.geoms, self._frames)
 
     def warm(self, w: WarmStart) -> WarmStart:
-        """The warm start of the part as that of the whole, but for the joints."""
+        """The warm start of the subsystem in the indices of the whole system, except for the joints."""
         first, second = np.divmod(w.pair, self.geoms.size)
         return w._replace(pair=self.geoms[first] * self._geom.size + self.geoms[second])
 
     def impulses(self, a: Impulses) -> Impulses:
-        """Impulses of the part as those of the whole."""
+        """Impulses of the subsystem in the indices of the whole system."""
         nv, all_links, _ = self._count
         joints, moves, links = np.zeros((7, nv)), np.zeros(nv, np.bool_), np.zeros((all_links, 6))
         joints[:, self._columns], links[self._links], moves[self._columns] = a.joints, a.links, True
@@ -160,7 +160,7 @@ class Subsystem:
         return a._replace(contacts=self.contacts(a.contacts), joints=joints, links=links, moves=moves)
 
     def _of_bodies(self, own: Array | None) -> Array | None:
-        """What acted on the free bodies of the part (free, 6), of those of the whole."""
+        """Wrenches on the free bodies of the subsystem, as an array (free, 6) of the whole system."""
         if own is None:
             return None
         out = np.zeros((self._count[2], 6))
@@ -168,7 +168,7 @@ class Subsystem:
         return out
 
     def fill(self, at: SceneState, end: SceneState) -> None:
-        """Put what is of the nodes of the part where it is in arrays of the whole, but for contacts."""
+        """Write the state `end` of the subsystem, without its contacts, into the arrays of the whole state `at`."""
         p, own, mine = at.position, end.position, self._frame[self._moved]
         p.x[self._bodies], p.quaternion[self._bodies], at.v[self.coordinates] = own.x, own.quaternion, end.v
         at.limits[self._limits], at.warm.joints[self._slots] = end.limits, end.warm.joints
@@ -177,7 +177,7 @@ class Subsystem:
             column[self._moved] = given[mine]
 
     def among(self, all_trees: Sequence[T], own: Sequence[T]) -> tuple[T, ...]:
-        """Values of all trees, of which those of the part are its own."""
+        """Values of all trees, with the subsystem's trees replaced by its `own` values."""
         out = list(all_trees)
         for k, value in zip(self._trees.tolist(), own, strict=True):
             out[k] = value
@@ -185,7 +185,7 @@ class Subsystem:
 
 
 def merged(whole: System, base: SceneState, left: Bools, parts: Sequence[tuple[Subsystem, SceneState]]) -> SceneState:
-    """An instant of the whole from those of parts, and what is left of a `base`: its nodes `left` (nodes,)."""
+    """Merge the states of subsystems with the nodes `left` (nodes,) of a whole state `base` into one whole state."""
     d, detector = whole.dynamics, whole.detector
     out, p = _copied(base), base.position.trees
     links, energies = base.placement.links, base.energies
@@ -218,12 +218,12 @@ def merged(whole: System, base: SceneState, left: Bools, parts: Sequence[tuple[S
 
 
 def _renamed(c: ContactSet, geoms: Index, frames: Index) -> ContactSet:
-    """Contacts of other indices, of geoms and of frames."""
+    """Contacts whose indices of geoms and of frames are replaced by `geoms[i]` and `frames[i]`."""
     return c._replace(names=np.concatenate((geoms[c.names[:2]], frames[c.names[2:4]], c.names[4:])))
 
 
 def driven(at: SceneState, x: Array, quaternion: Array) -> SceneState:
-    """The instant with the driven bodies at such poses (nd, 3), (nd, 4)."""
+    """The state with the kinematic bodies at the poses x (nd, 3), quaternion (nd, 4)."""
     out, own = _copied(at), slice(-len(x), None)
     out.placement.x[own] = x
     _motion.rotations(quaternion, out.placement.R[own])
@@ -232,12 +232,12 @@ def driven(at: SceneState, x: Array, quaternion: Array) -> SceneState:
 
 
 def _columns(w: WarmStart) -> list[Any]:
-    """What a warm start has of every contact."""
+    """The columns per contact of a warm start."""
     return [w.key, w.pair, w.force, w.status]
 
 
 def _copied(at: SceneState) -> SceneState:
-    """The same with arrays of its own where parts put theirs."""
+    """The same state with copies of the arrays that subsystems write into."""
     p, w = at.position, at.warm
     return at._replace(
         position=p._replace(x=p.x.copy(), quaternion=p.quaternion.copy()),

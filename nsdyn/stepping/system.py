@@ -1,4 +1,4 @@
-"""What a stepper is made of: its options checked, and what of a scene does not change from move to move."""
+"""Set-up of a stepper: checks of its options, and the `System` of a scene, constant from move to move."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.scene.bodies import Geom
@@ -20,32 +21,23 @@ from nsdyn.tools.options import is_number
 
 __all__ = ["check_flags", "check_options", "check_seconds", "system_of"]
 
-GAP_TOL = 1e-9
-"""Gap, of either sign, that counts as closed, as a fraction of the radius of the smallest moving shape: a length, so
-that a scene behaves alike at every scale, and far above round-off, whose jitter would otherwise change the problem of a
-body at rest in every step."""
-
-SLOW = 0.01
-"""m/s. In a step in which a body at this speed moves farther than its size a contact may sink only for as long as that
-takes: grains of 1e-5 m gained 1e-6 of their energy from gaps that counted as closed."""
-
 
 def check_seconds(**given: Any) -> None:
-    """ValueError for times that are no positive numbers of seconds."""
+    """ValueError for times that are not positive, finite numbers of seconds."""
     for name, value in given.items():
         if not (is_number(value) and 0.0 < value < math.inf):
             raise ValueError(f"{name} must be a positive number of seconds, got {value!r}")
 
 
 def check_flags(**given: Any) -> None:
-    """ValueError for what is neither True nor False."""
+    """ValueError for a flag that is neither True nor False."""
     for name, value in given.items():
         if not isinstance(value, bool):
             raise ValueError(f"{name} must be True or False, got {value!r}")
 
 
 def check_options(scene: Any, dt: Any, theta: Any, overlap: Any, lift: Any, polish: Any) -> None:
-    """ValueError for options of `nsdyn.Stepper` that are none."""
+    """ValueError for invalid options of `nsdyn.Stepper`."""
     check_seconds(dt=dt)
     if not (is_number(theta) and 0.5 <= theta <= 1.0):
         raise ValueError(f"theta must lie in [0.5, 1], got {theta!r}")
@@ -65,11 +57,11 @@ def system_of(
     scheme: tuple[float, float],
     law: Law,
 ) -> System:
-    """What does not change from move to move, of a scene with such shapes: scheme = (θ, step [s]), law of impact."""
-    # Without shapes there are joint limits at most, in rad or in lengths of the order of a metre.
+    """Return the `System` of a scene with these shapes; scheme = (θ, step [s]), `law` is the law of impact."""
+    # Without shapes only joint limits can close, in rad or in lengths of the order of a metre.
     size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
-    # Nor does it pay to remove what the solver's own tolerance lets a contact sink in a step.
-    closed = max(GAP_TOL * size, solver.tol * min(scheme[1], size / SLOW))
+    # Penetration that the solver's own tolerance allows in a step need not be removed.
+    closed = max(OPTIONS.gap_tol * size, solver.tol * min(scheme[1], size / OPTIONS.slow))
     inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
     rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
     elastic = any(e > 0.0 for e in rebounds) or bool(dynamics.joints.restitution.any())

@@ -1,4 +1,4 @@
-"""What Python does between the calls of the kernel of steps: the motion of trees, and the forces of the user."""
+"""Motion of trees and forces of the user: the parts of a step that Python computes between calls of its kernel."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ __all__ = ["TreeMotion"]
 
 
 class TreeMotion:
-    """The motion of one step, or of one move, of a scene with trees or under forces of the user.
+    """Motion of one step, or of one move, of a scene with trees or under forces of the user.
 
     Parameters
     ----------
     begin : SceneState
-        As of `FlatState.begin`.
+        As in `FlatState.begin`.
     mid : Midpoint
         The first half of the step.
 
     Attributes
     ----------
     begun : tuple of Links
-        Where it begins.
+        Links at the beginning.
     position : Position
     placement : Placement
     v, impulse : ndarray, shape (n,)
-        What the forces leave, with the impulses, and H r of these.
+        Velocity after forces and impulses at the midpoint, and H r of the impulses.
     ends : tuple of Flow
-        Where the last `end` was, and what led there.
+        Motion of the trees to the state of the last `end`.
     """
 
     def __init__(self, begin: SceneState, mid: Midpoint) -> None:
@@ -49,19 +49,20 @@ class TreeMotion:
         self.position, self.placement = begin.position, begin.placement
 
     def meets_nothing(self) -> bool:
-        """Whether no joint is near its limits, none has dry friction, and no actuator is at its limit."""
+        """Whether no joint is at its limits or has dry friction, and no actuator is at its limit."""
         return not (_reductions.any_below(self._begin.limits, self._s.gap_tol) or self.has_rows())
 
     def has_rows(self) -> bool:
-        """Whether any joint has a row, by its limits, its friction or its actuator."""
+        """Whether any joint has a row of the contact problem, for its limits, dry friction or actuator."""
         d, mid = self._s.dynamics, self.mid
         joints = d.joint_rows(mid.state.placement, mid.state.v, mid.forces.v, mid.h)
         return d.with_actuators(joints, mid.forces) is not None
 
     def end(self, v: Array, impulse: Array) -> tuple[Position, Array, Placement, tuple[Array, Array]] | None:
-        """Where the step ends whose forces leave v (n,), with the impulses H r (n,): (position, v, frames, twists).
+        """Return the end of the step: (position, v, placements of the frames, twists).
 
-        None where actuators are brought beyond their limits, and where numbers are.
+        v (n,) is the velocity after forces and impulses at the midpoint, with H r (n,) = `impulse`. None if an actuator
+        exceeds its limit, or if the velocity leaves the range of numbers.
         """
         d, mid = self._s.dynamics, self.mid
         if d.within_limits(mid.state, mid.forces, v) is not mid.forces:
@@ -75,12 +76,15 @@ class TreeMotion:
         return position, v_end, place, d.twists(place, v_end)
 
     def corrected(self, callbacks: Callbacks) -> TreeMotion | None:
-        """The motion with what callbacks say at the mean velocity of this one, v⁺ = v; None where that is the same."""
+        """Return the motion with the callbacks' values at its mean velocity, v⁺ = v; None if they have not changed."""
         again = corrected(self._s, self._begin, self.mid, self.v, callbacks)
         return None if again is self.mid else TreeMotion(self._begin, again)
 
     def ended(self, v: Array, where: DetectionPose) -> SceneState | None:
-        """The trees at the end, of velocity v (n,), and where contacts are looked for; None beyond limits of joints."""
+        """Return the state of the trees at the end with velocity v (n,); None if a joint is beyond its limits.
+
+        `where` are the poses at which contacts were detected.
+        """
         d, begin = self._s.dynamics, self._begin
         if not d.trees:
             return begin
@@ -94,9 +98,9 @@ class TreeMotion:
         return SceneState(self.position, v, self.placement, *found, warm, begin.twists, ())
 
     def told(self, before: Energies, own: Works) -> tuple[Works, Array, Array]:
-        """Works of the trees, of loads and `own` ones, J, and `joints` and `links` as of `Impulses`.
+        """Return the works of the trees, of the loads and `own`, J, and `joints` and `links` as in `Impulses`.
 
-        From the energies of the trees where it begins.
+        `before` are the energies of the trees at the beginning.
         """
         s, d, own = self._s, self._s.dynamics, self.mid.booked(own, self.mid.state.v, self.v)
         if not d.trees:

@@ -138,12 +138,14 @@ def test_names_of_the_notation_page_are_in_the_code():
     from nsdyn.dynamics.trees import Tree
     from nsdyn.problem import cones, gauss
     from nsdyn.recording import joint_tables, series
+    from nsdyn.stepping.contact_kinematics import ContactKinematics
 
     text = (ROOT / "demos" / "guide" / "notation.md").read_text()
     pairs = re.findall(r"`(\w+)\.(\w+)`", text)
     assert len(pairs) > 40
     places = [nd, nd.solvers, nd.impacts, series, joint_tables, gauss]
     owners = {"Dynamics": Dynamics, "Tree": Tree, "cones": cones, "FC3D": nd.FC3D(np.eye(3), np.ones(3), [0.5])}
+    owners["ContactKinematics"] = ContactKinematics
     for owner, name in pairs:
         what = owners.get(owner) or next(getattr(place, owner) for place in places if hasattr(place, owner))
         assert hasattr(what, name) or name in getattr(what, "__annotations__", {}), f"{owner}.{name}"

@@ -12,13 +12,14 @@ from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
 
 HALF_TURN = 3.0
-"""Turn between two poses, rad, beyond which these do not tell which way it went: hardly less than half a turn."""
+"""Rotation between two poses, rad, beyond which the poses do not determine its direction: slightly less than half a
+turn."""
 
 
 @no_alloc
 def turn_between(A, B, f):
     """Rotation vector w, world axes, |w| ≤ π, with ``B[f] = exp([w]x) A[f]``."""
-    # The rows of D = B Aᵀ.
+    # Rows of D = B Aᵀ.
     d11, d12, d13 = to_world(A, f, row(B[f], 0))
     d21, d22, d23 = to_world(A, f, row(B[f], 1))
     d31, d32, d33 = to_world(A, f, row(B[f], 2))
@@ -27,7 +28,8 @@ def turn_between(A, B, f):
     angle = math.atan2(sine, cosine)
     if cosine > 0.0 or sine > 1e-3:
         return times(angle / sine, a) if sine > 0.0 else a
-    # About half a turn: D = cos + (1 - cos) u uᵀ but for the sine. Its column of the largest diagonal element gives u.
+    # About half a turn: D = cos + (1 - cos) u uᵀ except for the sine term. The column of its largest diagonal element
+    # gives u.
     u = (d11 - cosine, 0.5 * (d12 + d21), 0.5 * (d13 + d31))
     if d22 > d11 and d22 >= d33:
         u = (0.5 * (d12 + d21), d22 - cosine, 0.5 * (d23 + d32))
@@ -39,10 +41,11 @@ def turn_between(A, B, f):
 
 @no_alloc
 def motions(frame, arm, begin, end, foreseen, turn, reach):
-    """Rotation vectors of the frames, into turn (nframes, 3), and how far any point of their geoms moves, into reach.
+    """Rotation vectors of the frames, into turn (nframes, 3), and bounds on the way of their geoms, into reach.
 
-    They are the shortest from poses (x, R) of the frames to others, but for those foreseen to be longer than
-    `HALF_TURN`. ``arm[g]`` bounds the distance of the points of geom g from the origin of its frame.
+    The rotations are the shortest ones from the poses `begin` (x, R) of the frames to the poses `end`, except for
+    rotations `foreseen` to be longer than `HALF_TURN`. ``arm[g]`` bounds the distance of the points of geom g from the
+    origin of its frame.
     """
     (x0, R0), (x1, R1) = begin, end
     reach[:] = 0.0
@@ -63,7 +66,7 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
     """Bound on the way of any point of one geom as seen from the other; f1, f2 are their frames, -1 for the world.
 
     The velocity of a point p of body 2 relative to body 1 is (v - ω1 x d) + ω x (p - x2), with v, ω and d the
-    differences of velocities, spins and origins: d is linear in time, so that the first term is largest at an end.
+    differences of velocities, spins and origins. d is linear in time, so that the first term is largest at an end.
     """
     zero = (0.0, 0.0, 0.0)
     w1, w2 = row(turn, f1) if f1 >= 0 else zero, row(turn, f2) if f2 >= 0 else zero
@@ -82,7 +85,7 @@ def relative_motion(f1, f2, arm1, arm2, x0, x1, turn):
 
 @no_alloc
 def carried(f, p, x0, R0, x1, R1):
-    """Where the point p fixed in frame f goes when the frame goes from its pose 0 to pose 1."""
+    """Position of the point p fixed in frame f after the frame has moved from its pose 0 to pose 1."""
     if f < 0:
         return p
     return along(row(x1, f), 1.0, to_world(R1, f, to_local(R0, f, minus(p, row(x0, f)))))
@@ -90,9 +93,9 @@ def carried(f, p, x0, R0, x1, R1):
 
 @no_alloc
 def carry(contacts, begin, end, there):
-    """Contacts whose points are fixed in both bodies, from poses to others, where they have the normals `there`.
+    """Move contacts whose points are fixed in both bodies from poses to others, where they have the normals `there`.
 
-    In place of (names, points, scalars); `begin` and `end` are (x, R) of the frames.
+    Works in place on (names, points, scalars); `begin` and `end` are (x, R) of the frames.
     """
     (names, points, scalars), (x0, R0), (x1, R1) = contacts, begin, end
     for c in range(names.shape[1]):
@@ -106,10 +109,11 @@ def carry(contacts, begin, end, there):
 
 @no_alloc
 def turn_normals(fields, contacts, R0, end, room, out, apart):
-    """Normals of contacts of poses 0 at poses 1, into out: along which the geoms are farthest apart, and how far.
+    """Normals of contacts of poses 0 at poses 1, into out, and the separations of their geoms along them, into apart.
 
-    Of those that stay in space, turn with frame 1 and turn with frame 2. `contacts` are (names, points, scalars),
-    `end` the poses (x, R) of the frames, `room` is for those (R, t) of the geoms.
+    Three normals are tried: fixed in space, turning with frame 1, and turning with frame 2. The one with the largest
+    separation is chosen. `contacts` is (names, points, scalars), `end` has the poses (x, R) of the frames, `room` is a
+    work array for the poses (R, t) of the geoms.
     """
     (names, points, _), (x1, R1), (R, t) = contacts, end, room
     place(fields, x1, R1, R, t)
@@ -139,10 +143,10 @@ def turned(w, s, p):
 
 @no_alloc
 def approach(frame, arm, motion, s, geoms, normal, points):
-    """(bound of the approach speed, approach speed) of two geoms at their nearest points, m per way.
+    """(bound on the approach speed, approach speed) of two geoms at their nearest points, m per way.
 
-    The bound is that of their separation along n: of the rotations only what turns n moves the support points along n.
-    `motion` is (x0, x1, turn) of the frames.
+    The bound is that of their separation along n: of the rotations, only the part that turns n moves the support points
+    along n. `motion` is (x0, x1, turn) of the frames.
     """
     x0, x1, turn = motion
     n = (normal[0], normal[1], normal[2])
@@ -163,7 +167,7 @@ def approach(frame, arm, motion, s, geoms, normal, points):
 
 @no_alloc
 def place_at(fields, room, motion, s, geoms):
-    """Place two geoms where they are at the fraction s of the way, in room (R, t).
+    """Place two geoms at the fraction s of the way, in room (R, t).
 
     `fields` are those of `Geometry`, `motion` is (x0, R0, x1, turn) of the frames.
     """
@@ -186,11 +190,11 @@ def place_at(fields, room, motion, s, geoms):
 
 @no_alloc
 def bend(frame, arm, motion, geoms, n, turning):
-    """How far n·p may be from straight in the middle of the way, m, p a point of either geom: by |d²(n·p)/ds²| / 8.
+    """Bound on the deviation of n·p from a linear function at the middle of the way, m: |d²(n·p)/ds²| / 8.
 
-    With n and p as seen from the geom `turning` of the two, with which n turns, or from space, -1. There are none of
-    that geom, and of the other, which moves by v and at most D away, as they turn by w and ω:
-    |n x w| (|w| (D + |p|) + 2 (|v| + |ω| |p|)) + ω² |p|.
+    p is a point of either geom. n and p are seen from the geom `turning` of the two, with which n turns, or from space,
+    -1. The second derivative is 0 for points of the geom `turning`. For the other geom, which moves by v and is at most
+    D away, while the two turn by w and ω, it is at most |n x w| (|w| (D + |p|) + 2 (|v| + |ω| |p|)) + ω² |p|.
     """
     (x0, x1, turn), zero, total = motion, (0.0, 0.0, 0.0), 0.0
     f = frame[geoms[turning]] if turning >= 0 else -1
@@ -211,11 +215,12 @@ def bend(frame, arm, motion, geoms, n, turning):
 
 @no_alloc
 def advance(fields, arm, motion, geoms, shown, room):
-    """(fraction of the way before which two geoms do not touch, speed of approach there), m per way.
+    """(fraction of the way before which two geoms cannot touch, their approach speed at the fraction s), m per way.
 
-    A fraction s ahead they are apart by more than s times a bound of their speed (`approach`); and where they are so
-    along their normal, in space or as it turns with either, at both ends of a part of the way, all of it but for what
-    that `bend`s, times s². The latter is what tells of geoms that part as they turn.
+    There are two tests. First, the geoms cannot touch within their distance divided by a bound on their approach speed
+    (`approach`). Second, their normal, fixed in space or turning with either geom, separates them in a whole part of
+    the way if it does so at both ends of the part, by more than its `bend` times the square of its length. The second
+    test covers geoms that separate while they turn.
 
     Parameters
     ----------
@@ -226,9 +231,9 @@ def advance(fields, arm, motion, geoms, shown, room):
     motion : (x0, R0, x1, turn)
     geoms : (int, int)
     shown : (s, distance, least, n, points)
-        At the fraction s, m: as far as they are `least` apart they advance.
+        At the fraction s, m: the first test uses `least` if it is larger than the distance.
     room : (R, t)
-        Poses of the geoms, which are theirs there, and change.
+        Poses of all geoms; those of the two geoms at that fraction are overwritten.
     """
     (s, distance, least, n, points), (x0, _, x1, turn), (i, j) = shown, motion, geoms
     geometry, linear = Placed(*fields, *room), (x0, x1, turn)
@@ -250,7 +255,7 @@ def advance(fields, arm, motion, geoms, shown, room):
 
 @no_alloc
 def swept(frame, arm, g, ends, bounds, axis):
-    """Bounds along an axis of where a geom may be on its way between `ends` of the frames, however it turns, m."""
+    """Bounds along an axis on the positions of a geom on its way between `ends` of the frames, for any rotation, m."""
     (x0, x1), (lower, upper), f = ends, bounds, frame[g]
     if f < 0:
         return lower[g, axis], upper[g, axis]
@@ -259,7 +264,7 @@ def swept(frame, arm, g, ends, bounds, axis):
 
 @no_alloc
 def flies_past(frame, arm, i, j, ends, bounds):
-    """Whether two geoms are apart along an axis of the world all the way, however they turn."""
+    """True if two geoms are apart along a world axis all the way, for any rotation."""
     for axis in range(3):
         low, high = swept(frame, arm, i, ends, bounds, axis)
         least, most = swept(frame, arm, j, ends, bounds, axis)
@@ -270,9 +275,9 @@ def flies_past(frame, arm, i, j, ends, bounds):
 
 @no_alloc
 def stays_apart(geometry, arm, i, j, motion, codes, points):
-    """Whether two geoms cannot touch on their way, by their separation along the normal of a contact of theirs.
+    """True if two geoms cannot touch on their way, by their separation along the normal of a contact between them.
 
-    motion = (x0, x1, turn) as in `motions`; the contacts have sorted codes, and points as of `ContactSet`.
+    motion = (x0, x1, turn) as in `motions`; the contacts have sorted codes, and points as in `ContactSet`.
     """
     code = i * geometry.kind.size + j
     c = place_of(codes, code)
@@ -287,12 +292,12 @@ def stays_apart(geometry, arm, i, j, motion, codes, points):
 
 @kernel
 def may_touch(fields, arm, least, pairs, motion, placed, memory, out):
-    """Candidate pairs whose relative motion is longer than their distance, as indices into out; returns their number.
+    """Write the indices of candidate pairs that move farther than their distance into out; return their number.
 
-    Left out are pairs of the sorted codes `known`, those whose relative motion is no longer than the smaller of their
-    `least`, what `flies_past`, and what `stays_apart` by its `memory`. `fields` are those of `Geometry`, `pairs`
-    (first, second, known), `motion` (x0, x1, turn) as in `motions`, `placed` (R, t, lower, upper), poses and bounds of
-    the geoms at the beginning.
+    Left out are pairs of the sorted codes `known`, pairs whose relative motion is no longer than the smaller of their
+    two `least`, and pairs that cannot touch by `flies_past` or, with the contacts in `memory`, by `stays_apart`.
+    `fields` are those of `Geometry`, `pairs` is (first, second, known), `motion` is (x0, x1, turn) as in `motions`,
+    `placed` is (R, t, lower, upper), poses and bounds of the geoms at the beginning.
     """
     (first, second, known), (x0, x1, turn), (R, t, lower, upper) = pairs, motion, placed
     geometry, (names, points), count = Placed(*fields, R, t), memory, 0

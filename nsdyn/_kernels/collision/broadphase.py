@@ -1,4 +1,4 @@
-"""Where the geoms are and which pairs may touch: exact axis-aligned bounds, sort and sweep."""
+"""Broad phase: poses and axis-aligned bounding boxes of the geoms, and candidate pairs by sort and sweep."""
 
 import math
 
@@ -18,7 +18,7 @@ AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 @no_alloc
 def bound(geometry, g, lower, upper):
-    """Smallest axis-aligned box of geom g, from its supports along the axes, into rows g; a half-space has none."""
+    """Smallest axis-aligned bounding box of geom g, from its support points, into rows g; infinite for a half-space."""
     if geometry.kind[g] == HALFSPACE:
         lower[g], upper[g] = -math.inf, math.inf
         return
@@ -30,11 +30,11 @@ def bound(geometry, g, lower, upper):
 
 @no_alloc
 def follow(fields, frames, base, placed, boxes, fat):
-    """World poses, reaches and bounds of the geoms on moving frames, into `placed` and `boxes`.
+    """Poses, reaches and bounding boxes of the geoms on moving frames, into `placed` and `boxes`.
 
-    Returns whether one of them, inflated by its base and its reach, leaves its fat box. `fields` are those of
-    `Geometry`, a plain tuple: from Python that is handed over in half the time. `frames` are (x, R, reach), `placed`
-    (R, t, reach), `boxes` and `fat` (lower, upper).
+    Returns True if the box of a geom, enlarged by its base and its reach, leaves its enlarged box in `fat`. `fields`
+    are those of `Geometry`, as a plain tuple, which Python passes in half the time. `frames` is (x, R, reach), `placed`
+    is (R, t, reach), `boxes` and `fat` are (lower, upper).
     """
     (x, R_frames, frame_reach), (R, t, reach), (lower, upper), (fat_lower, fat_upper) = frames, placed, boxes, fat
     geometry = Placed(*fields, R, t)
@@ -53,7 +53,7 @@ def follow(fields, frames, base, placed, boxes, fat):
 
 @kernel
 def bounds(fields, x, R_frames, lower, upper):
-    """Bounds of the geoms on moving frames at these poses, into their rows; `fields` as in `follow`."""
+    """Bounding boxes of the geoms on moving frames at these poses, into their rows; `fields` as in `follow`."""
     geometry = Geometry(*fields)
     R, t = np.empty((geometry.kind.size, 3, 3)), np.empty((geometry.kind.size, 3))
     place(fields, x, R_frames, R, t)
@@ -65,14 +65,14 @@ def bounds(fields, x, R_frames, lower, upper):
 
 @no_alloc
 def contains(sorted_codes, code):
-    """Whether a sorted array holds the code."""
+    """True if a sorted array contains the code."""
     at = place_of(sorted_codes, code)
     return at < sorted_codes.size and sorted_codes[at] == code
 
 
 @no_alloc
 def below(geometry, h, R, t, lower, upper):
-    """Whether a box reaches into the fixed half-space h."""
+    """True if a box reaches into the fixed half-space h."""
     depth = -geometry.offset[h]
     for i in range(3):
         n = R[i, 0] * geometry.size[h, 0] + R[i, 1] * geometry.size[h, 1] + R[i, 2] * geometry.size[h, 2]
@@ -82,7 +82,7 @@ def below(geometry, h, R, t, lower, upper):
 
 @kernel
 def append(codes, count, code, excluded):
-    """The first `count` codes and this, unless it is excluded: (array, grown when it is full, their number)."""
+    """Append a code to the first `count` codes unless it is excluded: (array, enlarged if it was full, new count)."""
     if contains(excluded, code):
         return codes, count
     if count == codes.size:
@@ -95,9 +95,10 @@ def append(codes, count, code, excluded):
 
 @no_alloc
 def fatten(fields, base, reach, skin, ahead, boxes, fat):
-    """Boxes that serve for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
+    """Enlarged boxes that stay valid for several steps, into fat_lower and fat_upper; `fields` as in `follow`.
 
-    They are grown by the base, `skin` times the bounding radius and `ahead` times the reach; fixed geoms need none.
+    The boxes grow by the base, `skin` times the bounding radius and `ahead` times the reach; fixed geoms need no
+    growth.
     """
     (lower, upper), (fat_lower, fat_upper) = boxes, fat
     geometry = Geometry(*fields)
@@ -111,7 +112,7 @@ def fatten(fields, base, reach, skin, ahead, boxes, fat):
 
 @no_alloc
 def widest(geometry, t):
-    """The axis along which the geoms that are not half-spaces are spread most."""
+    """Axis along which the positions of the geoms that are no half-spaces vary most."""
     best, axis = -1.0, 0
     for i in range(3):
         count, mean, square = 0, 0.0, 0.0
@@ -128,10 +129,10 @@ def widest(geometry, t):
 
 @kernel
 def candidates(fields, R, t, lower, upper, excluded):
-    """Codes n i + j (i < j) of all pairs of geoms whose boxes meet, sorted; `fields` as in `follow`.
+    """Codes n i + j (i < j) of all pairs of geoms whose boxes overlap, sorted; `fields` as in `follow`.
 
-    Left out: both fixed, both on one frame, excluded (sorted codes). Geoms that are not half-spaces are swept along the
-    axis of their greatest spread. Half-spaces are tested against every moving box.
+    Left out are pairs of fixed geoms, pairs on one frame, and excluded pairs (sorted codes). Geoms that are no
+    half-spaces are swept along the axis of their greatest spread. Half-spaces are tested against every moving box.
     """
     geometry = Geometry(*fields)
     axis, n, m = widest(geometry, t), geometry.kind.size, 0
@@ -168,7 +169,7 @@ def candidates(fields, R, t, lower, upper, excluded):
 
 @no_alloc
 def at_least_apart(geometry, i, j, lower, upper):
-    """Lower bound of the distance of two geoms, from spheres and boxes about them or the plane of a half-space."""
+    """Lower bound of the distance of two geoms, from their bounding spheres and boxes or the plane of a half-space."""
     if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:
         return gap_along(geometry, i, j, (0.0, 0.0, 1.0))
     square = 0.0
@@ -181,10 +182,10 @@ def at_least_apart(geometry, i, j, lower, upper):
 
 @no_alloc
 def of_interest(fields, placed, boxes, pairs, near, changed):
-    """Which pairs may be within their margin and the reach of both, into near; the number of those it changes.
+    """Update in `near` which pairs may be within their margin and the reach of both; return the number of changes.
 
-    Their indices come first in `changed`. `placed` and `boxes` are of the geoms, as `follow` leaves them, `pairs` are
-    (first, second, margin); lengths in m.
+    The indices of changed pairs are the first in `changed`. `placed` and `boxes` are those of the geoms, as `follow`
+    leaves them; `pairs` is (first, second, margin); lengths in m.
     """
     (R, t, reach), (lower, upper), (first, second, margin) = placed, boxes, pairs
     geometry = Placed(*fields, R, t)

@@ -1,4 +1,4 @@
-"""Points of one shape clipped to a face of another."""
+"""Clipping of features of one shape to a face of another."""
 
 import math
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to
 
 
 class Room(NamedTuple):
-    """How many contacts a pair may have, as many points stand for a circle, and scratch for polygons and heights."""
+    """Most contacts of a pair, also the number of points for a circle; scratch arrays of polygons and heights."""
 
     limit: int
     poly: np.ndarray
@@ -36,9 +36,9 @@ class Room(NamedTuple):
 
 @no_alloc
 def cut(poly, count, heights, tol, out):
-    """Part of a polygon, segment or point where the linear function with these values at its corners is ≤ 0.
+    """Part of a polygon, segment or point where a linear function with these values at its corners is ≤ 0.
 
-    A corner within tol of 0 stays as it is and makes no new corner beside it. Returns the new number of points.
+    A corner within tol of 0 stays unchanged and makes no new corner beside it. Returns the new number of points.
     """
     kept = 0
     for k in range(count):
@@ -59,7 +59,7 @@ def cut(poly, count, heights, tol, out):
 
 @no_alloc(forceinline=True)
 def clip_to_face(geometry, g, face, n, poly, count, other, heights):
-    """Clip a polygon by the sides of a polytope face of world normal n; returns its new number of points."""
+    """Clip a polygon by the sides of a polytope face of world normal n; return its new number of points."""
     first, tol, c = geometry.vertex_ptr[g], INSIDE * geometry.radius[g], row(geometry.t, g)
     f = geometry.face_ptr[g] + face
     begin, end = geometry.loop_ptr[f], geometry.loop_ptr[f + 1]
@@ -82,7 +82,7 @@ def clip_to_face(geometry, g, face, n, poly, count, other, heights):
 
 @no_alloc
 def on_border(geometry, g, face, p, tol):
-    """Whether a point that is over a face or cap is not farther than tol from its border."""
+    """True if a point over a face or cap is within tol of the border of the face."""
     q = to_local(geometry.R, g, minus(p, row(geometry.t, g)))
     radius = disk_radius(geometry, g)
     if radius > 0.0:
@@ -102,12 +102,12 @@ def on_border(geometry, g, face, p, tol):
 def clip_to_disk(geometry, g, poly, count, rim, other):
     """Points that span the part of a polygon, segment or point above or below a disk about the z axis of geom g.
 
-    They are the corners over the disk, the points of the edges over its circle, and those of `rim` points of the
-    circle that lie under the polygon, lifted to its plane. Returns their number, in poly.
+    The points are the corners over the disk, the points of edges over its circle, and those of `rim` points of the
+    circle that lie under the polygon, lifted to its plane. Returns their number; the points are in poly.
     """
     radius, c = disk_radius(geometry, g), row(geometry.t, g)
     tol = INSIDE * radius
-    flat = np.empty((count, 3))  # the polygon in the frame of the disk
+    flat = np.empty((count, 3))  # polygon in the frame of the disk
     for k in range(count):
         put(flat, k, to_local(geometry.R, g, minus(row(poly, k), c)))
     kept = 0
@@ -126,12 +126,12 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
             length = math.sqrt(square)
             for sign in (-1.0, 1.0):
                 s = (-half + sign * math.sqrt(root)) / square
-                # Not beside a corner: there the corner itself is on the circle.
+                # No point beside a corner: the corner itself is then on the circle.
                 if s * length > tol and (1.0 - s) * length > tol:
                     put(other, kept, along(row(poly, k), s, minus(row(poly, q), row(poly, k))))
                     kept += 1
     if count > 2:
-        # Newell's normal of the polygon, for its orientation and its plane.
+        # Newell's normal of the polygon gives its orientation and its plane.
         n = (0.0, 0.0, 0.0)
         for k in range(1, count - 1):
             n = along(n, 1.0, cross(minus(row(flat, k), row(flat, 0)), minus(row(flat, k + 1), row(flat, 0))))
@@ -153,7 +153,7 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
 
 @no_alloc(forceinline=True)
 def over_face(geometry, i, j, margin, face1, face2, room):
-    """Contacts of a face of geom i (if face1 < 0, of geom j) with the other geom, into points and heights of `room`.
+    """Contacts of a face of geom i (of geom j if face1 < 0) with the other geom, into points and heights of `room`.
 
     Returns their number and the normal from 1 to 2.
     """
@@ -176,7 +176,7 @@ def over_face(geometry, i, j, margin, face1, face2, room):
                 put(points, kept, along(p, -radius, n))
                 heights[kept] = height
                 kept += 1
-        # Of a tilted geom other features reach below the margin too.
+        # On a tilted geom other features may be within the margin too.
         count = 0
         if main >= 0 or has_rim(geometry, o):
             m, above = to_local(geometry.R, o, n), dot(n, minus(row(geometry.t, o), c)) - level
@@ -194,7 +194,7 @@ def over_face(geometry, i, j, margin, face1, face2, room):
 
 @no_alloc
 def merge(poly, gap, count, tol):
-    """Keep one of several points within tol of each other, the deepest; returns the number left, in order."""
+    """Keep the deepest of several points within tol of each other; return the number left, in order."""
     kept = 0
     for k in range(count):
         twin = -1

@@ -1,4 +1,4 @@
-"""Where an ellipsoid or the rim of a cylinder touches: the direction in which the separation is largest."""
+"""Contacts of ellipsoids and rims of cylinders: their normal is the direction of largest separation."""
 
 import math
 
@@ -11,13 +11,13 @@ from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put,
 
 @no_alloc
 def curvatures(geometry, k, m, e1, e2):
-    """`curvature` of the support point of a geom in the direction m, in two tangents: (e1 e1, e1 e2, e2 e2)."""
+    """`curvature` of the support point of geom k in the direction m, for two tangents: (e1 e1, e1 e2, e2 e2)."""
     return curvature(geometry, k, m, e1, e1), curvature(geometry, k, m, e1, e2), curvature(geometry, k, m, e2, e2)
 
 
 @no_alloc
 def newton(geometry, i, j, m, axes, start, valid):
-    """Newton's step of m, in two tangents, to where the separation is stationary; `start` is the point of a segment."""
+    """Newton step of m, along two tangents, towards stationary separation; `start` is a point of a `valid` segment."""
     e1, e2 = axes
     _, a, b = separation(geometry, i, j, m)
     bends = (0.0, 0.0, 0.0)
@@ -32,7 +32,7 @@ def newton(geometry, i, j, m, axes, start, valid):
     a11, a12, a22 = bends
     delta = minus(b, a)
     f1, f2, width, trace = dot(e1, delta), dot(e2, delta), dot(m, delta), a11 + a22
-    # Where the separation is not concave enough, step as if it were.
+    # If the separation is not concave enough, step as if it were.
     if not (a11 + width > 0.0 and (a11 + width) * (a22 + width) - a12 * a12 > 1e-10 * trace * trace):
         width = abs(width) + 1e-5 * trace + INSIDE * smaller(geometry, i, j)
     a11, a22 = a11 + width, a22 + width
@@ -42,15 +42,15 @@ def newton(geometry, i, j, m, axes, start, valid):
 
 @no_alloc
 def smooth(geometry, i, j, n, lines, out, at):
-    """Write the contact of two geoms of which one at least is an ellipsoid or touches with the rim of a cylinder.
+    """Write the contact of two geoms, at least one of which is an ellipsoid or touches with the rim of a cylinder.
 
-    The other may be a segment with a radius: `lines` has what `segment` gives of each geom. From the given n on,
-    Newton's method maximises the separation: where it is stationary, the support points a and b differ by a multiple of
-    the normal.
+    The other geom may be a segment with a radius: `lines` has the result of `segment` for each geom. Newton's method,
+    started at the given n, maximises the separation. At a stationary separation the support points a and b differ by a
+    multiple of the normal.
     """
     size = smaller(geometry, i, j)
     (p1, q1, radius1, valid1), (p2, q2, radius2, valid2) = lines
-    if valid1 and valid2:  # not as segments, then: what has a rim touches with it
+    if valid1 and valid2:  # two segments: a geom with a rim touches with the rim instead
         valid1 = not has_rim(geometry, i)
         valid2 = not (has_rim(geometry, j) or valid1)
     start, end, radius, side = (p1, q1, radius1, 1.0) if valid1 else (p2, q2, radius2, -1.0)
@@ -62,14 +62,14 @@ def smooth(geometry, i, j, n, lines, out, at):
         best, a, b = separation(geometry, i, j, m)
         if length > 0.0:
             s = dot(d, minus(b if valid1 else a, start))
-            if not (s > 0.0 and s < length):  # opposite the other geom is an end
+            if not (s > 0.0 and s < length):  # the other geom is opposite an end of the segment
                 if s > 0.0:
                     start = end
                 length = 0.0
-                # What does not end in a ball: its rim is meant.
+                # A segment whose ends are no balls touches with its rim.
                 valid1 = valid1 and not has_rim(geometry, i)
                 valid2 = valid2 and not has_rim(geometry, j)
-        if length > 0.0:  # turn about the line only
+        if length > 0.0:  # rotate m about the line only
             m, _ = unit(along(m, -dot(m, d), d))
             e1, e2 = cross(d, m), (0.0, 0.0, 0.0)
         else:
@@ -84,7 +84,7 @@ def smooth(geometry, i, j, n, lines, out, at):
         for _ in range(10):
             trial, _ = unit(along(m, scale, turn))
             value, _, _ = separation(geometry, i, j, trial)
-            # Close to the maximum round-off decides which value is larger.
+            # Close to the maximum, round-off determines which value is larger.
             if step < 1e-7 or value > best:
                 break
             scale *= 0.5
@@ -97,7 +97,7 @@ def smooth(geometry, i, j, n, lines, out, at):
         m = n
         value, a, b = separation(geometry, i, j, m)
     elif valid1 or valid2:
-        # The support point of a segment is any of its points: take the one opposite the other geom.
+        # Any point of a segment is its support point: take the one opposite the other geom.
         s = min(max(dot(d, minus(b if valid1 else a, start)), 0.0), length)
         foot = along(along(start, s, d), side * radius, m)
         a, b = (foot, b) if valid1 else (a, foot)

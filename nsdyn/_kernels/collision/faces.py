@@ -1,4 +1,4 @@
-"""Faces of polytopes, half-spaces and caps of cylinders, and what of the other shape lies over them."""
+"""Faces of polytopes, half-spaces and caps of cylinders, and features of the other shape over them."""
 
 import math
 
@@ -8,12 +8,12 @@ from nsdyn._kernels.collision.separation import INSIDE, SHARP, separation
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import dot, minus, put, row, times, to_local, to_world, unit
 
-BIAS = 1e-6  # a face of geom 2 is the reference only if it fits better than that of geom 1 by more than noise
+BIAS = 1e-6  # a face of geom 2 is the reference only if it fits better than that of geom 1 by more than round-off
 
 
 @no_alloc(forceinline=True)
 def aligned_face(geometry, g, n, angle):
-    """The face of geom g whose normal is closest to n, and |difference|; (-1, inf) if that is not below `angle`."""
+    """Face of geom g whose normal is closest to n, and |difference|; (-1, inf) if that is not below `angle`."""
     m = to_local(geometry.R, g, n)
     best, face = angle * angle, -1
     for f in range(face_count(geometry, g)):
@@ -26,7 +26,7 @@ def aligned_face(geometry, g, n, angle):
 
 @no_alloc
 def reference_face(geometry, i, j, n, angle):
-    """The reference of the normal n: (face of geom i, -1), (-1, face of geom j), or (-1, -1) beyond `angle`."""
+    """Reference face for the normal n: (face of geom i, -1), (-1, face of geom j), or (-1, -1) beyond `angle`."""
     face1, error1 = aligned_face(geometry, i, n, angle)
     face2, error2 = aligned_face(geometry, j, times(-1.0, n), angle)
     if face1 >= 0 and error1 <= error2 + BIAS:
@@ -36,7 +36,7 @@ def reference_face(geometry, i, j, n, angle):
 
 @no_alloc
 def best_normal(geometry, i, j, n):
-    """The face normal or line of centres that separates best; n itself unless that is better by more than noise."""
+    """Face normal or line of centres with the best separation; n itself unless that is better by more than noise."""
     best, p, q = separation(geometry, i, j, n)
     best += INSIDE * smaller(geometry, i, j)
     between = minus(q, p)
@@ -48,7 +48,7 @@ def best_normal(geometry, i, j, n):
     for g, sign in ((i, 1.0), (j, -1.0)):
         for f in range(face_count(geometry, g)):
             m = times(sign, to_world(geometry.R, g, face_normal(geometry, g, f)))
-            if dot(m, between) > best:  # any two points bound the gap from above
+            if dot(m, between) > best:  # any two points give an upper bound of the separation along m
                 gap, _, _ = separation(geometry, i, j, m)
                 if gap > best:
                     best, n = gap, m
@@ -75,24 +75,24 @@ def next_feature(geometry, g, face, main, m, low):
 
 @kernel
 def ways(fields, frames, room, names, closed, which, normal):
-    """Normals of faces, from geom 1 to geom 2, that separate the geoms of contacts; returns their number.
+    """Face normals, from geom 1 to geom 2, that separate the geoms of contacts; returns their number.
 
     Parameters
     ----------
     fields, frames, room : tuple
-        As of `keys.gaps`.
+        As in `keys.gaps`.
     names : ndarray of int, shape (5, nc)
-        Of the contacts, as of `ContactSet`.
+        Of the contacts, as in `ContactSet`.
     closed : float
-        How far the geoms may be in each other all the same, m.
+        Penetration along a normal up to which the normal still counts as separating, m.
     which, normal : ndarray, shapes (n,), (n, 3)
-        Room for all faces of the geoms of each contact: the contacts that have such normals, and these.
+        Room for all faces of the geoms of each contact: the index of the contact of each normal, and the normals.
     """
     place(fields, frames[0], frames[1], room[0], room[1])
     geometry, count = Placed(*fields, room[0], room[1]), 0
     for c in range(names.shape[1]):
         i, j = names[0, c], names[1, c]
-        if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:  # which have no edges
+        if geometry.kind[i] == HALFSPACE or geometry.kind[j] == HALFSPACE:  # half-spaces have no edges
             continue
         for g, sign in ((i, 1.0), (j, -1.0)):
             for f in range(face_count(geometry, g)):

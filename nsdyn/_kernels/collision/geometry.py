@@ -8,10 +8,10 @@ from nsdyn._kernels.compiled import no_alloc
 
 
 class Geometry(NamedTuple):
-    """Shapes of all geoms (see `nsdyn.scene.shapes.Shape`) as flat arrays, and how they hang on the frames.
+    """Shapes of all geoms (see `nsdyn.scene.shapes.Shape`) as flat arrays, and their placements on the frames.
 
-    Geom g has the vertices ``vertex_ptr[g]:vertex_ptr[g + 1]``, the faces ``face_ptr[g]:face_ptr[g + 1]``; face f has
-    the corners ``loop[loop_ptr[f]:loop_ptr[f + 1]]``, counted from the first vertex of its geom.
+    Geom g has the vertices ``vertex_ptr[g]:vertex_ptr[g + 1]`` and the faces ``face_ptr[g]:face_ptr[g + 1]``. Face f
+    has the corners ``loop[loop_ptr[f]:loop_ptr[f + 1]]``, counted from the first vertex of its geom.
     """
 
     kind: np.ndarray
@@ -31,11 +31,11 @@ class Geometry(NamedTuple):
 
 
 Placed = NamedTuple("Placed", [*Geometry.__annotations__.items(), ("R", np.ndarray), ("t", np.ndarray)])
-"""The same at poses in the world: R, shape (ngeoms, 3, 3), and t, shape (ngeoms, 3), m."""
+"""`Geometry` with poses in the world: R, shape (ngeoms, 3, 3), and t, shape (ngeoms, 3), m."""
 
 
 class Found(NamedTuple):
-    """Room for contacts: their points, m, normals and gaps, m, a row each."""
+    """Room for contacts, one row each: points, m, normals and gaps, m."""
 
     point: np.ndarray
     normal: np.ndarray
@@ -44,13 +44,13 @@ class Found(NamedTuple):
 
 @no_alloc(forceinline=True)
 def smaller(geometry, i, j):
-    """The smaller bounding radius of two geoms, m."""
+    """Smaller bounding radius of two geoms, m."""
     return min(geometry.radius[i], geometry.radius[j])
 
 
 @no_alloc
 def place(fields, x, R, out_R, out_t):
-    """World pose of every geom on a moving frame; the others keep theirs. `fields` are those of `Geometry`."""
+    """World pose of every geom on a moving frame; fixed geoms keep theirs. `fields` are those of `Geometry`."""
     geometry = Geometry(*fields)
     for g in range(geometry.kind.size):
         f = geometry.frame[g]

@@ -1,4 +1,4 @@
-"""Keys of contacts: which contact of one configuration goes on from the one before."""
+"""Keys of contacts: find the contacts of a configuration that continue contacts of the previous one."""
 
 import numpy as np
 
@@ -12,12 +12,12 @@ from nsdyn._kernels.vectors import dot, minus, put, row, to_local
 
 @kernel
 def match(geoms, tolerance, memory, next_key, names, points):
-    """Give contacts the keys of those they continue; new ones count up from next_key, which is returned.
+    """Give contacts the keys of the contacts that they continue; new ones count up from next_key, which is returned.
 
-    Both lists, (names, points) as of `search.gather`, are sorted by pair. Within a pair the closest old and new points
-    are matched first, by the smaller of the distances seen from geom 1 and from geom 2, up to `tolerance` times the
-    radius of the smaller geom and the `slack` (ngeoms,) of both, by which they may have moved; the only contact of a
-    pair continues the only one before. `geoms` are (radius, R, t, slack).
+    Both lists, (names, points) as in `search.gather`, are sorted by pair. Within a pair the closest old and new points
+    are matched first. Their distance is the smaller of those seen from geom 1 and from geom 2. It is at most
+    `tolerance` times the radius of the smaller geom plus the `slack` (ngeoms,) of both, by which they may have moved.
+    The only contact of a pair always continues the only previous one. `geoms` is (radius, R, t, slack).
     """
     radius, R, t, slack = geoms
     first, second, key, point, local1, local2 = names[0], names[1], names[4], points[0], points[2], points[3]
@@ -66,7 +66,7 @@ def match(geoms, tolerance, memory, next_key, names, points):
 
 @no_alloc
 def kept(key, found_key, found_gap, out):
-    """Whether contacts are found again, all of them and no others; then their gaps, into out."""
+    """True if exactly the same contacts are found again; their gaps are then written into out."""
     if key.size != found_key.size:
         return False
     for c in range(key.size):
@@ -78,10 +78,11 @@ def kept(key, found_key, found_gap, out):
 
 @kernel
 def gaps(fields, frames, room, contacts, found, out):
-    """Gaps of contacts at a later configuration, into out: of the same key there, else between the whole geoms.
+    """Gaps of contacts at a later configuration, into out: those of the same keys there, or else between whole geoms.
 
-    The latter is their separation along the normal of the contact, but no less than the least gap found between them,
-    which is their distance, or than 0 if none was: the normal may have turned with the body that it left.
+    A contact whose key is not found gets the separation of its geoms along its normal. This is raised to the least gap
+    found between the geoms, which is their distance, or to 0 if none was found. The reason: the normal may have turned
+    with the body from which the contact has moved away.
 
     Parameters
     ----------

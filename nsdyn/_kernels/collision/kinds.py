@@ -1,9 +1,9 @@
-"""What each kind of shape answers to those who look for contacts; elsewhere only half-spaces and balls have lanes.
+"""Functions of each kind of shape for contact detection; elsewhere only half-spaces and balls have own branches.
 
-To add a kind: its outermost point (`support`) and the `curvature` there are enough if it is smooth everywhere. What
-has two flat disks across z, at the height of its second size, answers `disk_radius` and `incident` (what of it lies
-over a face of another shape); what has straight lines `segment`, `has_ends`, `has_rim` and `other_feature`; what is all
-within a radius of a line `is_round`. The geoms are `Placed`.
+A new kind that is smooth everywhere needs only its outermost point (`support`) and the `curvature` there. A kind with
+two flat disks across z, at the height of its second size, needs `disk_radius` and `incident` (its feature over a face
+of another shape). A kind with straight lines needs `segment`, `has_ends`, `has_rim` and `other_feature`. A kind whose
+points all lie within a radius of a line needs `is_round`. The geoms are `Placed`.
 """
 
 import math
@@ -19,19 +19,19 @@ HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
 
 @no_alloc(forceinline=True)
 def is_round(geometry, g):
-    """Whether geom g is what lies within a radius of a point or segment: of two of them Coal is not asked."""
+    """True if geom g is the set of points within a radius of a point or segment: Coal is not used for two of them."""
     return geometry.kind[g] == SPHERE or geometry.kind[g] == CAPSULE
 
 
 @no_alloc(forceinline=True)
 def has_ends(geometry, g):
-    """Whether geom g has a straight line on its surface that ends, other than an edge of a polytope."""
+    """True if geom g has a straight line on its surface that ends, other than an edge of a polytope."""
     return geometry.kind[g] == CAPSULE or geometry.kind[g] == CYLINDER
 
 
 @no_alloc(forceinline=True)
 def has_rim(geometry, g):
-    """Whether the lines of geom g end in the rim of a flat face, not in a ball."""
+    """True if the lines of geom g end in the rim of a flat face, not in a ball."""
     return geometry.kind[g] == CYLINDER
 
 
@@ -92,7 +92,7 @@ def curvature(geometry, g, n, a, b):
 
 @no_alloc(forceinline=True)
 def disk_radius(geometry, g):
-    """Radius of the two faces of geom g across its z axis, m; 0 where it has none, or polygons or a plane."""
+    """Radius of the two disk faces of geom g across its z axis, m; 0 for a geom without, with polygons or a plane."""
     return geometry.size[g, 0] if geometry.kind[g] == CYLINDER else 0.0
 
 
@@ -114,7 +114,7 @@ def face_normal(geometry, g, face):
 
 @no_alloc(forceinline=True)
 def face_level(geometry, g, face):
-    """Height of a face over the origin of geom g, along its normal, m; of disks it is the second size."""
+    """Height of a face over the origin of geom g, along its normal, m; for a disk it is the second size."""
     if disk_radius(geometry, g) > 0.0:
         return geometry.size[g, 1]
     if geometry.kind[g] == POLYTOPE:
@@ -136,7 +136,7 @@ def segment(geometry, g, n, angle):
     m = to_local(geometry.R, g, n)
     first, last = geometry.vertex_ptr[g], geometry.vertex_ptr[g + 1]
     top = row(geometry.vertices, deepest_vertex(geometry, g, m))
-    # The edge: the two outermost corners among those seen from the topmost one under less than `angle`.
+    # The edge joins the two outermost corners among those seen from the topmost one at less than `angle`.
     p, q = top, top
     for _ in range(2):
         p, q = q, p
@@ -158,7 +158,7 @@ def segment(geometry, g, n, angle):
 
 @no_alloc
 def has_corner(geometry, face, corner):
-    """Whether a face (a row) has the corner, counted from the first vertex of its geom."""
+    """True if a face (a row) has the corner, counted from the first vertex of its geom."""
     for k in range(geometry.loop_ptr[face], geometry.loop_ptr[face + 1]):
         if geometry.loop[k] == corner:
             return True
@@ -167,18 +167,18 @@ def has_corner(geometry, face, corner):
 
 @no_alloc
 def side(geometry, g, face, k):
-    """The ends (shape frame) of the edge of geom g that begins at entry k of the loop of a face (a row)."""
+    """Ends (shape frame) of the edge of geom g that begins at entry k of the loop of a face (a row)."""
     first, after = geometry.vertex_ptr[g], k + 1 if k + 1 < geometry.loop_ptr[face + 1] else geometry.loop_ptr[face]
     return row(geometry.vertices, first + geometry.loop[k]), row(geometry.vertices, first + geometry.loop[after])
 
 
 @no_alloc(forceinline=True)
 def incident(geometry, g, n, whole, rim, poly):
-    """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius).
+    """Feature of geom g that faces a plane of outward normal n, into poly; returns (number of points, radius, face).
 
-    The feature is what lies within `radius` of the point, segment or polygon; `whole` asks for all vertices of a
-    polytope instead of a face, `rim` is the number of points that stand for the circle of a cylinder's cap. The third
-    result is the face of a polytope, as a row.
+    The feature is the set of points within `radius` of the point, segment or polygon in poly. If `whole` is true, all
+    vertices of a polytope are used instead of a face. `rim` is the number of points that replace the circle of a
+    cylinder's cap. The third result is the face of a polytope, as a row; -1 for others.
     """
     kind, s, c, z = geometry.kind[g], row(geometry.size, g), row(geometry.t, g), axis(geometry.R, g)
     if kind == SPHERE:
@@ -199,7 +199,7 @@ def incident(geometry, g, n, whole, rim, poly):
         for k in range(geometry.vertex_ptr[g + 1] - first):
             put(poly, k, along(c, 1.0, to_world(geometry.R, g, row(geometry.vertices, first + k))))
         return geometry.vertex_ptr[g + 1] - first, 0.0, -1
-    # The face most against n among those around the deepest vertex.
+    # Of the faces around the deepest vertex take the one that faces n most.
     deepest = deepest_vertex(geometry, g, m) - geometry.vertex_ptr[g]
     best, face = -math.inf, -1
     for f in range(geometry.face_ptr[g], geometry.face_ptr[g + 1]):
@@ -221,9 +221,10 @@ def corners(geometry, g, face, poly):
 
 @no_alloc
 def of_cylinder(geometry, g, m, cap, rim, poly):
-    """The cap of cylinder g outermost along m (shape frame) as `rim` points, or that line of its side; their number."""
+    """Cap of cylinder g outermost along m (shape frame) as `rim` points, or the line of its side; their number."""
     s, c, side = row(geometry.size, g), row(geometry.t, g), np.hypot(m[0], m[1])
-    # Where the circle dips deepest; in an upright cylinder that is noise, so any fixed direction does.
+    # Direction of the deepest point of the circle. In an upright cylinder it is noise, so that any fixed direction will
+    # do.
     x, y = (m[0] / side, m[1] / side) if side > 1e-9 else (1.0, 0.0)
     if cap:
         for k in range(rim):
@@ -239,9 +240,9 @@ def of_cylinder(geometry, g, m, cap, rim, poly):
 
 @no_alloc
 def other_feature(geometry, g, m, low, rim, poly):
-    """The line of a cylinder's side when its cap faces -m, else the cap; into poly if that reaches below m·x = low.
+    """The side line of a cylinder when its cap faces -m, else the cap; into poly if it reaches below m·x = low.
 
-    Only what the feature has more than the other one counts. Returns the number of points, 0 if it is of no interest.
+    Only the points that the other feature does not have count. Returns the number of points, 0 if it does not reach.
     """
     radius, half, side, up = geometry.size[g, 0], geometry.size[g, 1], np.hypot(m[0], m[1]), abs(m[2])
     cap = m[2] * m[2] > 0.5

@@ -1,22 +1,23 @@
-"""Contact points of a pair from its features: which of them touch is known (from Coal), where is computed here.
+"""Contact manifold of a pair: Coal tells which features touch, and their contact points are computed here.
 
 With n the unit normal from geom 1 to geom 2 that separates the pair best, and a margin that the motion may close:
 
-1. A face of one geom whose normal is n within `ANGLE` (half-space, polytope face, cylinder cap) is the *reference*:
-   its normal is the contact normal, and the *incident* features of the other geom, clipped to the face, give the
-   points, each with its own gap over the plane, up to the margin.
-2. Where no such face holds what is deepest, the features themselves touch. Two segments (polytope edge or corner,
-   sphere, capsule, side of a cylinder: a segment with a radius) do so in their closest points, parallel ones at both
-   ends of their overlap; ellipsoids and rims of cylinders in one point, where Newton's method makes the separation
-   largest.
-3. Bodies tilted towards each other can close elsewhere too: beside the contact of 2. come the ends of round segments
-   and the points over the face whose normal is closest to n. While the bodies are apart, whatever is over the
-   interior of a face has to stay above it: these contacts forbid nothing that is possible. But what is over the border
-   of the face, or so near that it may move there, meets an edge, along the normal of 2., and that is the way out for
-   what is below the face already. Bodies that overlap leave that way: what is above the face rises with them.
+1. A face of one geom whose normal is n within `ANGLE` (half-space, polytope face, cylinder cap) is the *reference*. Its
+   normal is the contact normal. The *incident* features of the other geom, clipped to the face, give the points, each
+   with its own gap over the plane, up to the margin.
+2. If no such face holds the deepest point, the features themselves touch. Two segments (polytope edge or corner,
+   sphere, capsule, side of a cylinder: a segment with a radius) touch at their closest points, parallel ones at both
+   ends of their overlap. Ellipsoids and rims of cylinders touch at one point, where Newton's method makes the
+   separation largest.
+3. Tilted bodies can come into contact elsewhere too. Beside the contact of 2. there are contacts at the ends of round
+   segments, and at points over the face whose normal is closest to n. While the bodies are apart, points over the
+   interior of a face must stay above it: their contacts forbid no possible motion. But a point over the border of the
+   face, or so near that it may move there, meets an edge. Its contact has the normal of 2. A point below the face
+   already separates along that normal too. Penetrating bodies separate along it; points above the face then rise with
+   them, and their gaps include the rise.
 
-Vectors are tuples of three floats: they live in registers. The geoms are `Placed`, contacts go into `out`, a `Found`,
-from index `at` on.
+Vectors are tuples of three floats, which the compiler keeps in registers. The geoms are `Placed`, contacts are written
+into `out`, a `Found`, from index `at` on.
 """
 
 import math
@@ -45,14 +46,15 @@ from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_local, to_world, unit
 
 SWEPT = 0.5
-"""Of the radius of a round geom: to Coal it is its axis, from which the normal is, as long as that is outside."""
+"""Fraction of the radius of a round geom, see `swept`. To Coal such a geom is its axis, and the normal computed from
+the axis is reliable as long as the axis is outside the other geom."""
 
 
 class Given(NamedTuple):
-    """What is known of a pair: the normal of its cores, and lengths in m.
+    """Data of a pair: the normal of its cores, and lengths in m.
 
-    The normal is to be relied on if it is `trusted`. The surfaces are no more than `slack` from those of the cores.
-    Gaps up to `margin` are of interest, at rest up to `base`.
+    The normal is reliable if it is `trusted`. The surfaces are no more than `slack` from those of the cores. Gaps up to
+    `margin` are of interest, at rest up to `base`.
     """
 
     n: tuple
@@ -64,7 +66,7 @@ class Given(NamedTuple):
 
 @no_alloc(forceinline=True)
 def apart(geometry, i, j, margin):
-    """Whether the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
+    """True if the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
     d = minus(row(geometry.t, j), row(geometry.t, i))
     for h, g, sign in ((i, j, 1.0), (j, i, -1.0)):
         if geometry.kind[h] == HALFSPACE:
@@ -78,8 +80,8 @@ def apart(geometry, i, j, margin):
 def of_features(geometry, i, j, n, face, margin, out, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
 
-    The first one has the least gap. Ends of round segments that the margin holds follow. `face` as of `beside`: where n
-    is its normal features are seen more sharply.
+    The first contact has the least gap. Contacts at ends of round segments within the margin follow. `face` is as in
+    `beside`: if n is its normal, features are selected with a smaller angle.
     """
     count = closest_features(geometry, i, j, n, face, out, at)
     if has_ends(geometry, i) or has_ends(geometry, j):
@@ -89,9 +91,9 @@ def of_features(geometry, i, j, n, face, margin, out, at):
 
 @no_alloc
 def closest_features(geometry, i, j, n, face, out, at):
-    """Contacts of the features that are outermost along n, where they are closest; returns their number.
+    """Contacts at the closest points of the features that are outermost along n; returns their number.
 
-    It is 0 if no edges of two polytopes separate as well as n does.
+    The number is 0 if no edges of two polytopes separate them as well as n does.
     """
     angle = SHARP if face >= 0 else ANGLE
     lines = edge(geometry, i, n, angle), edge(geometry, j, times(-1.0, n), angle)
@@ -100,7 +102,7 @@ def closest_features(geometry, i, j, n, face, out, at):
         if count == 2 or (is_round(geometry, i) and is_round(geometry, j)):
             return count
         if count == 1:
-            # The distance is the largest separation: the right features reach it.
+            # The distance is the largest separation: the touching features attain it.
             own, _, _ = separation(geometry, i, j, row(out.normal, at))
             given, _, _ = separation(geometry, i, j, n)
             same = SAME * smaller(geometry, i, j)
@@ -129,7 +131,8 @@ def closest_features(geometry, i, j, n, face, out, at):
 def beside(geometry, i, j, g, n, face, out, at):
     """Contacts of a round geom and the edge of polytope g that is closest to it; returns their number.
 
-    Edges are those of a face, a row of its own, or if that is -1 of all faces around the corner outermost along n.
+    The edges are those of the given face, counted within g. If `face` is -1, they are those of all faces around the
+    corner outermost along n.
     """
     out_of = n if g == i else times(-1.0, n)
     q, end, radius, _ = segment(geometry, i + j - g, times(-1.0, out_of), ANGLE)
@@ -153,14 +156,14 @@ def beside(geometry, i, j, g, n, face, out, at):
 
 @no_alloc
 def begin(geometry, i, j, given, out, at):
-    """Contacts of features where no face separates best: (their number, whether so, n, the reference of each geom)."""
+    """Contacts of features, if no face separates best: (their number, True if so, n, reference face of each geom)."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
     n, face1, face2 = given.n, 0 if kind1 == HALFSPACE else -1, 0 if kind2 == HALFSPACE else -1
     if face1 == 0 or face2 == 0:
         return 0, False, n, face1, face2
     known = not (is_round(geometry, i) and is_round(geometry, j))
     if known:
-        if not given.trusted:  # cores that overlap give no reliable normal
+        if not given.trusted:  # overlapping cores give no reliable normal
             n = best_normal(geometry, i, j, n)
         face1, face2 = reference_face(geometry, i, j, n, ANGLE)
         if face1 >= 0 or face2 >= 0:
@@ -191,7 +194,7 @@ def pair_contacts(geometry, i, j, given, room, out, at):
         lowest = math.inf
         for k in range(count):
             lowest = min(lowest, room.heights[k])
-        # What is deepest is not over the face.
+        # The deepest point is not over the face.
         if lowest > separation(geometry, i, j, m)[0] + SAME * smaller(geometry, i, j):
             first = of_features(geometry, i, j, n, max(face1, face2), margin, out, at)
             if first == 0:  # another face separates better
@@ -221,9 +224,9 @@ def pair_contacts(geometry, i, j, given, room, out, at):
 
 @no_alloc
 def new(room, count, first, near, out, at):
-    """Of the points over a face those that the `first` contacts of features do not stand for; returns their number.
+    """Keep the points over a face that are not near one of the `first` contacts of features; return their number.
 
-    No point is deeper than the bodies overlap: that is along the normal of the features.
+    No point gets deeper than the penetration of the bodies, which is measured along the normal of the features.
     """
     kept, deepest = 0, out.gap[at]
     for k in range(count):
@@ -240,13 +243,13 @@ def new(room, count, first, near, out, at):
 
 @no_alloc
 def swept(geometry, g):
-    """How deep geom g may be in another for the normal of the cores to be relied on, m."""
+    """Largest penetration of geom g into another at which the normal of the cores is reliable, m."""
     return SWEPT * geometry.size[g, 0] if is_round(geometry, g) else 0.0
 
 
 @no_alloc(forceinline=True)
 def ball_contact(geometry, i, j, out, at):
-    """What `pair_contacts` gives of two balls, or of one and a half-space, without a look at features; else False."""
+    """Write the contact of two balls, or of a ball and a half-space, as `pair_contacts` would; else return False."""
     kind1, kind2 = geometry.kind[i], geometry.kind[j]
     radius1, radius2, a, b = geometry.size[i, 0], geometry.size[j, 0], row(geometry.t, i), row(geometry.t, j)
     if kind1 == SPHERE and kind2 == SPHERE:
@@ -275,10 +278,10 @@ def manifolds(geoms, pairs, room, found):
     Parameters
     ----------
     geoms : tuple
-        Fields of `Geometry`, R, t, reach and slack: how far a point of a geom may still move, and its surface is from
-        that of its core.
+        Fields of `Geometry`, R, t, reach and slack: the way that a point of a geom may still move, and the distance of
+        its surface from that of its core.
     pairs : tuple
-        first, second, slot, coal and base: ``coal[slot[p]]`` is the distance and normal of the cores of pair p, where
+        first, second, slot, coal and base: ``coal[slot[p]]`` has the distance and normal of the cores of pair p, where
         slot[p] ≥ 0; ``base[p]`` plus the reach of both geoms is the largest gap of interest.
     room : tuple
         Of `Room`.

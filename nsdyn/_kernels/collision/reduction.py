@@ -1,4 +1,4 @@
-"""The few points of a patch that stand for all of it."""
+"""Reduction of a contact patch to the few points that represent it."""
 
 import math
 
@@ -17,7 +17,7 @@ def triangle(x, y, hull, p, q, r):
 
 @no_alloc
 def lowest(poly, gap, count, limit, margin, close):
-    """Leave out the highest points, of which more than `limit` are left, first, as `reduce` says; the number left."""
+    """Remove the highest points, as long as `limit` points are left, as `reduce` describes; return the number left."""
     least = math.inf
     for k in range(count):
         least = min(least, gap[k])
@@ -64,15 +64,15 @@ def convex_hull(x, y):
                 m -= 1
             hull[m] = k
             m += 1
-        m -= 1  # the last of one half is the first of the other
+        m -= 1  # the last corner of one half is the first of the other
     return hull, m
 
 
 @kernel
 def corners_of_most_area(x, y, hull, m, deepest, limit):
-    """At most `limit` of m corners, as positions in the hull, that hold most of its area: (positions, number).
+    """At most `limit` of m corners, as positions in the hull, that preserve most of its area: (positions, number).
 
-    The deepest point stays, and counts where it is no corner.
+    The deepest point stays. If it is no corner, it counts towards the limit.
     """
     kept, corner, free = m, np.arange(m), limit - 1
     for p in range(m):
@@ -82,7 +82,7 @@ def corners_of_most_area(x, y, hull, m, deepest, limit):
         worst, smallest = -1, math.inf
         for p in range(kept):
             area = triangle(x, y, hull, corner[p - 1 if p > 0 else kept - 1], corner[p], corner[(p + 1) % kept])
-            # Equal within round-off counts as equal, so that the order and not noise decides.
+            # Areas equal within round-off count as equal, so that the order decides, not noise.
             if hull[corner[p]] != deepest and area < smallest * (1.0 - 1e-9):
                 worst, smallest = p, area
         for p in range(worst, kept - 1):
@@ -97,7 +97,7 @@ def corners_of_most_area(x, y, hull, m, deepest, limit):
                 for step in range(1, (after - before) % m):
                     q = (before + step) % m
                     area = triangle(x, y, hull, before, q, after)
-                    # The last of equal ones: that spreads the corners of a regular polygon evenly.
+                    # Take the last of equal areas: this spreads the corners of a regular polygon evenly.
                     if area > largest * (1.0 - 1e-9):
                         best, largest = q, max(area, largest)
                 moved = moved or best != corner[p]
@@ -109,12 +109,12 @@ def corners_of_most_area(x, y, hull, m, deepest, limit):
 
 @kernel
 def reduce(poly, gap, count, n, limit, margin, close):
-    """Keep at most `limit` points: the deepest and the corners of the patch that hold most of its area.
+    """Keep at most `limit` points: the deepest, and the corners of the patch that preserve most of its area.
 
-    The patch is that of the points the motion closes first: from the margin on down to `close` above the deepest point
-    the highest ones are left out, as long as `limit` points are left. The convex hull of the patch in the plane of n
-    loses corner after corner, each time the one whose triangle with its neighbours is smallest; then corners move along
-    the hull as long as the area grows. Returns the number left, in their former order.
+    The patch consists of the points that the motion closes first: from the margin down to `close` above the deepest
+    point, the highest points are removed, as long as `limit` points are left. The convex hull of the patch in the plane
+    of n then loses corner after corner, each time the one whose triangle with its neighbours is smallest. Finally the
+    corners move along the hull as long as the area grows. Returns the number left, in their former order.
     """
     count = lowest(poly, gap, count, limit, margin, close)
     if count <= limit:

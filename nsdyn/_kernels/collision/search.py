@@ -1,4 +1,4 @@
-"""The contacts of a configuration: geoms in place, points of the candidate pairs, keys."""
+"""Find the contacts of a configuration: place the geoms, compute the points of candidate pairs, match keys."""
 
 from nsdyn._kernels.collision.broadphase import follow
 from nsdyn._kernels.collision.keys import match
@@ -8,9 +8,9 @@ from nsdyn._kernels.packing import indices, matrices, numbers, triples
 from nsdyn._kernels.vectors import put, row
 
 LEFT = -1
-"""Instead of a number of contacts: a geom has left its fat box, and the pairs are to be renewed first."""
+"""Returned instead of a number of contacts: a geom has left its enlarged box, and the pairs must be renewed first."""
 
-# The arrays of floats and of integers that `Detector` packs, of the geoms and of the candidate pairs, in their order.
+# Indices of the arrays of floats and of integers that `Detector` packs, for the geoms and for the candidate pairs.
 SIZE, OFFSET, RADIUS, VERTICES, NORMALS, OFFSETS, PLACEMENT_R, PLACEMENT_T = range(8)
 ROTATION, ORIGIN, REACH, SLACK, BASE, LOWER, UPPER, FAT_LOWER, FAT_UPPER = range(8, 17)
 POLY, OTHER, VALUES, POINTS, HEIGHTS, GEOMS = range(17, 23)
@@ -21,7 +21,7 @@ PAIR, FIRST, SECOND, SLOT = range(4)
 
 @no_alloc
 def fields_of(geoms):
-    """What `Geometry` has of the geoms."""
+    """Fields of `Geometry` from the packed arrays of the geoms."""
     f, i = geoms
     sizes = indices(i, KIND, GEOMS), triples(f, i, SIZE), numbers(f, i, OFFSET), numbers(f, i, RADIUS)
     vertices = indices(i, VERTEX_PTR, GEOMS), triples(f, i, VERTICES)
@@ -33,17 +33,17 @@ def fields_of(geoms):
 
 @no_alloc
 def room_of(geoms):
-    """Room for the rotations and the origins of the geoms: R, t."""
+    """Arrays for the rotations and the origins of the geoms: R, t."""
     f, i = geoms
     return matrices(f, i, ROTATION), triples(f, i, ORIGIN)
 
 
 @no_alloc
 def seek(geoms, pairs, limit, placed, poses):
-    """Number of contacts, or `LEFT`: `follow` first unless the geoms are `placed` at the poses, then `manifolds`.
+    """Find contacts: `follow`, unless the geoms are `placed` at the poses, then `manifolds`; their number, or `LEFT`.
 
-    `geoms` and `pairs` are real numbers and integers, packed by the detector, where the contacts are then, at most
-    `limit` of a pair; `poses` (x, R, reach) of the moving frames, m.
+    `geoms` and `pairs` are floats and integers, packed by the detector; the contacts are written there, at most `limit`
+    of a pair. `poses` is (x, R, reach) of the moving frames, m.
     """
     (f, i), (p, j) = geoms, pairs
     fields, (R, t), reach = fields_of(geoms), room_of(geoms), numbers(f, i, REACH)
@@ -61,21 +61,21 @@ def seek(geoms, pairs, limit, placed, poses):
 
 @no_alloc
 def gather(geoms, pairs, tolerance, memory, next_key, out):
-    """The contacts that were sought, with what they have from pairs and geoms, into out; then `match`.
+    """Write the contacts found by `seek` into out, with data of their pairs and geoms; then `match` them.
 
     Parameters
     ----------
     geoms, pairs : (ndarray, ndarray)
-        As of `seek`.
+        As in `seek`.
     tolerance : float
-        m, within which a contact is found again.
+        Within which a contact is found again, as in `match`.
     memory : tuple
-        names and points of the contacts of the last configuration.
+        names and points of the contacts of the previous configuration.
     next_key : int
         Key of the next new contact.
     out : tuple
-        With room for just so many: names, shape (5, nc), both geoms, both frames, key; points, shape (4, nc, 3), point,
-        normal, the point in the frames of both geoms; scalars, shape (3, nc), gap, mu, restitution.
+        Arrays of exactly this size: names, shape (5, nc), both geoms, both frames, key; points, shape (4, nc, 3),
+        point, normal, the point in the frames of both geoms; scalars, shape (3, nc), gap, mu, restitution.
 
     Returns
     -------

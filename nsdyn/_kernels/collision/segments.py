@@ -1,4 +1,4 @@
-"""Edges, corners, spheres, capsules and sides of cylinders: segments with a radius, and where two touch."""
+"""Segments with a radius (edges, corners, spheres, capsules, sides of cylinders), and contacts of two of them."""
 
 from nsdyn._kernels.collision.geometry import smaller
 from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_corner, has_rim, is_round, segment, side
@@ -7,15 +7,18 @@ from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, row, times, to_local, to_world, unit
 
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
-ANGLE = 2e-4  # rad; a face whose normal is this close to the one Coal found (good to 1e-5) is what it found
-WIDE = 1.0  # |difference| of the normals of tilted bodies and of a face that may still hold points of interest
-NEAR = 1e-2  # a point within the margin, and this fraction of the size, of one found more exactly adds nothing
-OBLIQUE = 0.8  # cosine of the angle below which round segments curve away from each other too fast to touch at ends
+ANGLE = 2e-4  # rad; a face whose normal is this close to Coal's (accurate to 1e-5) is the feature that Coal found
+WIDE = 1.0  # |difference| of the normals of tilted bodies and of a face up to which points over it are of interest
+NEAR = 1e-2  # a point within the margin, and this fraction of the size, of one found more exactly is redundant
+OBLIQUE = 0.8  # cosine of the angle; below it round segments curve away from each other too fast to touch at ends
 
 
 @no_alloc
 def edge(geometry, g, n, angle):
-    """`segment` at `angle`, or of a polytope at a smaller one: a diagonal of a face tilts less than the face."""
+    """`segment` at `angle`; of a polytope at smaller angles until it is valid.
+
+    A smaller angle excludes the diagonals of a face, which tilt less than the face.
+    """
     p, q, radius, valid = segment(geometry, g, n, angle)
     while not valid and geometry.kind[g] == POLYTOPE and angle > INSIDE:
         angle *= 0.5
@@ -58,8 +61,8 @@ def touch(a, radius1, b, radius2, n, out, at):
 def segments(geometry, i, j, lines, n, out, at):
     """Contacts of two segments with radii, one of each geom, into `out` from index `at` on; returns their number.
 
-    n is the normal found by Coal, which is not asked about two round geoms. A segment with flat ends (the side of a
-    cylinder) touches with its side only. 0 means that the segments are not the features that touch.
+    n is the normal found by Coal, which is not used for two round geoms. A segment with flat ends (the side of a
+    cylinder) touches with its side only. 0 means that the segments are not the touching features.
     """
     (p1, q1, radius1, _), (p2, q2, radius2, _) = lines
     flat1, flat2 = has_rim(geometry, i), has_rim(geometry, j)
@@ -88,7 +91,7 @@ def segments(geometry, i, j, lines, n, out, at):
     a, b = along(p1, s, d), along(p2, r, e)
     direction, distance = unit(minus(b, a))
     if rounded and distance <= tiny:
-        # The cores cross: any separating direction, the common perpendicular where there is one.
+        # The cores cross: take any separating direction, the common perpendicular if there is one.
         if known:
             return 0
         m = common if sine >= PARALLEL else perpendicular(d if length1 > 0.0 else e)
@@ -108,10 +111,10 @@ def segments(geometry, i, j, lines, n, out, at):
 
 @no_alloc
 def crossing(geometry, i, j, n, lines, out, at):
-    """Write the contact of those edges of two polytopes that cross and part them best; False if n does so better.
+    """Contact of the crossing edges of two polytopes that separate them best; False if n separates better.
 
-    The edges are those of the faces around the corners that are outermost along n. Without them the contact is where
-    the `lines` that are outermost are closest, or of these corners if there are none.
+    The edges are those of the faces around the corners outermost along n. If no edges are found, the contact is written
+    at the closest points of the outermost `lines`, or of these corners if the lines are not valid.
     """
     tiny = INSIDE * smaller(geometry, i, j)
     least, a, b = separation(geometry, i, j, n)
@@ -148,7 +151,8 @@ def crossing(geometry, i, j, n, lines, out, at):
                     s, r = closest(p, d, length1, q, e, length2)
                     if s > 0.0 and s < length1 and r > 0.0 and r < length2:
                         value, a, b = separation(geometry, i, j, m)[0], along(p, s, d), along(q, r, e)
-                        # Between outermost edges the gap is the separation: others have the same directions.
+                        # Between outermost edges the gap is the separation. This excludes other edges with the same
+                        # directions.
                         if value > least and dot(m, minus(b, a)) < value + tiny:
                             least, found = value, True
                             touch(a, 0.0, b, 0.0, m, out, at)
@@ -159,8 +163,8 @@ def crossing(geometry, i, j, n, lines, out, at):
 def ends(geometry, i, j, n, margin, out, at, count):
     """Further contacts of two segments with radii: their ends opposite the other segment, up to the margin.
 
-    They follow the `count` contacts from index `at` on; those near one of them add nothing. Returns the new
-    number. Corners and edges of polytopes take part, but not with each other: these are found over faces.
+    They follow the `count` contacts from index `at` on; ends near one of those are redundant. Returns the new number.
+    Corners and edges of polytopes take part, but not with each other: `over_face` finds their contacts.
     """
     size = smaller(geometry, i, j)
     near, angle = min(NEAR * size, margin), min(max(ANGLE, margin / size), WIDE)
@@ -175,7 +179,7 @@ def ends(geometry, i, j, n, margin, out, at, count):
     one = has_rim(geometry, i), radius1, d, length1, 1.0, p2, radius2, e, length2
     two = has_rim(geometry, j), radius2, e, length2, -1.0, p1, radius1, d, length1
     for a, lines in ((p1, one), (q1, one), (p2, two), (q2, two)):
-        # An end a of one segment, which is along g, and the other from c on along f.
+        # An end a of one segment with direction g; the other segment starts at c with direction f.
         flat, radius, g, opposite, sign, c, other, f, length = lines
         if flat:  # its end is a circle, not a ball
             m = minus(along(c, dot(f, minus(a, c)), f), a)

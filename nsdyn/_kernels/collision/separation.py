@@ -1,10 +1,10 @@
-"""How far two shapes are apart along a direction, and what counts as near. The geoms are `Placed`."""
+"""Separation of two shapes along a direction, and tolerances of lengths and angles. The geoms are `Placed`."""
 
 from nsdyn._kernels.collision.kinds import HALFSPACE, support
 from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import dot, minus, row, times, to_world
 
-SHARP = 1e-6  # rad; the same for corners and edges beside such a face
+SHARP = 1e-6  # rad; like `ANGLE` of `nsdyn._kernels.collision.segments`, for corners and edges beside such a face
 SAME = 1e-6  # points closer than this fraction of the size are one
 INSIDE = 1e-9  # a point this fraction of the size outside a side plane is on it
 
@@ -13,7 +13,7 @@ INSIDE = 1e-9  # a point this fraction of the size outside a side plane is on it
 def separation(geometry, i, j, n):
     """Gap of two geoms along n (width of the slab of normal n between them), and the support points p, q.
 
-    The signed distance is the largest gap over all n, so that any n bounds it from below.
+    The signed distance is the largest gap over all n. The gap along any n is therefore a lower bound of it.
     """
     p = support(geometry, i, n)
     q = support(geometry, j, times(-1.0, n))
@@ -22,7 +22,7 @@ def separation(geometry, i, j, n):
 
 @no_alloc
 def gap_along(geometry, i, j, n):
-    """`separation` of two geoms along n, or along the normal of a half-space if one of them is one."""
+    """`separation` of two geoms along n; if one geom is a half-space, along the normal of the half-space."""
     for h, g in ((i, j), (j, i)):
         if geometry.kind[h] == HALFSPACE:
             up = to_world(geometry.R, h, row(geometry.size, h))

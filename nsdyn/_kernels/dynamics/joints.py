@@ -1,9 +1,9 @@
-"""Joint rows: limits, clutches, and the coordinates that closed loops leave.
+"""Joint rows: joint limits, clutches, and the coordinates that closed loops leave free.
 
-They follow the contacts of a step, three rows each like them. A limit is a frictionless contact with one normal row
-±e_j; a clutch |tau| <= tau_c is a contact with mu = 1 whose first tangent row is e_j, against a rotor if there is one,
-whose second is that of another coordinate where both slip together, and whose normal row lies on a coordinate of its
-own, pressed so that r_N = h tau_c exactly. Rows that are not named are zero.
+Joint rows follow the contacts of a step; like a contact, each has three rows. A limit is a frictionless contact with
+one normal row ±e_j. A clutch |tau| <= tau_c is a contact with mu = 1. Its first tangent row is e_j, relative to a rotor
+if it has one. Its second tangent row is that of another coordinate if both slip together. Its normal row acts on an
+additional coordinate, pressed so that r_N = h tau_c exactly. All other rows are zero.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from nsdyn._kernels.reductions import copy
 
 @kernel
 def append_rows(slots, coordinate, other, tree, sign, blocks):
-    """Contacts followed by the joint rows of the given slots, as blocks."""
+    """Factors of the contacts followed by the joint rows of the given slots, as blocks."""
     offset, block, start, H, m_start, m, minv = blocks
     nc, nj, size = block.shape[0], slots.size, H.size
     new_block, new_start = np.full((nc + nj, 2), -1, np.int64), np.empty((nc + nj, 2), np.int64)
@@ -40,9 +40,9 @@ def append_rows(slots, coordinate, other, tree, sign, blocks):
 
 @no_alloc
 def near(angle, rates, h, table, out):
-    """Slots that may act in a step of h s, friction and limits that joints may reach, into out; how many they are.
+    """Write the slots that may act in a step of h s into out: friction, and limits in reach; return their number.
 
-    At the joint coordinates `angle` (n,), with rates = (v, v_free), (n,) each, table = (coordinate, sign, bound, near).
+    `angle` (n,) has the joint coordinates, rates = (v, v_free), (n,) each, table = (coordinate, sign, bound, near).
     """
     (v, v_free), (coordinate, sign, bound, within), some = rates, table, 0
     for k in range(out.size):
@@ -56,7 +56,10 @@ def near(angle, rates, h, table, out):
 
 @no_alloc
 def reduce_jacobian(blocks, where, z, sizes, block, start, out):
-    """Rows of Hᵀ Z, into out, of blocks of such sizes whose Z begins at `where` in z (-1: it is I); 1 of clutches."""
+    """Write the rows of Hᵀ Z into `out`, zero before, and the entries ±1 of clutches.
+
+    The blocks have the given sizes; Z of each begins at `where` in z (-1: Z is I).
+    """
     offset, _, old, H = blocks[:4]
     for c in range(block.shape[0]):
         for s in range(2):
@@ -78,12 +81,13 @@ def reduce_jacobian(blocks, where, z, sizes, block, start, out):
 
 @kernel
 def reduce_rows(blocks, bases, z_start, z, pressed, clutch):
-    """The factors in the coordinates y that constraints leave, v = Z y, and those of clutches after them.
+    """Factors in the coordinates y that constraints leave free, v = Z y, followed by the coordinates of clutches.
 
     Block bases[i] has Z (n, ny) with Zᵀ M Z = I at z[z_start[i]:z_start[i + 1]]. Row pressed[i] has the clutch
-    (press, speed and mobility of the rotor) clutch[:, i] and gets a block of its own as its side 1: a coordinate that
-    is pressed, as mobile as what slips, with the normal velocity -press times that mobility, and that of the rotor, if
-    it is mobile. Returns the new blocks, where each block's Z begins in z (-1: it is I), velocities.
+    clutch[:, i]: its pressing impulse, and speed and mobility of its rotor. The row gets a block of its own as its side
+    1. The block has a pressed coordinate, with the mobility of the slipping coordinate and with the normal velocity
+    -press times that mobility; and the coordinate of the rotor, if the rotor is mobile. Returns the new blocks, the
+    index where Z of each block begins in z (-1: Z is I), and the velocities.
     """
     offset, block, start, H, m_start, m, minv = blocks
     nb, nc, np_ = offset.size - 1, block.shape[0], pressed.size
@@ -136,7 +140,7 @@ def reduce_rows(blocks, bases, z_start, z, pressed, clutch):
 
 @no_alloc
 def expand(offset, z_start, z, new_offset, y, v):
-    """Velocity v = Z y, block by block, into v (n,)."""
+    """Velocity v = Z y, block by block, written into v (n,)."""
     for k in range(offset.size - 1):
         o, n, p, ny = offset[k], offset[k + 1] - offset[k], new_offset[k], new_offset[k + 1] - new_offset[k]
         for i in range(n):

@@ -1,4 +1,4 @@
-"""Links of an articulated tree: where they are, how they move, rows of contacts on them."""
+"""Links of articulated trees: their orientations, velocities and reach, rows of contacts on them, and closed loops."""
 
 import math
 
@@ -10,7 +10,7 @@ from nsdyn._kernels.vectors import along, cross, dot, put, row, times
 
 @no_alloc
 def quaternions(R, out):
-    """Unit quaternions xyzw of rotation matrices, w >= 0 unless the turn is near half, into out (n, 4)."""
+    """Write unit quaternions xyzw of rotation matrices into out (n, 4); w >= 0 unless the angle is near half a turn."""
     for b in range(R.shape[0]):
         trace = R[b, 0, 0] + R[b, 1, 1] + R[b, 2, 2]
         if trace > 0.0:
@@ -35,19 +35,19 @@ def quaternions(R, out):
 
 @no_alloc
 def rows(trees, contacts, frame, start, H):
-    """Add the rows of Hᵀ on the links of trees to H. A contact between two links of one tree adds both to side 0.
+    """Add the rows of Hᵀ on links of trees to H; a contact between two links of one tree adds both to side 0.
 
     Parameters
     ----------
     trees : tuple
-        (table, support, J): of each tree its first frame, how many, its first coordinate, and how many; one tree after
-        the other, which coordinates move a link, and the velocity fields of the coordinates, (nv, 6), world axes:
-        linear at the world's origin, then angular.
+        (table, support, J). The table has four numbers per tree: its first frame, its number of frames, its first
+        coordinate, its number of coordinates. `support` tells, tree after tree, which coordinates move a link. J has
+        the velocity fields of the coordinates, (nv, 6), world axes: linear at the world's origin, then angular.
     contacts : (names, points, scalars)
     frame : ndarray, shape (nc, 3, 3)
         World; rows (n, t1, t2).
     start : ndarray of int, shape (nc, 2)
-        Where the rows of each contact and side begin in H.
+        Index in H where the rows of each contact and side begin.
     H : ndarray
     """
     (table, support, fields), (names, points, _) = trees, contacts
@@ -76,9 +76,9 @@ def rows(trees, contacts, frame, start, H):
 
 @no_alloc
 def twists(trees, x, v, linear, angular):
-    """Velocities of the frames of trees, as of `rows`, at their origins x (n, 3), and of their rotations, world axes.
+    """Velocities of the frames of trees at their origins x (n, 3), and their angular velocities, world axes.
 
-    Into the rows (n, 3) of these frames.
+    `trees` is as in `rows`. The results are written into the rows (n, 3) of these frames.
     """
     table, support, fields = trees
     at, field = 0, 0
@@ -101,9 +101,9 @@ def twists(trees, x, v, linear, angular):
 
 @kernel
 def reach(trees, x, v, h, radius, fall, out):
-    """How far any point of each link's shapes moves in a step of h at its `twists`, and by `fall`, m, into out (k,).
+    """Bound on the way of any point of each link's shapes in h s at its `twists`, plus `fall`, m, into out (k,).
 
-    The links are the last of the frames, which are at x (n, 3).
+    The links are the last of the frames; x (n, 3) has the origins of all frames.
     """
     linear, angular = np.empty(x.shape), np.empty(x.shape)
     twists(trees, x, v, linear, angular)
@@ -115,11 +115,11 @@ def reach(trees, x, v, h, radius, fall, out):
 
 @no_alloc
 def closures(tree, loops, phi, G):
-    """Add to phi (rows,) how far the points of two joints each are apart, and to G (rows, nv) the rows of closed loops.
+    """Add the vectors between points of closed loops to phi (rows,), and the rows of the loops to G (rows, nv).
 
-    tree = (x, R, J, support): poses of all joints, velocity fields (6, nv), and which coordinates move a joint. loops =
-    (joints, points, rows): two joints each, a point in the frame of each, and where their rows begin: three of the
-    points, and three of the turn where there are six.
+    tree = (x, R, J, support): poses of all joints, velocity fields (6, nv), and the coordinates that move each joint.
+    loops = (joints, points, rows): two joints of each loop, a point in the frame of each, and the index of its first
+    row. A loop has three rows for its points, and three more for the rotation if it has six rows.
     """
     (x, R, J, support), (joints, points, rows) = tree, loops
     for k in range(joints.shape[0]):

@@ -1,7 +1,7 @@
-"""Motion of free bodies, the rows of their contact Jacobian, and surfaces that move as prescribed.
+"""Motion of free bodies, the rows of their contact Jacobian, and velocities of moving surfaces.
 
-A free body b has the velocity (linear in the world frame, angular in body axes) at v[6 b : 6 b + 6], which makes its
-mass matrix diag(m I, J) constant.
+A free body b has the velocity (linear in the world frame, angular in body axes) at v[6 b : 6 b + 6]. Its mass matrix
+diag(m I, J) is therefore constant.
 """
 
 import math
@@ -38,7 +38,7 @@ def integrate(x, quaternion, v, h, x_out, quaternion_out):
 
 @no_alloc
 def rotations(quaternion, R):
-    """Rotation matrices of unit quaternions xyzw, into R (n, 3, 3)."""
+    """Write the rotation matrices of unit quaternions xyzw into R (n, 3, 3)."""
     for b in range(quaternion.shape[0]):
         x, y, z, w = quaternion[b, 0], quaternion[b, 1], quaternion[b, 2], quaternion[b, 3]
         R[b, 0, 0], R[b, 0, 1], R[b, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
@@ -48,7 +48,7 @@ def rotations(quaternion, R):
 
 @no_alloc
 def place(x, quaternion, x_out, R):
-    """Positions into x_out and `rotations` into R, which may have room for more."""
+    """Write positions into x_out and `rotations` into R; both may have room for more."""
     for b in range(x.shape[0]):
         put(x_out, b, row(x, b))
     rotations(quaternion, R)
@@ -56,9 +56,9 @@ def place(x, quaternion, x_out, R):
 
 @kernel
 def keep_spin(J, inverse_J, quaternion, turned, v, out):
-    """Angular velocities in body axes that have the same angular momentum in space after a turn, into out (n,).
+    """Angular velocities in body axes with the same angular momentum in space after a rotation, into out (n,).
 
-    w' = J⁻¹ R'ᵀ R J w, of bodies that were turned from quaternion to turned; all else is that of v.
+    w' = J⁻¹ R'ᵀ R J w, for bodies that were rotated from `quaternion` to `turned`; all other entries are those of v.
     """
     R, S = np.empty((J.shape[0], 3, 3)), np.empty((J.shape[0], 3, 3))
     rotations(quaternion, R)
@@ -91,7 +91,7 @@ def twists(R, v, free, linear, angular):
 
 @no_alloc
 def reach(v, h, fall, radius, out):
-    """How far any point of each free body moves in h seconds, and by `fall`, m, into out (n,)."""
+    """Bound on the way of any point of each free body in h s, plus `fall`, m, into out (n,)."""
     for b in range(radius.size):
         speed, spin = three(v, 6 * b), three(v, 6 * b + 3)
         out[b] = h * (math.sqrt(dot(speed, speed)) + math.sqrt(dot(spin, spin)) * radius[b]) + fall
@@ -99,10 +99,10 @@ def reach(v, h, fall, radius, out):
 
 @no_alloc
 def contact_frames(normal, frame):
-    """Contact frames with rows (n, t1, t2), into frame (nc, 3, 3).
+    """Write contact frames with rows (n, t1, t2) into frame (nc, 3, 3).
 
-    Tangents vary continuously with n except at n = -e_z (T. Duff et al., Building an orthonormal basis, revisited,
-    JCGT 6, 2017).
+    Tangents vary continuously with n except at n = -e_z (T. Duff et al., Building an orthonormal basis, revisited, JCGT
+    6, 2017).
     """
     for c in range(normal.shape[0]):
         x, y, z = normal[c, 0], normal[c, 1], normal[c, 2]
@@ -116,9 +116,9 @@ def contact_frames(normal, frame):
 
 @no_alloc
 def contact_layout(contacts, block_of_frame, offset, frame, block, start):
-    """`contact_frames`, blocks of every contact (side 0: minus, side 1: plus) and where their rows begin.
+    """Write `contact_frames`, the blocks of every contact (side 0: minus, side 1: plus), and the starts of their rows.
 
-    Two links of one tree share its block and are merged into side 0. Returns the size of h. Contacts are those of
+    Two links of one tree share its block and are merged into side 0. Returns the size of H. Contacts are those of
     `nsdyn.collision.contacts.ContactSet`, (names, points, scalars).
     """
     names, points, _ = contacts
@@ -142,14 +142,14 @@ def free_rows(contacts, frame, x, R, free, start, H):
     Parameters
     ----------
     contacts : (names, points, scalars)
-        Their frames from `free` on and below 0 are no free bodies.
+        Frames below 0, and from `free` on, are not those of free bodies.
     frame : ndarray, shape (nc, 3, 3)
         World; rows (n, t1, t2).
     x, R : ndarray, shapes (free, 3), (free, 3, 3)
-        Of the bodies.
+        Poses of the bodies.
     free : int
     start : ndarray of int, shape (nc, 2)
-        Where the rows of each contact and side begin in H.
+        Index in H where the rows of each contact and side begin.
     H : ndarray
     """
     names, points, _ = contacts
@@ -194,10 +194,10 @@ def pinocchio_layout(x, quaternion, v, q_out, v_out):
 
 @no_alloc
 def beyond_potential(mass, gravity, h, theta, v, v0, v1):
-    """What gravity does to the free bodies in a step beyond its potential, J.
+    """Work of gravity on the free bodies in a step minus the decrease of its potential, J.
 
-    It works on the mean of v0 and v1; the bodies move by (1 - θ) h v + θ h v1. Both are the same for θ = ½ but where
-    impacts turned v to v0.
+    Gravity works on the mean of v0 and v1; the bodies move by (1 - θ) h v + θ h v1. For θ = ½ both are the same, except
+    if impacts changed v to v0.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def beyond_potential(mass, gravity, h, theta, v, v0, v1):
     gravity : ndarray, shape (3,)
     h, theta : float
     v, v0, v1 : ndarray, shape (n,)
-        At the beginning of the step, and before and after the forces where they act.
+        Velocity at the beginning of the step, and before and after the forces at the midpoint.
     """
     out = 0.0
     for b in range(mass.size):
@@ -218,11 +218,11 @@ def beyond_potential(mass, gravity, h, theta, v, v0, v1):
 
 @no_alloc
 def surface_velocities(contacts, surfaces, w):
-    """Add what prescribed bodies move at the contacts, that of geom 2 minus that of geom 1, to w (nc, 3), world axes.
+    """Add the velocity of moving surfaces at the contacts, geom 2 minus geom 1, to w (nc, 3), world axes.
 
-    Motion m has the velocity linear[m] + angular[m] x (p - origin[m]); where it `slides` in itself (a conveyor), only
-    the tangential part counts. `contacts` are (names, points, scalars), `surfaces` (motion of every geom, -1 where
-    nothing is prescribed, origin, linear, angular, slides).
+    Motion m has the velocity linear[m] + angular[m] x (p - origin[m]). If it `slides` in itself (a conveyor), only the
+    tangential part counts. `contacts` is (names, points, scalars). `surfaces` is (motion of every geom, -1 for geoms
+    without one, origin, linear, angular, slides).
     """
     (names, points, _), (motion_of_geom, origin, linear, angular, slides) = contacts, surfaces
     for c in range(names.shape[1]):

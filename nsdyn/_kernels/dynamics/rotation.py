@@ -1,9 +1,10 @@
-"""Motion of free bodies on which nothing acts: straight lines, and rotation that keeps energy and angular momentum.
+"""Free flow of free bodies: straight lines, and rotation that keeps energy and angular momentum.
 
-Euler's equations in principal axes, ω' = (k₁ω₂ω₃, k₂ω₃ω₁, k₃ω₁ω₂), by Gauss collocation of sixth order, which keeps
-every quadratic invariant of the body: its energy and the length of its angular momentum L. The direction of L in space
-leaves the attitude R one unknown, the angle about L. Hence R' = R Q(L)ᵀ R_z(Δψ) Q(L'), Q the least rotation of L to a
-principal axis, keeps R L as well, and ψ' = (ω·L + |L| ω₃)/(|L| + L₃) is one more unknown of the collocation.
+Euler's equations in principal axes, ω' = (k₁ω₂ω₃, k₂ω₃ω₁, k₃ω₁ω₂), are solved by Gauss collocation of sixth order. It
+keeps every quadratic invariant of the body: its energy and the length of its angular momentum L. The direction of L in
+space leaves one unknown of the attitude R, the angle ψ about L. Hence R' = R Q(L)ᵀ R_z(Δψ) Q(L') keeps R L as well,
+with Q the least rotation of L to a principal axis. The equation ψ' = (ω·L + |L| ω₃)/(|L| + L₃) gives one more unknown
+of the collocation.
 """
 
 import math
@@ -14,10 +15,10 @@ from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import along, dot, minus, put, row, three, to_local, to_world
 
 PART = 0.5
-"""Radians that one collocation turns at most: its error is then 1e-9, 1e-7 at worst, after some 13 iterations."""
+"""Largest rotation of one collocation, rad: its error is then 1e-9, 1e-7 at worst, after some 13 iterations."""
 
 PARTS = 4096
-"""Most collocations in one motion. Where they do not suffice, beyond 2000 rad, it ends early; invariants stay."""
+"""Most collocations in one motion. A motion that needs more, beyond 2000 rad, ends early; invariants are kept."""
 
 _A = np.array(
     [
@@ -48,7 +49,7 @@ def principal(J):
     """
     moments, axes = np.linalg.eigh(J)
     axes *= np.sign(np.linalg.det(axes))[:, None, None]
-    # Newton's step to the nearest rotation: axes that are not quite orthogonal make energy drift at every step.
+    # One Newton step to the nearest rotation: axes that are not quite orthogonal make the energy drift at every step.
     fine = axes.astype(np.longdouble)
     axes = (0.5 * fine @ (3.0 * np.eye(3) - fine.swapaxes(1, 2) @ fine)).astype(float)
     for b in range(len(J)):
@@ -60,7 +61,7 @@ def principal(J):
 
 @no_alloc
 def _times(q0, q1, q2, q3, e0, e1, e2, e3):
-    """Unit quaternion of q e, e of any length."""
+    """Unit quaternion of the product q e, where e has any length."""
     p0 = q3 * e0 + q0 * e3 + q1 * e2 - q2 * e1
     p1 = q3 * e1 - q0 * e2 + q1 * e3 + q2 * e0
     p2 = q3 * e2 + q0 * e1 - q1 * e0 + q2 * e3
@@ -71,9 +72,10 @@ def _times(q0, q1, q2, q3, e0, e1, e2, e3):
 
 @no_alloc
 def _collocate(I, w, h, stage, slope, e):
-    """Torque-free rotation over h in principal axes: w becomes the spin at its end, R e the attitude, e of any length.
+    """Torque-free rotation over h in principal axes: write the spin at its end into w, the rotation into e.
 
-    The axes are named a, b, c in cyclic order, a the one nearest to L.
+    The attitude at the end is R e; e has any length. The axes are named a, b, c in cyclic order, a the one nearest to
+    L.
     """
     a, largest = 0, 0.0
     for i in range(3):
@@ -98,11 +100,11 @@ def _collocate(I, w, h, stage, slope, e):
             change = max(change, abs(fa - slope[i, 0]), abs(fb - slope[i, 1]), abs(fc - slope[i, 2]))
             size = max(size, abs(fa), abs(fb), abs(fc))
             slope[i, 0], slope[i, 1], slope[i, 2] = fa, fb, fc
-        # To round-off: what the iteration leaves over would add up in a long run.
+        # Iterate to round-off: remaining errors would add up in a long run.
         if change <= _EPS * size or change >= last:
             break
         last = change
-    # Axis a is taken the way of L, so that |L| + L_a is at least |L|.
+    # Axis a is oriented along L, so that |L| + L_a is at least |L|.
     La, Lb, Lc = Ia * wa, Ib * wb, Ic * wc
     L, sign = math.sqrt(La * La + Lb * Lb + Lc * Lc), math.copysign(1.0, La)
     psi = 0.0
@@ -128,9 +130,9 @@ def _collocate(I, w, h, stage, slope, e):
 def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
     """Motion of free bodies over h without forces, into the outputs, which may be the inputs.
 
-    Positions move along straight lines, attitudes and spins as those of bodies without torque, whose energy and angular
-    momentum in space stay to round-off. A body at rest stays as it is; a steady spin, of a body with equal moments or
-    about a principal axis, is R exp([h omega]x).
+    Positions move along straight lines. Attitudes and spins are those of bodies without torque, whose energy and
+    angular momentum in space are kept to round-off. A body at rest stays unchanged. A steady spin, of a body with equal
+    moments or about a principal axis, is R exp([h omega]x).
 
     Parameters
     ----------
@@ -139,7 +141,8 @@ def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
     x, quaternion : ndarray, shapes (n, 3) and (n, 4)
         Centres of mass and unit quaternions xyzw, body to world.
     v : ndarray, shape (nv,)
-        Velocities, nv >= 6 n: linear in the world, angular in body axes. What follows the free bodies is left alone.
+        Velocities, nv >= 6 n: linear in the world, angular in body axes. Entries after those of free bodies are left
+        unchanged.
     h : float
         Duration, not negative, s.
     """
@@ -159,7 +162,7 @@ def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
         gyroscopic = max(
             abs((I[1] - I[2]) * w[1] * w[2]), abs((I[2] - I[0]) * w[2] * w[0]), abs((I[0] - I[1]) * w[0] * w[1])
         )
-        # Steady to round-off, or too slow to turn anything in h.
+        # The spin is steady to round-off, or too slow to turn the body in h.
         if gyroscopic <= 2.0 * _EPS * square * min(I[0], I[1], I[2]) or h * h * square < 1e-40:
             half = 0.5 * h * math.sqrt(square)
             if half > 0.0:
@@ -176,7 +179,7 @@ def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
                 if parts == 1.0:
                     break
                 left -= part
-            # Only the change goes back through the axes, whose round-off would otherwise add up.
+            # Only the change is transformed back through the axes, whose round-off would otherwise add up.
             change = to_world(axes, b, minus(w, to_local(axes, b, spin)))
             v_out[o + 3], v_out[o + 4], v_out[o + 5] = along(spin, 1.0, change)
         quaternion_out[b, 0], quaternion_out[b, 1], quaternion_out[b, 2], quaternion_out[b, 3] = q0, q1, q2, q3

@@ -8,23 +8,23 @@ from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import square
 
 OVERSHOOT = 3.0
-"""Most that δ (1 - β) and σ (1 - α) of `nsdyn.PD` are. What its damping stops overshoots by (3 - 1)/(3 + 1) in a step
-at most, and less where δ is larger. Of a quadruped's knees δ is 6 at 5 ms: with 2 its trot errs three times as much,
-with 4 as much as with 3, and rings longer."""
+"""Largest value of δ (1 - β) and σ (1 - α) of `nsdyn.PD`. A motion that the damping stops overshoots by at most (3 -
+1)/(3 + 1) in a step, and by less for larger δ. The knees of a quadruped have δ = 6 at 5 ms: with 2 its trot errs three
+times as much; with 4 it errs as much as with 3, and rings longer."""
 
 
 @no_alloc
 def factor(m, F, minv):
-    """F and minv = m⁻¹ = Fᵀ F, all (n, n); False if m is not positive definite.
+    """Write F and minv = m⁻¹ = Fᵀ F, all (n, n); return False if m is not positive definite.
 
-    The rows of F are L⁻¹ of the Cholesky factor L of m from its last coordinate to its first: from the tips of a tree,
-    so that the zeros of its branches stay.
+    The rows of F are L⁻¹ of the Cholesky factor L of m from its last coordinate to its first, that is, from the tips of
+    a tree. In this order the zeros between its branches are kept.
     """
     n = m.shape[0]
     for i in range(n):
         for j in range(i, n):
             minv[i, j] = m[n - 1 - i, n - 1 - j]
-    # All loops end along rows, which the compiler makes vectors of. Here minv becomes Lᵀ, in its upper half.
+    # All inner loops run along rows, so that the compiler vectorises them. Here minv becomes Lᵀ, in its upper half.
     for k in range(n):
         if not minv[k, k] > 0.0:
             return False
@@ -63,7 +63,7 @@ def factor(m, F, minv):
 
 @no_alloc
 def excess(angle, goal, turning):
-    """Angle - goal, the short way round where the joint is `turning`, given by cos and sin."""
+    """Angle - goal; for a `turning` joint, given by cos and sin, the short way round."""
     out = angle - goal
     return (out + math.pi) % (2.0 * math.pi) - math.pi if turning else out
 
@@ -79,11 +79,12 @@ def strain(angle, springs, turning):
 
 @kernel
 def linear_laws(M, springs, control, angle, turning, h, theta, laws):
-    """What joint springs, (stiffness, damping, rest) (3, n), and a control, `Control` (5, n), are in a step.
+    """Laws in a step of joint springs, (stiffness, damping, rest) (3, n), and of a control, `Control` (5, n).
 
-    Both are τ = f - k h (α² v' - (1 - α)² v0) - d (β v' + (1 - β) v0), with their (k, d, α, β, f) into laws (2, 5, n):
-    f is what they are at rest at the angles where the forces act. Springs have α = β = θ, a control larger ones where
-    its joint has little inertia, 1/M⁻¹_jj, see `OVERSHOOT`. What has no gains is cut at its limit.
+    Both have the form τ = f - k h (α² v' - (1 - α)² v0) - d (β v' + (1 - β) v0). Their (k, d, α, β, f) are written into
+    laws (2, 5, n). f is the force at rest at the angles where the forces act. Springs have α = β = θ. A control has
+    larger α and β where its joint has little inertia, 1/M⁻¹_jj, see `OVERSHOOT`. A control without gains is clipped at
+    its limit.
     """
     n = angle.size
     stiffness, damping, rest = springs[0], springs[1], springs[2]
@@ -122,7 +123,10 @@ def parts(laws, l, j, v0, v1, h):
 
 @no_alloc
 def forces(laws, push, v0, v1, h, out):
-    """Actuation with what wrenches `push`, damping and springs of a step, into out (3, n); velocities as in `parts`."""
+    """Write actuation plus `push` of wrenches, damping, and springs of a step into out (3, n).
+
+    The velocities are as in `parts`.
+    """
     for j in range(v0.size):
         elastic, viscous = parts(laws, 1, j, v0, v1, h)
         out[0, j] = elastic + viscous + push[j]
@@ -131,7 +135,10 @@ def forces(laws, push, v0, v1, h, out):
 
 @no_alloc
 def strained(laws, limit, last, v0, v1, h, over):
-    """Which controls are beyond their limits, or were at them in the `last` impulses of their rows, into over (n,)."""
+    """Write into over (n,) which controls exceed their limits, or were at them in the `last` impulses of their rows.
+
+    Returns True if there are any.
+    """
     some = False
     for j in range(v0.size):
         elastic, viscous = parts(laws, 1, j, v0, v1, h)
@@ -145,9 +152,9 @@ def strained(laws, limit, last, v0, v1, h, over):
 def works(loads, velocities, mean, impulse, h, start, joints):
     """Works of actuation, of damping and of an impulse on the mean velocity, J.
 
-    loads = (laws, push, limit): as of `forces`, and the most that actuators may give, N m or N; velocities before and
-    after the forces. Rows 0, 3 and 5 of joints (7, .) take the impulses of actuation without wrenches, of wrenches, and
-    the most that actuators may give, from column `start` on.
+    loads = (laws, push, limit), as in `forces`, with the largest forces of actuators, N m or N. `velocities` has those
+    before and after the forces. The function writes impulses into joints (7, .), from column `start` on: of actuation
+    without wrenches into row 0, of wrenches into row 3, and the largest of actuators into row 5.
     """
     laws, push, limit = loads
     acting = np.empty((3, mean.size))
@@ -166,8 +173,8 @@ def works(loads, velocities, mean, impulse, h, start, joints):
 def respond(start, minv, loads, v0, h, v):
     """Velocity v = start + h minv f after the forces of a step at the velocity v0, into v (n,).
 
-    `start` is the velocity without them: v0 itself where nothing constrains the tree. loads = (laws, push, weight): as
-    of `forces`, and gravity terms, N m or N.
+    `start` is the velocity without the forces: v0 itself for a tree without constraints. loads = (laws, push, weight),
+    as in `forces`, with the gravity terms, N m or N.
     """
     laws, push, weight = loads
     acting = np.empty((3, v.size))
@@ -180,10 +187,10 @@ def respond(start, minv, loads, v0, h, v):
 
 @no_alloc
 def move_free(M, loads, v0, h, F, m, minv, v):
-    """What loads as of `respond` do to a tree that nothing constrains: its velocity after them, into v (n,).
+    """Velocity of a tree without constraints after the loads of `respond`, into v (n,).
 
-    Into m, F and minv, all (n, n), the effective mass matrix M + h (β d + h α² k) of all `linear_laws`, and its inverse
-    Fᵀ F. False when m is not positive definite.
+    The effective mass matrix M + h (β d + h α² k) of all `linear_laws` and its inverse Fᵀ F are written into m, F and
+    minv, all (n, n). Returns False if m is not positive definite.
     """
     n, laws = v.size, loads[0]
     for i in range(n):
@@ -199,9 +206,9 @@ def move_free(M, loads, v0, h, F, m, minv, v):
 
 @no_alloc
 def settle(start, minv, bias, h, newton, rest, v):
-    """One step of Newton's method to v = start - h minv bias(v), into v (n,), with the inverse matrix `newton`.
+    """One Newton step for v = start - h minv bias(v), into v (n,), with the inverse matrix `newton`.
 
-    Returns the relative change of v, nan where it is not finite; what is left of the equation goes into rest (n,).
+    Returns the relative change of v, nan if it is not finite; the residual of the equation is written into rest (n,).
     """
     change, size = 0.0, 0.0
     for i in range(v.size):
@@ -223,7 +230,7 @@ def settle(start, minv, bias, h, newton, rest, v):
 def closing(G, N, phi, damping, step):
     """Add -N Gᵀ (G N Gᵀ + damping)⁻¹ phi to step (n,), damping as a fraction of the diagonal.
 
-    False where that matrix is not positive definite.
+    Returns False if that matrix is not positive definite.
     """
     m, n = G.shape
     A, F, inverse, scale = np.zeros((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty(m)
@@ -255,9 +262,10 @@ def closing(G, N, phi, damping, step):
 
 @no_alloc
 def stage(k, v, a, h, x):
-    """Stage k = 2, 3, 4 of a Runge–Kutta step from v, where the one before accelerates with a, into x (7, n).
+    """Stage k = 2, 3, 4 of a Runge–Kutta step from v into x (7, n); a is the acceleration of the stage before.
 
-    Its velocity into x[k - 2], and into x[3] the displacement to its place, of the last from that of the second stage.
+    The velocity of the stage is written into x[k - 2]. The displacement to its position is written into x[3]; that of
+    stage 4 starts at the position of stage 2.
     """
     for j in range(v.size):
         if k == 4:
@@ -269,9 +277,10 @@ def stage(k, v, a, h, x):
 
 @no_alloc
 def outset(v, a, h, slow, x):
-    """Of a step under a constant acceleration, into rows of x (7, n): displacement 3, velocity at its end 5, mean 6.
+    """Begin a step: finish it with a constant acceleration if v and its change are `slow`; return True if they are.
 
-    Whether v and its change are `slow`. If not, the second stage of a Runge–Kutta step, as of `stage`.
+    The step is written into rows of x (7, n): displacement 3, velocity at its end 5, mean 6. If the motion is not slow,
+    x gets the second stage of a Runge–Kutta step, see `stage`.
     """
     size, rise = 0.0, 0.0
     for j in range(v.size):
@@ -287,9 +296,10 @@ def outset(v, a, h, slow, x):
 
 @no_alloc
 def midpoint(v, a1, a2, h, tolerance, floor, x):
-    """Of a step by the midpoint rule, with x of `stage`: displacement into x[3], and the velocity at its end into x[5].
+    """Finish a step by the midpoint rule, with x of `stage`, if it is exact enough; return True if it is.
 
-    Whether it goes on as it began, and its acceleration changes so little that even the first order would do.
+    The displacement is written into x[3], and the velocity at the end into x[5]. The rule is exact enough if the
+    velocity changes little in the step, and the acceleration so little that even first order would do.
     """
     change, size, rise = 0.0, 0.0, 0.0
     for j in range(v.size):
@@ -305,10 +315,10 @@ def midpoint(v, a1, a2, h, tolerance, floor, x):
 
 @no_alloc
 def combine(v, accelerations, h, tolerance, floor, x):
-    """Finish a Runge–Kutta step from v; its error as a fraction of what is allowed, see `nsdyn.dynamics.runge_kutta`.
+    """Finish a Runge–Kutta step from v; return its error over the allowed one, see `nsdyn.dynamics.runge_kutta`.
 
-    The accelerations are those of the four stages; allowed is an error of the largest velocity, and at least a floor.
-    Two displacements, the velocity at the end and the mean velocity go into x (7, n) of `stage` from row 3 on.
+    `accelerations` are those of the four stages. The allowed error is a fraction of the largest velocity, plus a floor.
+    Two displacements, the velocity at the end and the mean velocity are written into x (7, n) of `stage` from row 3 on.
     """
     a1, a2, a3, a4 = accelerations
     error, size = 0.0, 0.0
@@ -324,14 +334,14 @@ def combine(v, accelerations, h, tolerance, floor, x):
         if not d + most < math.inf:
             return math.inf
         error, size = max(error, d), max(size, most)
-    # z⁵/120 where error = size z³/6.
+    # The error is z⁵/120 of the velocity if the difference is z³/6 of it.
     error = (6.0 * error / size) ** (5.0 / 3.0) / 120.0 * size if size > 0.0 else 0.0
     return error / (tolerance * size + floor)
 
 
 @no_alloc
 def fastest(v, turns):
-    """(largest entry of |v|, the same of those coordinates that turn); infinite where an entry is not finite."""
+    """(largest entry of |v|, the largest among turning coordinates); both infinite if an entry is not finite."""
     most, turn = 0.0, 0.0
     for j in range(v.size):
         if not abs(v[j]) < math.inf:

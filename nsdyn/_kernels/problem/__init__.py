@@ -1,1 +1,1 @@
-"""Kernels of `nsdyn.problem.fc3d`."""
+"""Kernels of `nsdyn.problem`."""

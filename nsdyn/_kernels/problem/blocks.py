@@ -1,9 +1,10 @@
 """Products with H and M⁻¹ in block form, the diagonal of W = Hᵀ M⁻¹ H, islands.
 
-``blocks`` is a plain tuple (offset, block, start, H, m_start, m, minv) in the order of `nsdyn.problem.blocks.Blocks`: a
-named one takes twice as long to hand over. Coordinates come in blocks (a free body: 6, an articulated tree: its nv).
-Contact c touches at most two blocks, ``block[c, s]`` (-1: none), and ``H[start[c, s]:]`` holds the 3 x n rows of Hᵀ for
-that block, row by row. ``m`` and ``minv`` hold the n x n diagonal blocks of M and M⁻¹, block k from ``m_start[k]`` on.
+``blocks`` is a plain tuple (offset, block, start, H, m_start, m, minv) in the order of
+`nsdyn.problem.blocks.DelassusFactors`, since passing a named tuple takes twice as long. Coordinates come in blocks (a
+free body: 6, an articulated tree: its nv). Contact c couples at most two blocks, ``block[c, s]`` (-1: none), and
+``H[start[c, s]:]`` holds the 3 x n rows of Hᵀ for that block, row by row. ``m`` and ``minv`` hold the n x n diagonal
+blocks of M and M⁻¹, block k from ``m_start[k]`` on.
 """
 
 import math
@@ -15,18 +16,18 @@ from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
 from nsdyn._kernels.vectors import square
 
 SMALLEST, LARGEST = 1e-150, 1e150
-"""Sizes of numbers whose squares are in the range of floating-point numbers."""
+"""Range of numbers whose squares are in the range of floating-point numbers."""
 
 
 @no_alloc
 def relative_velocity_of(blocks, v, c):
-    """Hᵀ v of contact c: three scalars."""
+    """Return Hᵀ v of contact c: three scalars."""
     offset, block, start, H = blocks[:4]
     u0, u1, u2 = 0.0, 0.0, 0.0
     for s in range(2):
         k = block[c, s]
         if k >= 0:
-            # Unsigned indices spare the test whether they count from the end: a third of the time.
+            # Unsigned indices spare the test for negative ones, a third of the time.
             o, n, a = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(start[c, s])
             d, e = a + n, a + n + n
             for j in range(n):
@@ -39,7 +40,7 @@ def relative_velocity_of(blocks, v, c):
 
 @no_alloc
 def relative_velocity(blocks, v, u):
-    """u = Hᵀ v, into u (3 nc,)."""
+    """Write Hᵀ v into u (3 nc,)."""
     for c in range(blocks[1].shape[0]):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = relative_velocity_of(blocks, v, c)
 
@@ -61,7 +62,7 @@ def add_momentum(blocks, c, r0, r1, r2, p):
 
 @no_alloc
 def momentum(blocks, r, p):
-    """p = H r, into p (n,)."""
+    """Write H r into p (n,)."""
     p[:] = 0.0
     for c in range(blocks[1].shape[0]):
         add_momentum(blocks, c, r[3 * c], r[3 * c + 1], r[3 * c + 2], p)
@@ -69,7 +70,7 @@ def momentum(blocks, r, p):
 
 @no_alloc
 def block_product(offset, m_start, m, x, y):
-    """y = diag(m) x for the block-diagonal matrix m (M or M⁻¹), into y (n,)."""
+    """Write diag(m) x into y (n,), for the block-diagonal matrix m (M or M⁻¹)."""
     for k in range(offset.size - 1):
         o, n, row = np.uint64(offset[k]), np.uint64(offset[k + 1] - offset[k]), np.uint64(m_start[k])
         for i in range(n):
@@ -82,7 +83,7 @@ def block_product(offset, m_start, m, x, y):
 
 @kernel
 def weighted_rows(blocks):
-    """Rows of (M⁻¹ H)ᵀ in the layout of H."""
+    """Return the rows of (M⁻¹ H)ᵀ in the layout of H."""
     offset, block, start, H, m_start, _, minv = blocks
     y = np.empty_like(H)
     for c in range(block.shape[0]):
@@ -104,7 +105,7 @@ def weighted_rows(blocks):
 
 @kernel
 def velocity_change(blocks, r, v):
-    """v = M⁻¹ H r, into v (n,)."""
+    """Write M⁻¹ H r into v (n,)."""
     offset, _, _, _, m_start, _, minv = blocks
     p = np.empty(v.size)
     momentum(blocks, r, p)
@@ -113,7 +114,7 @@ def velocity_change(blocks, r, v):
 
 @no_alloc
 def respond(blocks, r, v_free, p, v):
-    """p = H r and v = v_free + M⁻¹ p, into p and v (n,)."""
+    """Write p = H r and v = v_free + M⁻¹ p into p and v (n,)."""
     offset, _, _, _, m_start, _, minv = blocks
     momentum(blocks, r, p)
     block_product(offset, m_start, minv, p, v)
@@ -123,7 +124,7 @@ def respond(blocks, r, v_free, p, v):
 
 @no_alloc
 def velocity(blocks, q, r, y, u, work):
-    """y = M⁻¹ H r and u = Hᵀ y + q, into y (n,) and u (3 nc,); `work` (n,) is for H r."""
+    """Write y = M⁻¹ H r and u = Hᵀ y + q into y (n,) and u (3 nc,); `work` (n,) holds H r."""
     offset, _, _, _, m_start, _, minv = blocks
     momentum(blocks, r, work)
     block_product(offset, m_start, minv, work, y)
@@ -134,7 +135,7 @@ def velocity(blocks, q, r, y, u, work):
 
 @kernel
 def judged(blocks, q, mu, scales, r, u):
-    """u = Hᵀ M⁻¹ H r + q, into u; returns the two `measures` of r."""
+    """Write u = Hᵀ M⁻¹ H r + q into u, and return the two `measures` of r."""
     y, work = np.empty(blocks[0][-1]), np.empty(blocks[0][-1])
     velocity(blocks, q, r, y, u, work)
     return measures(scales, u, r, mu)
@@ -142,7 +143,7 @@ def judged(blocks, q, mu, scales, r, u):
 
 @no_alloc
 def in_range(scales):
-    """Whether all sizes of diagonal blocks are what they have to be."""
+    """Whether the sizes of all diagonal blocks are in the valid range."""
     good = True
     for c in range(scales.size):
         good = good and SMALLEST <= scales[c] <= LARGEST
@@ -151,7 +152,7 @@ def in_range(scales):
 
 @no_alloc
 def size_of(q, mu):
-    """The norm of q, and whether q and mu are what they have to be."""
+    """Return the norm of q, and whether q and mu are valid."""
     total, good = 0.0, True
     for c in range(mu.size):
         for i in range(3):
@@ -162,10 +163,13 @@ def size_of(q, mu):
 
 @no_alloc
 def diagonal_block(blocks, c, rows, x, y, w):
-    """W_cc of a contact, without the rest of W, its first rows or all, into w (3, 3); x and y (3, n) are for work."""
+    """Write W_cc of a contact into w (3, 3), without assembling W: its first `rows` rows, or all 3.
+
+    x and y (3, n) are work arrays.
+    """
     offset, block, start, H, m_start, _, minv = blocks
     w[:] = 0.0
-    twice = block[c, 0] == block[c, 1]  # both sides on one block: their rows add up
+    twice = block[c, 0] == block[c, 1]  # both sides on one block: add their rows
     for s in range(1 if twice else 2):
         k = block[c, s]
         if k < 0:
@@ -193,7 +197,7 @@ def diagonal_block(blocks, c, rows, x, y, w):
 
 @no_alloc
 def widest(offset):
-    """Coordinates of the largest block."""
+    """Return the number of coordinates of the largest block."""
     most = 0
     for k in range(offset.size - 1):
         most = max(most, offset[k + 1] - offset[k])
@@ -202,7 +206,7 @@ def widest(offset):
 
 @kernel
 def delassus_scales(blocks, out):
-    """lambda_max of every diagonal block W_cc, into out (nc,)."""
+    """Write lambda_max of every diagonal block W_cc into out (nc,)."""
     most = widest(blocks[0])
     x, y, w = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
     for c in range(out.size):
@@ -227,7 +231,10 @@ def unite(parent, a, b):
 
 @no_alloc
 def number(parent, label):
-    """Number the components of a union-find forest of `unite` by their first members, into label; how many."""
+    """Number the components of a union-find forest by their first members, into label; return how many.
+
+    The forest is built by `unite`.
+    """
     found = 0
     for k in range(label.size):
         root = k
@@ -243,9 +250,9 @@ def number(parent, label):
 
 @kernel
 def islands(block, count, label):
-    """Islands of contacts, which are connected when they share one of so many blocks, into label (nc,); how many.
+    """Find the islands of contacts; write them into label (nc,) and return how many.
 
-    Their labels ascend in the order of their first contacts.
+    Contacts that share one of the `count` blocks are connected. Labels ascend in the order of the first contacts.
     """
     parent, first = np.arange(label.size), np.full(count, -1, np.int64)
     for c in range(label.size):

@@ -1,4 +1,4 @@
-"""Second-order cone of Coulomb, one contact at a time: projection, its Jacobian, the exact one-contact problem."""
+"""Second-order cone of Coulomb friction, one contact at a time: projection, Jacobian, exact one-contact problem."""
 
 import math
 
@@ -10,7 +10,7 @@ ROUNDING = 2.0**-52
 
 @no_alloc(inline="always")
 def project(zn, z1, z2, mu):
-    """Projection of (zn, z1, z2) on K = {|r_T| <= mu r_N}; returns three scalars."""
+    """Return the projection of (zn, z1, z2) on K = {|r_T| <= mu r_N}: three scalars."""
     t = math.sqrt(z1 * z1 + z2 * z2)
     if zn >= 0.0 and t <= mu * zn:  # zn >= 0 matters for mu = 0
         return zn, z1, z2
@@ -23,7 +23,7 @@ def project(zn, z1, z2, mu):
 
 @no_alloc
 def projection_jacobian(zn, z1, z2, mu, D):
-    """Element of the generalised Jacobian of the projection at z, into D (3, 3); symmetric, between 0 and I."""
+    """Write an element of the generalised Jacobian of the projection at z into D (3, 3); symmetric, between 0 and I."""
     D[:] = 0.0
     t = math.sqrt(z1 * z1 + z2 * z2)
     if zn >= 0.0 and t <= mu * zn:
@@ -43,7 +43,7 @@ def projection_jacobian(zn, z1, z2, mu, D):
 
 @no_alloc
 def into_cones(r, mu, out):
-    """P_K(r), into out (3 nc,); returns whether that is more than round-off away from r."""
+    """Write P_K(r) into out (3 nc,); return whether it differs from r by more than round-off."""
     moved = False
     for c in range(mu.size):
         i = 3 * c
@@ -56,24 +56,24 @@ def into_cones(r, mu, out):
 
 @no_alloc
 def jacobians(z, mu, D):
-    """`projection_jacobian` at z (nc, 3) of every contact, into D (nc, 3, 3)."""
+    """Write the `projection_jacobian` at z (nc, 3) of every contact into D (nc, 3, 3)."""
     for c in range(mu.size):
         projection_jacobian(z[c, 0], z[c, 1], z[c, 2], mu[c], D[c])
 
 
 @no_alloc
 def measures(W_diagonal, u, r, mu):
-    """(error, residual) of an impulse r and its velocity u.
+    """Return (error, residual) of an impulse r and its velocity u.
 
-    |r - P_K(r - u_hat)|_2 over all contacts, the numerator of the literature's error, and the largest
-    |r - P_K(r - rho u_hat)| / rho, with rho = 1 / W_diagonal[c], in m/s: at least the rounding of W_cc r_c, since
-    impulses so large that q drowns in u = W r + q solve nothing.
+    The error is |r - P_K(r - u_hat)|_2 over all contacts, the numerator of the literature's error. The residual is the
+    largest |r - P_K(r - rho u_hat)| / rho, with rho = 1 / W_diagonal[c], in m/s. It is at least the rounding of W_cc
+    r_c, since impulses so large that q vanishes in the round-off of u = W r + q solve nothing.
     """
     total, worst = 0.0, 0.0
     for c in range(mu.size):
         i, rho = 3 * c, 1.0 / W_diagonal[c]
         s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-        if r[i] == r[i + 1] == r[i + 2] == 0.0 and u[i] + s >= s:  # open; no NaN gets here
+        if r[i] == r[i + 1] == r[i + 2] == 0.0 and u[i] + s >= s:  # open; a NaN fails this test
             continue
         pn, p1, p2 = project(r[i] - u[i] - s, r[i + 1] - u[i + 1], r[i + 2] - u[i + 2], mu[c])
         total += square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)
@@ -88,14 +88,14 @@ def measures(W_diagonal, u, r, mu):
 
 @no_alloc
 def measure_at(W_diagonal, u, r, mu, q_norm):
-    """Larger of the literature's error and the residual in m/s of an impulse r and its velocity u."""
+    """Return the larger of the literature's error and the residual in m/s of an impulse r and its velocity u."""
     error, residual = measures(W_diagonal, u, r, mu)
     return max(residual, error / q_norm)
 
 
 @no_alloc
 def round_off(W_diagonal, q, r, q_norm):
-    """What rounding leaves of the measures of an impulse r: see `FC3D.round_off`."""
+    """Return the round-off in the measures of an impulse r: see `FC3D.round_off`."""
     most, total = 0.0, 0.0
     for i in range(r.size):
         most = max(most, abs(q[i]) + W_diagonal[i // 3] * abs(r[i]))
@@ -105,7 +105,7 @@ def round_off(W_diagonal, q, r, q_norm):
 
 @no_alloc
 def duality_gap(u, r, mu):
-    """(Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
+    """Return (Σ r·(u + (delta + mu |u_T|) e_N), |delta|_2) with delta = max(0, -u_N) and r projected on its cone."""
     gap, shift = 0.0, 0.0
     for c in range(mu.size):
         i = 3 * c
@@ -118,13 +118,13 @@ def duality_gap(u, r, mu):
 
 @no_alloc
 def _slip(W, q0, q1, q2, alpha):
-    """Impulse with u_N = 0 and u_T = -alpha r_T: returns r_N, r_T1, r_T2."""
+    """Return the impulse with u_N = 0 and u_T = -alpha r_T: r_N, r_T1, r_T2."""
     a, b, c, d = W[1, 1] + alpha, W[1, 2], W[2, 1], W[2, 2] + alpha
     det = max(a * d - b * c, ROUNDING * a * d)
     # r_T = x + y r_N solves (W_TT + alpha I) r_T = -(q_T + W_TN r_N)
     x1, x2 = -(d * q1 - b * q2) / det, -(a * q2 - c * q1) / det
     y1, y2 = -(d * W[1, 0] - b * W[2, 0]) / det, -(a * W[2, 0] - c * W[1, 0]) / det
-    # What is left of W_NN is 0 where one coordinate moves the point, whatever its direction.
+    # The Schur complement of W_TT is 0 where one coordinate moves the point, whatever its direction.
     left = max(W[0, 0] + W[0, 1] * y1 + W[0, 2] * y2, ROUNDING * W[0, 0])
     rn = -(q0 + W[0, 1] * x1 + W[0, 2] * x2) / left
     return rn, x1 + y1 * rn, x2 + y2 * rn
@@ -132,10 +132,10 @@ def _slip(W, q0, q1, q2, alpha):
 
 @no_alloc
 def _quartic(W, q0, q1, q2, mu):
-    """Root alpha of |r_T| = mu r_N along `_slip` by Newton's method, not to be relied on.
+    """Find the root alpha of |r_T| = mu r_N along `_slip` by Newton's method, which may fail.
 
-    By Cramer's rule r_N = P / D and r_T = T / D with P quadratic and T linear in alpha. Newton is for 1 - mu P / |T|,
-    which is linear where the contact is isotropic, from the root of its asymptote.
+    By Cramer's rule r_N = P / D and r_T = T / D with P quadratic and T linear in alpha. Newton's method is applied to
+    1 - mu P / |T|, which is linear where the contact is isotropic. It starts from the root of the asymptote.
     """
     p1 = W[0, 1] * q1 + W[0, 2] * q2 - q0 * (W[1, 1] + W[2, 2])
     p0 = (
@@ -164,10 +164,10 @@ def _quartic(W, q0, q1, q2, mu):
 
 @no_alloc
 def slide(W, q0, q1, q2, mu):
-    """`coulomb` of a contact that neither takes off nor sticks: the root of |r_T| = mu r_N along `_slip`.
+    """Solve `coulomb` for a contact that neither takes off nor sticks: the root of |r_T| = mu r_N along `_slip`.
 
-    Where Newton does not find it, it is bracketed in beta = alpha / (alpha + tau) in [0, 1): at beta = 0 the impulse is
-    outside the cone, at beta = 1 it is normal.
+    If Newton's method does not find it, the root is bracketed in beta = alpha / (alpha + tau) in [0, 1): at beta = 0
+    the impulse is outside the cone, at beta = 1 it is normal.
     """
     alpha = _quartic(W, q0, q1, q2, mu)
     if 0.0 < alpha < 1e300:
@@ -218,10 +218,10 @@ def _singular(W):
 
 @no_alloc
 def coulomb(W, q0, q1, q2, mu):
-    """Exact solution of the one-contact problem u = W r + q, K* ∋ u_hat ⟂ r ∈ K: returns r_N, r_T1, r_T2.
+    """Return the exact solution r_N, r_T1, r_T2 of the one-contact problem u = W r + q, K* ∋ u_hat ⟂ r ∈ K.
 
-    Take-off if q_N >= 0; else stick if the impulse that stops the contact lies in the cone; else slip, the root of
-    |r_T| = mu r_N along the curve u_N = 0, u_T = -alpha r_T.
+    The contact takes off if q_N >= 0. Otherwise it sticks if the impulse that stops it lies in the cone. Otherwise it
+    slips; the solution is the root of |r_T| = mu r_N along the curve u_N = 0, u_T = -alpha r_T.
     """
     if q0 >= 0.0:
         return 0.0, 0.0, 0.0
@@ -236,7 +236,7 @@ def coulomb(W, q0, q1, q2, mu):
 
 @no_alloc
 def largest_eigenvalue(W):
-    """Largest eigenvalue of the symmetric part of a 3x3 block (trigonometric form)."""
+    """Return the largest eigenvalue of the symmetric part of a 3x3 block (trigonometric form)."""
     a, b, c = W[0, 0], W[1, 1], W[2, 2]
     d, e, f = 0.5 * (W[0, 1] + W[1, 0]), 0.5 * (W[1, 2] + W[2, 1]), 0.5 * (W[0, 2] + W[2, 0])
     off = d * d + e * e + f * f
@@ -251,7 +251,7 @@ def largest_eigenvalue(W):
 
 @kernel
 def diagonal_scales(indptr, indices, data, out):
-    """lambda_max of the diagonal block of every contact of a block-sparse W, into out (nc,)."""
+    """Write lambda_max of the diagonal block of every contact of a block-sparse W into out (nc,)."""
     for c in range(out.size):
         out[c] = 0.0
         for k in range(indptr[c], indptr[c + 1]):

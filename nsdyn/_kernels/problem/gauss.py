@@ -1,4 +1,4 @@
-"""The certificate of an impulse along a direction that opens contacts, and Newton's step towards such a direction."""
+"""Certificate of an impulse along a direction that opens contacts, and Newton's step towards such a direction."""
 
 import math
 
@@ -11,20 +11,22 @@ from nsdyn._kernels.reductions import largest
 from nsdyn._kernels.vectors import square, three
 
 UNITS = 4.0
-"""Round-off of a sum of products, in units of that of the largest: they are some twenty, and err at random."""
+"""Round-off of a sum of products, in units of the round-off of its largest product. Some twenty products err at
+random."""
 
 
 @no_alloc(inline="always")
 def _opening(o, i, mu):
-    """κ = o_N - mu |o_T| of the contact whose rows begin at i: o is in κ e_N + K*."""
+    """Return κ = o_N - mu |o_T| of the contact whose rows begin at i: o is in κ e_N + K*."""
     return o[i] - mu * math.sqrt(o[i + 1] * o[i + 1] + o[i + 2] * o[i + 2])
 
 
 @no_alloc
 def _step_along(u, s, margin, o, mu, speed):
-    """A λ ≥ 0 with û + λ o in K* at every contact, û = u + s e_N; inf if there is none among the two tried.
+    """Return a λ ≥ 0 with û + λ o in K* at every contact, û = u + s e_N; inf if neither of two candidates will do.
 
-    That is the least with margin + λ κ ≥ 0, which suffices where û is in margin e_N + K*, or else `speed`.
+    The first candidate is the least λ with margin + λ κ ≥ 0, which suffices where û is in margin e_N + K*. The second
+    is `speed`.
     """
     least = 0.0
     for c in range(mu.size):
@@ -47,9 +49,10 @@ def _step_along(u, s, margin, o, mu, speed):
 
 @no_alloc
 def _round_off(u, r, scales):
-    """Round-off of velocities in the kinetic norm, √J: of M⁻¹ H_c r_c, up to √λ_max(W_cc) |r_c|, and of u.
+    """Return the round-off of velocities in the kinetic norm, √J.
 
-    An impulse that changes u_c moves the bodies by 1/√λ_max(W_cc) of it at least.
+    It adds that of M⁻¹ H_c r_c, up to √λ_max(W_cc) |r_c|, and that of u. An impulse that changes u_c moves the bodies
+    by at least 1/√λ_max(W_cc) of the change.
     """
     total = 0.0
     for c in range(scales.size):
@@ -61,9 +64,10 @@ def _round_off(u, r, scales):
 
 @kernel
 def certificate(u, r, o, mu, scales):
-    """(gap, |δ|_2, max δ, λ, Σ r·(û + λ o)) of an impulse in K, with o = Hᵀ d; every term of the sum is ≥ 0.
+    """Return (gap, |δ|_2, max δ, λ, Σ r·(û + λ o)) of an impulse in K, with o = Hᵀ d; every term of the sum is ≥ 0.
 
-    A max δ below the round-off of u counts as that, and to the sum the square of that of the velocity is added.
+    A max δ below the round-off of u is replaced by that round-off. The squared round-off of the velocity is added to
+    the sum.
     """
     gap, shift = duality_gap(u, r, mu)
     least = square(_round_off(u, r, scales))
@@ -81,7 +85,7 @@ def certificate(u, r, o, mu, scales):
 
 @no_alloc
 def frozen(u, s, margin, r, o, mu, speed):
-    """(λ, Σ r·(û + λ o)) of `_step_along`."""
+    """Return (λ, Σ r·(û + λ o)) with the λ of `_step_along`."""
     step, total = _step_along(u, s, margin, o, mu, speed), 0.0
     if step < np.inf:
         for c in range(mu.size):
@@ -94,7 +98,7 @@ def frozen(u, s, margin, r, o, mu, speed):
 
 @kernel
 def along_blocks(blocks, d, o):
-    """o = Hᵀ d, into o (3 nc,); returns ‖d‖²_M."""
+    """Write Hᵀ d into o (3 nc,); return ‖d‖²_M."""
     offset, _, _, _, m_start, m, _ = blocks
     relative_velocity(blocks, d, o)
     work = np.empty(d.size)
@@ -107,9 +111,9 @@ def along_blocks(blocks, d, o):
 
 @kernel
 def certificate_of(blocks, u, r, mu, scales, d, out):
-    """`into_cones`, and if r is in K its `certificate` with o = Hᵀ d, and ‖d‖²_M.
+    """Write `into_cones` of r into out; return its flag, and for r in K its `certificate` with o = Hᵀ d, and ‖d‖²_M.
 
-    A d of other coordinates opens nothing.
+    A d with other coordinates opens no contact.
     """
     if into_cones(r, mu, out):
         return True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -122,13 +126,16 @@ def certificate_of(blocks, u, r, mu, scales, d, out):
 
 @no_alloc(inline="always")
 def _pulled(o, b, x, rho, i):
-    """x + ρ (b - o) of the contact whose rows begin at i."""
+    """Return x + ρ (b - o) of the contact whose rows begin at i."""
     return x[i] + rho * (b[i] - o[i]), x[i + 1] + rho * (b[i + 1] - o[i + 1]), x[i + 2] + rho * (b[i + 2] - o[i + 2])
 
 
 @no_alloc
 def merit(square, o, b, x, rho, mu, P):
-    """½‖d‖²_M + Σ ‖P_K(x + ρ (b - o))‖² / 2ρ, from ‖d‖²_M and o = Hᵀ d; the projections into P (3 nc,)."""
+    """Return ½‖d‖²_M + Σ ‖P_K(x + ρ (b - o))‖² / 2ρ, with `square` = ‖d‖²_M and o = Hᵀ d.
+
+    The projections go into P (3 nc,).
+    """
     total = square
     for c in range(mu.size):
         i, k = 3 * c, rho[c]
@@ -141,7 +148,7 @@ def merit(square, o, b, x, rho, mu, P):
 
 @no_alloc
 def curvature(o, b, x, rho, mu, A):
-    """ρ ∂P_K at x + ρ (b - o), so that M + Σ H_c A_c H_cᵀ is the second derivative of `merit`, into A (nc, 3, 3)."""
+    """Write ρ ∂P_K at x + ρ (b - o) into A (nc, 3, 3). M + Σ H_c A_c H_cᵀ is the second derivative of `merit`."""
     for c in range(mu.size):
         i, k = 3 * c, rho[c]
         z0, z1, z2 = _pulled(o, b, x, k, i)
@@ -152,7 +159,7 @@ def curvature(o, b, x, rho, mu, A):
 
 @kernel
 def least_opening(o, b, mu):
-    """Largest t with o - b in t e_N + K* at every contact."""
+    """Return the largest t with o - b in t e_N + K* at every contact."""
     excess, least = o - b, np.inf
     for c in range(mu.size):
         kappa = _opening(excess, 3 * c, mu[c])
@@ -163,15 +170,16 @@ def least_opening(o, b, mu):
 
 @kernel
 def relax(blocks, mu, b, aim, enough, sweeps, d):
-    """Change d (n,) until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact, by projections; whether that was reached.
+    """Change d (n,) by projections until κ(Hᵀ d - b) ≥ `enough` < `aim` at every contact; return whether it succeeded.
 
-    Each contact in turn where κ is less gets the shortest change, in the kinetic norm, that brings the linearised κ to
-    `aim`: with o = Hᵀ d - b along the impulse g = (1, -μ o_T/|o_T|), the gradient of κ = o_N - μ|o_T|. Where directions
-    with κ > `aim` exist, d comes closer to all of them with every change, and finitely many do.
+    Contacts with a smaller κ are treated in turn. Each gets the shortest change, in the kinetic norm, that brings the
+    linearised κ to `aim`. With o = Hᵀ d - b, the change is along the impulse g = (1, -μ o_T/|o_T|), the gradient of
+    κ = o_N - μ|o_T|. Where directions with κ > `aim` exist, every change brings d closer to all of them, and finitely
+    many changes suffice.
     """
     offset, block, start, H = blocks[:4]
     y, now = weighted_rows(blocks), False
-    # When d last changed, in changes, and when each contact was looked at: mostly few are left after some sweeps.
+    # Last change of each block, and change at which each contact was checked: mostly few are left after some sweeps.
     changes, changed, seen = 0, np.zeros(offset.size - 1, np.int64), np.full(mu.size, -1)
     for _ in range(sweeps):
         now = True
@@ -191,7 +199,7 @@ def relax(blocks, mu, b, aim, enough, sweeps, d):
             now = False
             changes += 1
             g1, g2 = (-mu[c] * o1 / slip, -mu[c] * o2 / slip) if slip > 0.0 else (0.0, 0.0)
-            # κ changes by g·W_cc g with d by M⁻¹ H g; once for a contact whose sides share a block, too.
+            # κ changes by g·W_cc g when d changes by M⁻¹ H g, also for a contact whose sides share a block.
             square = 0.0
             for s in range(2):
                 for t in range(2):

@@ -1,11 +1,11 @@
-"""Products with a W that is given in 3 x 3 blocks: (rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3))."""
+"""Products with a W given in 3 x 3 blocks: (rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3))."""
 
 from nsdyn._kernels.compiled import no_alloc
 
 
 @no_alloc
 def velocity_of(W, q, r, c):
-    """u_c = (W r + q)_c of contact c: three scalars."""
+    """Return u_c = (W r + q)_c of contact c: three scalars."""
     indptr, indices, data = W
     u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
     for p in range(indptr[c], indptr[c + 1]):
@@ -19,14 +19,14 @@ def velocity_of(W, q, r, c):
 
 @no_alloc
 def velocity(W, q, r, u):
-    """u = W r + q, into u (3 nc,)."""
+    """Write W r + q into u (3 nc,)."""
     for c in range(W[0].size - 1):
         u[3 * c], u[3 * c + 1], u[3 * c + 2] = velocity_of(W, q, r, c)
 
 
 @no_alloc
 def stiffened(W, A, S):
-    """I + A W for blocks A (nc, 3, 3), into S (3 nc, 3 nc)."""
+    """Write I + A W into S (3 nc, 3 nc), for blocks A (nc, 3, 3)."""
     indptr, indices, data = W
     S[:] = 0.0
     for c in range(A.shape[0]):

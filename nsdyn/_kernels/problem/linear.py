@@ -1,4 +1,4 @@
-"""LU factorisation of a dense matrix that skips the zeros outside its profile: chains and stacks are narrow."""
+"""LU factorisation of a dense matrix that skips the zeros outside its profile: chains and stacks have narrow ones."""
 
 import numpy as np
 
@@ -7,9 +7,9 @@ from nsdyn._kernels.compiled import no_alloc
 
 @no_alloc
 def factorise(S, pivot, low, end):
-    """LU with partial pivoting in place of S (n, n); False when S is singular or not finite.
+    """Factorise S (n, n) in place by LU with partial pivoting; False when S is singular or not finite.
 
-    Zeros outside the profile are skipped: rows k + 1 to `low[k]` are eliminated with row k, which ends at `end[k]`.
+    Zeros outside the profile are skipped: row k eliminates rows k + 1 to `low[k]`, and ends at `end[k]`.
     """
     n = pivot.size
     for i in range(n):
@@ -39,7 +39,7 @@ def factorise(S, pivot, low, end):
                 f = S[i, k] * inverse
                 S[i, k] = f
                 end[i] = max(end[i], last)
-                # Unsigned indices spare the test whether they count from the end: a third of the time.
+                # Unsigned indices spare the test for negative ones, a third of the time.
                 row, top = np.uint64(i), np.uint64(k)
                 for j in range(np.uint64(k + 1), np.uint64(last)):
                     S[row, j] -= f * S[top, j]
@@ -48,7 +48,7 @@ def factorise(S, pivot, low, end):
 
 @no_alloc
 def substitute(S, pivot, low, end, b):
-    """Solution of the factorised system in place of b."""
+    """Solve the factorised system in place of b."""
     n = pivot.size
     for k in range(n):
         p = pivot[k]

@@ -1,4 +1,4 @@
-"""Contacts at which Coulomb's law may have other solutions, or none that is a force."""
+"""Contacts at which Coulomb's law may have other solutions, or none that a force can give."""
 
 import math
 
@@ -11,7 +11,7 @@ from nsdyn._kernels.vectors import row, square, three
 
 @no_alloc
 def stopped(q, u, r, nc):
-    """(most |q_N|, most |u_T - q_T|) of the first nc contacts that are pressed, m/s."""
+    """Return (largest |q_N|, largest |u_T - q_T|) of the pressed contacts among the first nc, m/s."""
     load = change = 0.0
     for c in range(nc):
         i = 3 * c
@@ -22,28 +22,30 @@ def stopped(q, u, r, nc):
 
 
 ODD = 10.0
-"""Change of slip over the loads on the normals, from which on there may be a jam: where friction is a force it is at
-most of the order of μ."""
+"""Ratio of the change of slip to the loads on the normals above which a jam is possible. Where friction is a force the
+ratio is at most of the order of μ."""
 
 DIRECTIONS = 180
-"""Of slip, in which solutions of one contact are looked for; of two that are closer than 2° none is seen."""
+"""Number of slip directions at which solutions of one contact are bracketed. Two solutions closer than 2° are not
+seen."""
 
 COS, SIN = (of(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS + 1)) for of in (np.cos, np.sin))
 
 SECANTS, MOST = 12, 6
-"""Steps to such a direction, to round-off, and most solutions: open, stick, and four directions of slip."""
+"""Secant steps to such a direction, down to round-off, and most solutions: open, stick, and four directions of slip."""
 
 ROUND_OFF = 1e-12
-"""Of velocities of a contact, from which on they are of one sign."""
+"""Relative round-off of the velocities of a contact, above which their sign is certain."""
 
 
 @kernel
 def ambiguous(blocks, mu, u, r, out):
-    """Contacts whose own law admits several solutions, the impulses of others given, into out; how many they are.
+    """Write the contacts whose own law admits several solutions into out; return how many they are.
 
-    Only where W_NN < μ‖W_NT‖: friction presses the contact on faster than the normal impulse opens it. And not where
-    it sticks under a load, q_N < 0, by little friction, μ |q_N| ≥ ‖r_T‖ (W_NN + μ‖W_NT‖). Then it does not open; where
-    it slips by r', (r' - r)ᵀ W (r' - r) > 0 asks for μ r'_N < ‖r_T‖, but r'_N ≥ |q_N| / (W_NN + μ‖W_NT‖).
+    The impulses of the other contacts are given. Several solutions need W_NN < μ‖W_NT‖: friction presses the contact on
+    faster than the normal impulse opens it. A contact is excluded if it sticks under a load, q_N < 0, with little
+    friction, μ |q_N| ≥ ‖r_T‖ (W_NN + μ‖W_NT‖). It cannot open. If it slipped with r', then (r' - r)ᵀ W (r' - r) > 0
+    would require μ r'_N < ‖r_T‖, but r'_N ≥ |q_N| / (W_NN + μ‖W_NT‖).
     """
     most, some = widest(blocks[0]), 0
     x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
@@ -73,7 +75,10 @@ def ambiguous(blocks, mu, u, r, out):
 
 @no_alloc
 def _slipping(w, q, mu, t1, t2):
-    """(s, s u_T) of slip along t under an impulse r_N (1, -μ t) that leaves u_N = s r_N + q_N = 0; w is half of W."""
+    """Return (s, s u_T) of slip along t under an impulse r_N (1, -μ t) that leaves u_N = s r_N + q_N = 0.
+
+    w is the upper triangle of the symmetric W, row by row.
+    """
     s = w[0] - mu * (w[1] * t1 + w[2] * t2)
     u1 = s * q[1] - q[0] * (w[1] - mu * (w[3] * t1 + w[4] * t2))
     u2 = s * q[2] - q[0] * (w[2] - mu * (w[4] * t1 + w[5] * t2))
@@ -82,17 +87,18 @@ def _slipping(w, q, mu, t1, t2):
 
 @no_alloc
 def _across(w, q, mu, t1, t2):
-    """How far that is across t."""
+    """Return the component of s u_T of `_slipping` across t."""
     _, u1, u2 = _slipping(w, q, mu, t1, t2)
     return t1 * u2 - t2 * u1
 
 
 @kernel
 def solutions(W, q, mu, out):
-    """All impulses that solve u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K of one contact, into out (6, 3); how many.
+    """Write all solutions r of one contact into out (6, 3); return how many.
 
-    It opens where q_N ≥ 0; sticks where -W⁻¹ q is in K; and slips along t where the u_T of `_slipping` is along t.
-    There are at most four such t, the roots of a quartic, bracketed by directions and found by secants (Illinois).
+    They solve u = W r + q, K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K. The contact can open where q_N ≥ 0, and stick where -W⁻¹ q is
+    in K. It can slip along t where the u_T of `_slipping` is along t. There are at most four such t, the roots of a
+    quartic, which are bracketed by directions and found by secants (Illinois).
     """
     size, found = abs(q[0]) + abs(q[1]) + abs(q[2]), 0
     if q[0] >= -ROUND_OFF * size:
@@ -109,7 +115,7 @@ def solutions(W, q, mu, out):
         if normal > 0.0 and math.sqrt(first * first + second * second) <= (1.0 + ROUND_OFF) * mu * normal:
             out[found, 0], out[found, 1], out[found, 2] = normal, first, second
             found += 1
-    # Of numbers alone, so that the compiler makes vectors of the loop.
+    # Scalars only, so that the compiler uses vector instructions in the loop.
     turned, w, q = np.empty(DIRECTIONS + 1), (*row(W, 0), W[1, 1], W[1, 2], W[2, 2]), three(q, 0)
     for k in range(DIRECTIONS + 1):
         turned[k] = _across(w, q, mu, COS[k], SIN[k])
@@ -129,7 +135,7 @@ def solutions(W, q, mu, out):
             across = _across(w, q, mu, t1, t2)
             if abs(across) <= 1e-16 * (abs(before) + abs(after)):
                 break
-            # An end that stays weighs half as much.
+            # The value at an end that stays is halved.
             if (across > 0.0) == (before > 0.0):
                 a1, a2, f, g, side = t1, t2, abs(across), 0.5 * g if side < 0 else g, -1
             else:
@@ -144,7 +150,7 @@ def solutions(W, q, mu, out):
 
 @kernel
 def suspect(blocks, mu, q, u, r, few):
-    """Whether a solution may jam, or be one of several where there are at most `few` contacts."""
+    """Whether a solution may jam, or, for at most `few` contacts, may be one of several."""
     load, change = stopped(q, u, r, mu.size)
     if change > ODD * load:
         return True

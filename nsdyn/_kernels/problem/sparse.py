@@ -1,4 +1,4 @@
-"""The matrix K = M + Σ H_c A_c H_cᵀ of Newton's methods: its entries, sparse or dense."""
+"""Matrix K = M + Σ H_c A_c H_cᵀ of Newton's methods: its entries, sparse or dense."""
 
 import numpy as np
 
@@ -7,7 +7,10 @@ from nsdyn._kernels.compiled import kernel, no_alloc
 
 @kernel
 def dense_pattern(offset, block):
-    """Where entries of a dense K are, as `nsdyn.problem.operators` says of a sparse one: (indptr, slot, diagonal)."""
+    """Return the places of entries of a dense K, as `nsdyn.problem.operators.pattern` does for a sparse K.
+
+    The result is (indptr, slot, diagonal).
+    """
     n, nc = offset[-1], block.shape[0]
     slot = np.full((nc, 2, 2), -1, np.int64)
     for c in range(nc):
@@ -20,7 +23,7 @@ def dense_pattern(offset, block):
 
 @no_alloc
 def assemble(blocks, A, indptr, begin, slot, diagonal, data):
-    """K = M + Σ H_c A_c H_cᵀ in such a layout, where block k begins at begin[k], into data."""
+    """Write K = M + Σ H_c A_c H_cᵀ into data, in the layout given; block k begins at begin[k]."""
     offset, block, start, H, m_start, m, _ = blocks
     data[:] = 0.0
     for k in range(offset.size - 1):
@@ -31,7 +34,7 @@ def assemble(blocks, A, indptr, begin, slot, diagonal, data):
                 data[at + j] = m[row + j]
     for c in range(block.shape[0]):
         a = A[c]
-        rubs = a[1, 1] != 0.0 or a[2, 2] != 0.0  # else it has one row
+        rubs = a[1, 1] != 0.0 or a[2, 2] != 0.0  # else only its normal row counts
         if a[0, 0] == 0.0 and not rubs:
             continue
         for s in range(2):
@@ -46,8 +49,8 @@ def assemble(blocks, A, indptr, begin, slot, diagonal, data):
                 nl, hl, shift = offset[l + 1] - offset[l], start[c, t], slot[c, t, s]
                 used, end = nl, hl + nl
                 while nl > 6 and used > 0 and H[end - 1] == H[end + nl - 1] == H[end + 2 * nl - 1] == 0.0:
-                    used, end = used - 1, end - 1  # of a tree: what is beyond a link does not move it
-                # Views, so that no index may count from the end and loops along them become vectors.
+                    used, end = used - 1, end - 1  # in a tree, joints beyond a link do not move it
+                # Views: their indices need no test for negative ones, and loops along them become vector instructions.
                 h0, h1 = H[hl : hl + used], H[hl + nl : hl + nl + used]
                 h2 = H[hl + 2 * nl : hl + 2 * nl + used]
                 for i in range(nk):

@@ -1,7 +1,7 @@
-"""Free bodies in coordinates where M = I: v = G v̂ with M⁻¹ = G Gᵀ.
+"""Free bodies in coordinates with M = I: v = G v̂ with M⁻¹ = G Gᵀ.
 
-There Ĥ = Gᵀ H serves both to read the velocity of a contact, u = Ĥᵀ v̂, and to apply its impulse, v̂ += Ĥ_c r. Every body
-has eight numbers, of which two are zeros.
+In these coordinates Ĥ = Gᵀ H both gives the velocity of a contact, u = Ĥᵀ v̂, and applies its impulse, v̂ += Ĥ_c r.
+Every body has eight numbers, two of which are zeros.
 """
 
 import math
@@ -12,18 +12,20 @@ from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.simd import WIDTH, add, dot
 from nsdyn._kernels.sorting import order as sorted_by
 
-PAIR = np.uint64(2 * WIDTH)  # numbers in a row of both bodies
+PAIR = np.uint64(2 * WIDTH)  # numbers in a row for both bodies
 CONTACT = np.uint64(3) * PAIR
 
 STILL = 16
-"""Bodies that never move, in place of those that contacts lack, by turns: one would make them wait for each other."""
+"""Number of bodies that never move. They replace the missing bodies of contacts, in turn: contacts that share a single
+one would have to wait for each other."""
 
 
 @kernel
 def independent(blocks):
-    """The contacts in an order in which neighbours share no body where that is possible, those of each body in theirs.
+    """Return an order of the contacts in which neighbours share no body if possible.
 
-    A sweep does the same in it as in that of the contacts, and the processor need not wait for one to begin the next.
+    The contacts of each body keep their order, so that a sweep gives the same result. The processor need not wait for
+    one contact to begin the next.
     """
     offset, block = blocks[:2]
     last, turn = np.zeros(offset.size - 1, np.int64), np.zeros(block.shape[0], np.int64)
@@ -39,7 +41,7 @@ def independent(blocks):
 
 @kernel
 def factors(blocks):
-    """G, lower triangular, in the layout of M⁻¹."""
+    """Return G, lower triangular, in the layout of M⁻¹."""
     offset, _, _, _, m_start, _, minv = blocks
     G = np.zeros_like(minv)
     for k in range(offset.size - 1):
@@ -55,9 +57,10 @@ def factors(blocks):
 
 @kernel
 def unit_rows(blocks, G, mu, order):
-    """Rows of Ĥᵀ, (nc, 3, 2, 8) made flat, zeros for a missing body, where the bodies begin in v̂ (nc, 2), and v̂ = 0.
+    """Return the rows of Ĥᵀ, (nc, 3, 2, 8) made flat, the places of the bodies in v̂ (nc, 2), and v̂ = 0.
 
-    In the `order` of the contacts, of which those without friction have one row, the others zeros.
+    Rows are in the `order` of the contacts, and zero for a missing body. Contacts without friction have one row and
+    zeros.
     """
     offset, block, start, H, m_start, _, _ = blocks
     out, body = np.zeros((block.shape[0], 3, 2, WIDTH)), np.empty((block.shape[0], 2), np.uint64)
@@ -77,21 +80,21 @@ def unit_rows(blocks, G, mu, order):
 
 @no_alloc(inline="always")
 def read(rows, c, body, v):
-    """Ĥ_cᵀ v̂: normal, first and second tangent."""
-    # Unsigned: the compiler need not ask whether an index counts from the end.
+    """Return Ĥ_cᵀ v̂: normal, first and second tangent."""
+    # Unsigned indices spare the test for negative ones.
     o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
     return dot(rows, o, v, a, b), dot(rows, o + PAIR, v, a, b), dot(rows, o + PAIR + PAIR, v, a, b)
 
 
 @no_alloc(inline="always")
 def apply(z, rows, c, body, v):
-    """v̂ += Ĥ_c z, z = (z_N, z_T1, z_T2) or (z_N,)."""
+    """Add Ĥ_c z to v̂, z = (z_N, z_T1, z_T2) or (z_N,)."""
     add(z, rows, CONTACT * np.uint64(c), v, body[c, 0], body[c, 1])
 
 
 @no_alloc
 def diagonal(rows, c, w):
-    """W_cc = Ĥ_cᵀ Ĥ_c, into w (3, 3)."""
+    """Write W_cc = Ĥ_cᵀ Ĥ_c into w (3, 3)."""
     first = 6 * WIDTH * c
     for i in range(3):
         for j in range(i + 1):

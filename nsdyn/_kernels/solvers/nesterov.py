@@ -1,4 +1,4 @@
-"""Projected Gauss–Seidel with momentum: on free bodies, and on a W that is given."""
+"""Projected Gauss–Seidel with momentum, for free bodies and for a given W."""
 
 import math
 
@@ -11,13 +11,13 @@ from nsdyn._kernels.problem.unit_mass import CONTACT, PAIR, apply, diagonal, fac
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.simd import dot
 
-ALERT = 2.0  # times its last change that the opening speed of a contact must be for it to be left out until looked at
-CYCLE = 400  # sweeps without a better impulse after which contacts pass their momentum around
+ALERT = 2.0  # opening speed, over its last change, above which a contact without impulse sleeps until the next check
+CYCLE = 400  # sweeps without a better impulse after which momentum is taken to cycle from contact to contact
 
 
 @no_alloc
 def _local_step(w, mu, out):
-    """1/W_NN, W_TN and 1/lambda_max(W_TT) of a contact, into out (4,); zeros for a missing row."""
+    """Write 1/W_NN, W_TN and 1/lambda_max(W_TT) of a contact into out (4,); zeros for a missing row."""
     out[0] = 1.0 / w[0, 0] if w[0, 0] > 0.0 else 0.0
     mean, half, mixed = 0.5 * (w[1, 1] + w[2, 2]), 0.5 * (w[1, 1] - w[2, 2]), 0.5 * (w[1, 2] + w[2, 1])
     largest = mean + math.sqrt(half * half + mixed * mixed)
@@ -27,7 +27,7 @@ def _local_step(w, mu, out):
 
 @kernel
 def local_steps(rows, mu):
-    """`_local_step` of every contact, shape (nc, 4)."""
+    """Return `_local_step` of every contact, shape (nc, 4)."""
     out, w = np.zeros((mu.size, 4)), np.empty((3, 3))
     for c in range(mu.size):
         diagonal(rows, c, w)
@@ -37,23 +37,23 @@ def local_steps(rows, mu):
 
 @no_alloc
 def sweep(awake, factors, given, state, keep):
-    """One sweep over the contacts that are awake, in place of r = y and of v = Ĥ y.
+    """Make one sweep over the awake contacts. It updates r = y and v = Ĥ y in place.
 
-    A contact takes its normal impulse exactly and its friction by a projected gradient step. The factors are (rows,
-    body, steps) as of `begin`, given is (q (nc, 3), mu), the free velocity and friction; state = (r, x, v, t) with the
-    last sweep's result in x (nc, 3) and the momentum's t (nc,), which shrinks to `keep` of itself where momentum was
-    wrong.
+    Each contact gets its exact normal impulse, and its friction by one projected gradient step. The factors are (rows,
+    body, steps) as in `begin`; given is (q (nc, 3), mu), the free velocity and friction. In state = (r, x, v, t), x
+    (nc, 3) is the result of the last sweep and t (nc,) the parameter of the momentum. Where the momentum points against
+    the step, t shrinks to `keep` of itself.
     """
     (rows, body, steps), (q, mu), (r, x, v, t) = factors, given, state
     for c in awake:
-        # Unsigned: the compiler need not ask whether an index counts from the end.
+        # Unsigned indices spare the test for negative ones.
         o, a, b = CONTACT * np.uint64(c), body[c, 0], body[c, 1]
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
         z0 = max(-r0, -(q[c, 0] + dot(rows, o, v, a, b)) * steps[c, 0])
         x0 = r0 + z0
         if r0 == 0.0 and x0 == 0.0:
             continue
-        if mu[c] == 0.0:  # of one row
+        if mu[c] == 0.0:  # no friction: one row
             if z0 != 0.0:
                 apply((z0,), rows, c, body, v)
                 r[c, 0] = x0
@@ -78,7 +78,7 @@ def sweep(awake, factors, given, state, keep):
 
 @no_alloc
 def extrapolate(awake, factors, mu, state):
-    """y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x; v along with it; of contacts awake."""
+    """Write y = P_K(r + b (r - x)), b = (t - 1)/(t + 1), into r, and r into x, and update v, for the awake contacts."""
     (rows, body, _), (r, x, v, t) = factors, state
     for c in awake:
         r0, r1, r2 = r[c, 0], r[c, 1], r[c, 2]
@@ -101,7 +101,7 @@ def extrapolate(awake, factors, mu, state):
 
 @no_alloc
 def refresh(factors, r, v):
-    """v = Ĥ r."""
+    """Write Ĥ r into v."""
     rows, body, _ = factors
     v[:] = 0.0
     for c in range(r.shape[0]):
@@ -111,7 +111,7 @@ def refresh(factors, r, v):
 
 @no_alloc
 def measure(factors, given, r, v, u):
-    """Larger of the error of the literature and the residual in m/s of an impulse r, given v = Ĥ r, into u W r + q."""
+    """Return the larger of the literature's error and the residual in m/s of r, given v = Ĥ r; u becomes W r + q."""
     (rows, body, _), (q, mu, scales, q_norm) = factors, given
     for c in range(mu.size):
         u0, u1, u2 = read(rows, c, body, v)
@@ -121,9 +121,10 @@ def measure(factors, given, r, v, u):
 
 @no_alloc
 def wake(u, last, r, x, awake):
-    """Put the contacts worth a sweep first in `awake` and return their number.
+    """Put the contacts that need a sweep first in `awake` and return their number.
 
-    One without an impulse sleeps while it opens faster than its velocity u has changed from the `last` time.
+    A contact without an impulse sleeps while it opens faster than `ALERT` times the change of its velocity u since the
+    `last` check.
     """
     count = 0
     for c in range(r.shape[0]):
@@ -136,17 +137,18 @@ def wake(u, last, r, x, awake):
 
 @kernel(rounds=1000)
 def solve(given, state, so_far, limits):
-    """Sweeps with Nesterov's momentum, which every contact loses by itself, from where the last call stopped.
+    """Make sweeps with Nesterov's momentum, restarted contact by contact, from where the last call stopped.
 
-    x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. A contact whose
-    momentum points against its own step, (y - x')·(x' - x) > 0, halves its t, or loses it all once that cycles. Unlike
-    a restart of all contacts or combinations of past iterates this survives contacts that change their state one after
-    the other, as a pile's do while impulses travel through it. Every `check` sweeps both measures are tested, and which
-    contacts are worth the next ones; best_r keeps the best, all else is in the `order` of the contacts. Stops after
-    `most` sweeps in all, or `patience` without a better one. Returns (sweeps, the one of the best, its measure, keep).
+    x' = sweep(y), y = P_K(x' + b (x' - x)) with b = (t - 1)/(t + 1), t growing by 1/2 a sweep. If the momentum of a
+    contact points against its own step, (y - x')·(x' - x) > 0, the contact halves its t, or loses all of it once
+    momentum cycles. Unlike a restart of all contacts, or combinations of past iterates, this survives contacts that
+    change their state one after the other, as in a pile while impulses travel through it. Every `check` sweeps both
+    measures are tested, and the contacts that need the next sweeps are chosen. best_r keeps the best impulse; all other
+    arrays are in the `order` of the contacts. The kernel stops after `most` sweeps in all, or after `patience` sweeps
+    without a better impulse. It returns (sweeps, the sweep of the best, its measure, keep).
 
-    `given` are (order, factors, (q, mu, scales, q_norm)) as of `begin`, `state` (best_r, y, x, v = Ĥ y, t (nc,) of each
-    contact), which are changed, `so_far` is what the last call returned, `limits` are (tol, most, check, patience).
+    `given` are (order, factors, (q, mu, scales, q_norm)) as in `begin`. `state` is (best_r, y, x, v = Ĥ y, t (nc,) of
+    each contact), which changes. `so_far` is the result of the last call, `limits` are (tol, most, check, patience).
     """
     order, factors, (q, mu, scales, q_norm) = given
     best_r, y, x, v, t = state
@@ -159,7 +161,7 @@ def solve(given, state, so_far, limits):
         count += 1
         sweep(awake, factors, (q, mu), moving, keep)
         if count % check == 0:
-            refresh(factors, y, v)  # what the updates leave of round-off
+            refresh(factors, y, v)  # removes the round-off of the updates
             before, u = u, before
             now = measure(factors, (q, mu, scales, q_norm), y, v, u)
             if now < best:
@@ -175,9 +177,9 @@ def solve(given, state, so_far, limits):
 
 @kernel
 def begin(blocks, q, mu, scales, q_norm, r):
-    """What sweeps from r (nc, 3) need, whose missing rows become 0, in the order of `independent`.
+    """Prepare sweeps from r (nc, 3) in the contact order of `independent`; tangents of r without friction become 0.
 
-    (order, (rows, bodies, steps), (q, mu, scales, q_norm)), then impulses, v̂ = Ĥ r, and the measure of r.
+    Returns (order, (rows, bodies, steps), (q, mu, scales, q_norm)), then impulses, v̂ = Ĥ r, and the measure of r.
     """
     order = independent(blocks)
     rows, body, v = unit_rows(blocks, factors(blocks), mu, order)
@@ -193,7 +195,7 @@ def begin(blocks, q, mu, scales, q_norm, r):
 
 @kernel
 def steps_of_matrix(W, mu):
-    """`local_steps` of a block-sparse W."""
+    """Return `local_steps` of a block-sparse W."""
     (indptr, indices, data), out = W, np.zeros((mu.size, 4))
     for c in range(mu.size):
         for p in range(indptr[c], indptr[c + 1]):
@@ -204,7 +206,7 @@ def steps_of_matrix(W, mu):
 
 @no_alloc
 def sweep_matrix(W, steps, q, mu, r, x, t, keep):
-    """`sweep` over all contacts of a block-sparse W, in place of r = y."""
+    """Make one `sweep` over all contacts of a block-sparse W, in place of r = y."""
     for c in range(mu.size):
         u0, u1, u2 = velocity_of(W, q, r, c)
         r0, r1, r2 = r[3 * c], r[3 * c + 1], r[3 * c + 2]

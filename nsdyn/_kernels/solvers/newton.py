@@ -6,10 +6,10 @@ For an impulse estimate r and penalties rho, the unknown is the velocity change 
     P_N  = max(0, r_N - rho u_N),   P_T = projection of r_T - rho u_T on the disk of radius mu P_N,
     F'   = M + Σ_c H_c A_c H_cᵀ,    A_c = -dP_c/du_c.
 
-Where a contact sticks y and u become small, and round-off with them: rho times that of whole velocities would be left
-in P, 1e-7 m/s of a tall column, where penalties have to be large since bending is so much softer than a contact.
-M is definite, so a rank-deficient W is no obstacle. A_c = rho I where a contact sticks and 0 where it is open, so
-that F' is symmetric unless a contact slips.
+Where a contact sticks, y and u become small, and so does their round-off. If the unknown were the whole velocity, rho
+times its round-off would remain in P: 1e-7 m/s in a tall column, where penalties must be large since bending is much
+softer than a contact. M is definite, so a rank-deficient W is no obstacle. A_c = rho I where a contact sticks and 0
+where it is open, so that F' is symmetric unless a contact slips.
 """
 
 import math
@@ -25,11 +25,11 @@ from nsdyn._kernels.problem.sparse import assemble, dense_pattern
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.vectors import square
 
-PATIENCE, DIVERGED = 5, 10.0  # Newton steps without settling, and growth in one, at which a penalty is called too large
-SHRINKAGE, LEAST = 0.1, 1e-3  # what is left of such a penalty, and at which no more is tried
-GROWTH, LARGEST = 2.0, 1e10  # of a penalty with which it settled in two steps, and at most: factors lose digits by it
-HALF, IDLE = 0.5, 4  # Newton steps that do not halve a measure that is near, after which what is left is round-off
-PART = 1e-2  # of the square of the multiplier step that the square of the defect is where F has settled
+PATIENCE, DIVERGED = 5, 10.0  # a penalty is too large beyond these steps without settling, or this growth of defect²
+SHRINKAGE, LEAST = 0.1, 1e-3  # factor on a penalty that is too large, and penalty below which the search ends
+GROWTH, LARGEST = 2.0, 1e10  # factor on a penalty that settles in two steps, and its limit: large ones cost digits
+HALF, IDLE = 0.5, 4  # a measure that is near is round-off if it is not halved in this number of Newton steps
+PART = 1e-2  # F has settled if its squared defect is at most this part of the squared multiplier step
 
 GOES_ON, SETTLED, FAILED = range(3)
 """Verdicts on a Newton step."""
@@ -37,7 +37,7 @@ GOES_ON, SETTLED, FAILED = range(3)
 
 @no_alloc
 def projected(u, r, rho, mu, P, step):
-    """P(u) of every contact, and P - r.
+    """Write P(u) of every contact, and P - r.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def projected(u, r, rho, mu, P, step):
     rho, mu : ndarray, shape (nc,)
         Penalties, kg, and coefficients of friction.
     P, step : ndarray, shape (3 nc,)
-        What is written, N·s.
+        Results P and P - r, N·s.
     """
     for c in range(mu.size):
         i = 3 * c
@@ -64,7 +64,7 @@ def projected(u, r, rho, mu, P, step):
 
 @no_alloc
 def stiffness(u, r, rho, mu, A):
-    """A_c = -dP_c/du_c of every contact, into A (nc, 3, 3)."""
+    """Write A_c = -dP_c/du_c of every contact into A (nc, 3, 3)."""
     for c in range(mu.size):
         i = 3 * c
         B = A[c]
@@ -86,7 +86,7 @@ def stiffness(u, r, rho, mu, A):
 
 @no_alloc
 def defect(blocks, y, P, F, work):
-    """F = M y - H P of a change P of impulses, into F (n,)."""
+    """Write F = M y - H P into F (n,), where P is a change of impulses."""
     offset, _, _, _, m_start, m, _ = blocks
     momentum(blocks, P, F)
     block_product(offset, m_start, m, y, work)
@@ -96,7 +96,7 @@ def defect(blocks, y, P, F, work):
 
 @no_alloc
 def norms_of_islands(label, q, r, out):
-    """The norm of q of every island into out (islands,); 1 where q is 0, and r is made 0 as well, its solution."""
+    """Write the norm of q of every island into out (islands,). Where q is 0 write 1, and set r to 0, the solution."""
     out[:] = 0.0
     for i in range(q.size):
         out[label[i // 3]] += q[i] * q[i]
@@ -109,7 +109,7 @@ def norms_of_islands(label, q, r, out):
 
 @kernel
 def measures_of_islands(label, scales, norms, u, r, mu, out):
-    """The measure of every island as a problem of its own, of that norm, for the impulse r and its u, into out."""
+    """Write the measure of r and its u on every island, as a problem of its own with its norm of q, into out."""
     squares = np.zeros(out.size)
     out[:] = 0.0
     for c in range(mu.size):
@@ -126,10 +126,11 @@ def measures_of_islands(label, scales, norms, u, r, mu, out):
 
 @no_alloc
 def settled(scales, u, shown, own, P, estimate):
-    """Whether u is at the velocity `shown` of P, beside the multiplier step P - estimate, and the square of the rest.
+    """Return whether u is close to the velocity `shown` of P, and the square of their difference, the defect.
 
-    `own` is the velocity of the estimate. Velocities are weighed by 1/lambda_max(W_cc), J. The rest is at most a PART
-    of the step's, or 1e-5 of the step weighed as an impulse: redundant contacts exchange impulses without any
+    Close is meant in comparison with the multiplier step P - estimate; `own` is the velocity of the estimate. Squares
+    of velocities are weighed by 1/lambda_max(W_cc), J. The squared defect may be a PART of that of the step's velocity.
+    It may also be (1e-5)² of the squared step, weighed as an impulse: redundant contacts exchange impulses without any
     velocity.
     """
     left, total, weighed = 0.0, 0.0, 0.0
@@ -143,12 +144,12 @@ def settled(scales, u, shown, own, P, estimate):
 
 @no_alloc
 def judge(given, vectors, so_far):
-    """The verdict on a Newton step: (`GOES_ON`, `SETTLED` or `FAILED`, and what goes on from `so_far`).
+    """Return the verdict on a Newton step, `GOES_ON`, `SETTLED` or `FAILED`, and the next `so_far`.
 
-    Where F has settled the estimate moves to P, and the penalty doubles if it did so in two steps, twice where that
-    gained less than a factor of two. Where it does not settle, or diverges, the penalty is too large. The best P is
+    If F has settled, the estimate moves to P. If two steps were enough the penalty is doubled, or quadrupled where the
+    measure gained less than a factor of two. If F does not settle, or diverges, the penalty is too large. The best P is
     kept in r. `given` are (mu, scales, q_norm) of the problem, `vectors` (u, shown, own, P, estimate, r), the first as
-    of `settled`, `so_far` (penalty, Newton steps with it, square of the defect before, least measure).
+    in `settled`, `so_far` (penalty, Newton steps with it, square of the last defect, least measure).
     """
     (mu, scales, q_norm), (u, shown, own, P, estimate, r), (penalty, inner, before, best) = given, vectors, so_far
     measure = measure_at(scales, shown, P, mu, q_norm)
@@ -170,11 +171,11 @@ def judge(given, vectors, so_far):
 def dense(problem, r, enough, near, penalty, most):
     """Solve (blocks, q, mu, scales, q_norm) by dense factorisations, in place of r; (factorisations, measure of r).
 
-    Proximal method of multipliers: Newton on F with full steps (a line search would stop at the kinks), and after each
-    what `judge` says. Where F settles y is from then on that of the new estimate; a failure goes back to it. The
-    penalty is `penalty` / lambda_max(W_cc). It ends where the measure is `enough`, or `near` and no longer falls. The
-    loop is that of `nsdyn.solvers.newton`, compiled: 2 us a step for one body, and 25 for ten bodies, where that takes
-    35 and 60.
+    The proximal method of multipliers takes full Newton steps on F (a line search would stop at the kinks), and judges
+    each by `judge`. Where F settles, y becomes the velocity change from the new estimate. After a failure y returns to
+    its last settled value. The first penalty is `penalty` / lambda_max(W_cc). The loop ends where the measure is
+    `enough`, or where it is `near` and no longer falls. It is the loop of `nsdyn.solvers.newton`, compiled: a step
+    takes 2 us for one body and 25 for ten bodies, instead of 35 and 60.
     """
     blocks, q, mu, scales, q_norm = problem
     n, nr = blocks[0][-1], q.size
@@ -221,7 +222,7 @@ def dense(problem, r, enough, near, penalty, most):
 
 @kernel
 def impulses(problem, r, enough, penalty, most):
-    """`dense` for (W, q, mu, scales, q_norm) with a W that is given: the unknown y is the change of the impulses.
+    """Solve (W, q, mu, scales, q_norm) as `dense`, with a given W: the unknown y is the change of the impulses.
 
     (I + A W) dy = P - r - y, u = W y + W r + q.
     """
@@ -262,7 +263,7 @@ def impulses(problem, r, enough, penalty, most):
 
 @kernel
 def extract(blocks, label, island):
-    """Contacts and blocks of one island: (contacts, blocks), whose rows and masses stay where they are."""
+    """Return (contacts, blocks) of one island. The blocks share the arrays of rows and masses of the whole problem."""
     offset, block, start, H, m_start, m, minv = blocks
     contacts = np.flatnonzero(label == island)
     own, new = block[contacts], np.full(offset.size - 1, -1, np.int64)

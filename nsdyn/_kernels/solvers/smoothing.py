@@ -1,11 +1,11 @@
-"""Smoothed law of Coulomb in the variable of the normal map, z = r - κ u with κ > 0 per contact: contact loops.
+"""Smoothed Coulomb law in the variable of the normal map, z = r - κ u with κ > 0 per contact: loops over contacts.
 
 For τ > 0 the law is replaced by
 
-    u_N r_N = τ,   u_T + λ r_T = 0,   λ (μ² r_N² - ‖r_T‖²) = 2 τ,
+    u_N r_N = τ,   u_T + λ r_T = 0,   λ (μ² r_N² - ‖r_T‖²) = 2 τ.
 
-which for any z has one solution (r, u) inside the cones, and the law itself is its limit τ → 0. A contact with μ = 0
-has only its normal component. With D = 2 τ / λ and f = 2 λ / D the law at constant τ reads dr = -A du,
+For any z the smoothed law has exactly one solution (r, u) inside the cones. Its limit τ → 0 is Coulomb's law. A contact
+with μ = 0 has only its normal component. With D = 2 τ / λ and f = 2 λ / D the law at constant τ reads dr = -A du,
 
     A_NN = r_N / u_N,   A_TT = [λ I + f r_T r_Tᵀ]⁻¹,   A_TN = A_TT f μ² r_N r_T A_NN,
 
@@ -21,10 +21,10 @@ from nsdyn._kernels.compiled import no_alloc
 
 @no_alloc(inline="always")
 def _short(t, radius, s):
-    """e = R - ‖r_T‖ > 0 with (R - e) (1 + s / (e (2 R - e))) = t, R the radius of the disk and s = 2 κ τ.
+    """Return e = R - ‖r_T‖ > 0, the root of (R - e) (1 + s / (e (2 R - e))) = t; R is the disk's radius, s = 2 κ τ.
 
-    The left side is convex in e and falls. With 2 R for 2 R - e the equation is quadratic and its root at most a factor
-    of two too small: from there Newton's steps grow towards the root.
+    The left side is convex and decreasing in e. With 2 R in place of 2 R - e the equation is quadratic, and its root is
+    too small by a factor of two at most. From there Newton's iterates grow towards the root.
     """
     half = 0.5 * s / radius
     b, c = t + half - radius, half * radius
@@ -41,7 +41,7 @@ def _short(t, radius, s):
 
 @no_alloc
 def law(z, mu, kappa, tau, r, u, slip):
-    """Solution (r, u) of the smoothed law for z, all (3 nc,), into r and u; λ and D into slip (nc, 2)."""
+    """Write the solution (r, u) of the smoothed law for z, all (3 nc,), into r and u, and λ and D into slip (nc, 2)."""
     for c in range(mu.size):
         i, k = 3 * c, kappa[c]
         root = math.sqrt(z[i] * z[i] + 4.0 * tau * k)
@@ -64,7 +64,7 @@ def law(z, mu, kappa, tau, r, u, slip):
 
 @no_alloc
 def stiffness(r, u, slip, mu, A):
-    """A of every contact, into A (nc, 3, 3)."""
+    """Write A of every contact into A (nc, 3, 3)."""
     for c in range(mu.size):
         i, B = 3 * c, A[c]
         B[:] = 0.0
@@ -83,7 +83,7 @@ def stiffness(r, u, slip, mu, A):
 
 @no_alloc
 def product(A, kappa, mu, x, out):
-    """(A + κ) x of every contact, into out (3 nc,); tangents are 0 without friction, as they have no equation there."""
+    """Write (A + κ) x of every contact into out (3 nc,). Tangents without friction have no equation and become 0."""
     for c in range(mu.size):
         i, B, k = 3 * c, A[c], kappa[c]
         out[i] = (B[0, 0] + k) * x[i]
@@ -95,7 +95,7 @@ def product(A, kappa, mu, x, out):
 
 @no_alloc
 def rate(r, u, slip, mu, kappa, tau, out):
-    """dr / dlog τ at constant z, into out (3 nc,)."""
+    """Write dr / dlog τ at constant z into out (3 nc,)."""
     for c in range(mu.size):
         i, k = 3 * c, kappa[c]
         out[i] = tau / (u[i] + r[i] / k)

@@ -1,4 +1,4 @@
-"""What a solve begins with, in one call: judge the start, solve whole what is small, judge again."""
+"""First stage of a solve in one kernel call: measure the start, solve small islands completely, measure again."""
 
 import math
 
@@ -12,30 +12,37 @@ from nsdyn._kernels.solvers import nesterov, newton
 from nsdyn._kernels.vectors import square
 
 MORE = 7
-"""Newton steps of the last attempt over those before."""
+"""Newton steps of the second attempt, as a multiple of those of the first."""
 
 NEAR = 30.0
-"""Measure over what is `enough` at which what no longer falls is round-off; where the start is good, that is good."""
+"""Multiple of `enough` below which a measure that no longer falls is round-off. Where the start is `good`, `good`
+itself is that bound."""
 
 CHECK = 5
-"""Sweeps between two measurements of a W that is given."""
+"""Sweeps between two measurements for a given W."""
 
 BALANCED = 0.1
-"""Of what is good, the most of the measure of a large island by which it may change in every step."""
+"""Largest product of measure and `change` with which the start of a large island is kept, as a fraction of `good`.
+Changes add up if every step makes them."""
 
 NEARLY, CLOSE = 2.0, 0.9
-"""What nearly is enough, and what is left of it, both in `enough`."""
+"""Largest measure of a start that nearly is enough, and measure to which the start is then improved, both in units of
+`enough`."""
 
 
 @kernel
 def small(problem, r, measure, aims, limits):
-    """Solve one island of few coordinates by `newton.dense` in place of r, of that measure; (factorisations, measure).
+    """Solve one island of few coordinates by `newton.dense` in place of r; return (factorisations, measure).
 
-    It is to be `enough` or at least `good`, the aims; where it is not, `MORE` times as many steps go to what is good
-    only, which redundant contacts may take; what these make so large that rounding leaves nothing of it is no better
-    than the start. What nearly was `enough` only comes close to that. At rest it missed what velocities an imbalance of
-    the impulses, far smaller, has added up to in many steps; impulses that take these back in one give the next as much
-    of the other sign, and so its start misses.
+    `measure` is that of the start. The aims are (`enough`, `good`): the measure to reach, and the one required. If the
+    first attempt misses `good`, a second one takes `MORE` times as many steps and aims at `good` only; redundant
+    contacts may need it. If its impulses are so large that round-off explains the measure, they are no better than the
+    start, which is restored.
+
+    If the start nearly was `enough`, the result goes only so far that it just meets `enough`. Reason: at rest the start
+    misses by velocities that have added up over many steps, from a far smaller imbalance of the impulses. Impulses that
+    remove these velocities in one step would give the next step as much of the other sign, and its start would miss,
+    too.
     """
     (enough, good), (_, penalty, max_iter) = aims, limits
     blocks, q, mu, scales, q_norm = problem
@@ -60,7 +67,7 @@ def small(problem, r, measure, aims, limits):
 
 @no_alloc
 def closed_form(W, q, mu, r, u):
-    """One contact in closed form, into r (3,) and u = W r + q."""
+    """Solve one contact in closed form; write r (3,) and u = W r + q."""
     r[0], r[1], r[2] = cones.coulomb(W, q[0], q[1], q[2], mu[0])
     for i in range(3):
         u[i] = W[i, 0] * r[0] + W[i, 1] * r[1] + W[i, 2] * r[2] + q[i]
@@ -68,7 +75,7 @@ def closed_form(W, q, mu, r, u):
 
 @kernel
 def only_contact(problem, c, r):
-    """An island of one contact in closed form, in place of r; its measure."""
+    """Solve an island of one contact in closed form, in place of r; return its measure."""
     blocks, q, mu, scales, q_norm = problem
     most, own, at = _blocks.widest(blocks[0]), slice(c, c + 1), slice(3 * c, 3 * c + 3)
     x, y, w, u = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3)), np.empty(3)
@@ -79,7 +86,10 @@ def only_contact(problem, c, r):
 
 @kernel
 def part(problem, label, k, r, measure, aims, limits):
-    """`small` for island k of several, whose norm of q is that of the problem; -1 factorisations if it is too large."""
+    """Solve island k of several by `small`; return -1 factorisations if it is too large.
+
+    The norm of q in `problem` is that of the island.
+    """
     blocks, q, mu, scales, q_norm = problem
     contacts, own = newton.extract(blocks, label, k)
     if own[0][-1] > limits[0]:
@@ -95,7 +105,10 @@ def part(problem, label, k, r, measure, aims, limits):
 
 @no_alloc
 def change(label, k, r, u, mu, before):
-    """Change of the velocities of contacts of island k that hold, from before to u (3 nc,), over these: the largest."""
+    """Return the largest velocity change from `before` to u (3 nc,) over the largest velocity, of contacts that hold.
+
+    These are contacts of island k with r_N > 0: their normals, and if they stick their tangents.
+    """
     most, size = 0.0, 0.0
     for c in range(mu.size):
         i = 3 * c
@@ -108,12 +121,13 @@ def change(label, k, r, u, mu, before):
 
 @no_alloc(rounds=10)
 def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good, limits):
-    """Solve every island of few coordinates in place of r, where r is not good `enough`.
+    """Solve every island of few coordinates in place of r, unless r is good `enough` there.
 
-    One contact in closed form, more by `small`. (So is one whose W_cc is singular, as at the tip of an arm of two
-    joints, where the closed form may miss.) Every island is a problem of its own, with its own norm of q: what one gets
-    does not depend on the others, and all together are as good as the worst. A larger one is left as it is where r is
-    good, and balances (`change`): what changes the velocities of contacts that hold adds up from step to step.
+    Islands of one contact are solved in closed form, others by `small`. (`small` also solves a single contact where the
+    closed form misses, as it may with a singular W_cc, for instance at the tip of an arm of two joints.) Every island
+    is a problem of its own, with its own norm of q: its result does not depend on other islands, and the whole is as
+    good as the worst island. A larger island keeps its r if r is good and balanced (`change`): changes of the
+    velocities of contacts that hold add up from step to step.
 
     Parameters
     ----------
@@ -124,19 +138,19 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
     before : ndarray, shape (3 nc,)
         Relative velocities before the impulses, m/s; empty if they are not known.
     label : ndarray of int, shape (nc,)
-        Room for the islands of the contacts.
+        Room for the island of each contact.
     islands : ndarray, shape (3, nc)
-        Room for their measures, 0 for those that end `good`, their norms and contacts.
+        Room for the measures of the islands, 0 for those that end `good`, their norms of q and numbers of contacts.
     enough, good : float
-        What an island is solved to, and at least.
+        Measures of an island: the aim, and the one required.
     limits : tuple
         Most coordinates, penalty, most steps.
 
     Returns
     -------
     tuple
-        Number of islands, whether one is left, factorisations, and, where none is left, the defect of the literature
-        and the residual of r; then its velocity is in u.
+        Number of islands, whether one is left unsolved, factorisations, and, where none is left, the defect of the
+        literature and the residual of r; then its velocity is in u.
     """
     offset, block = blocks[:2]
     found = _blocks.islands(block, offset.size - 1, label)
@@ -150,7 +164,7 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
     count, left, changed, c = 0, False, False, 0
     for k in range(found):
         wanted, problem = enough, (blocks, q, mu, scales, norms[k])
-        while label[c] != k:  # the first contact of an island comes after that of the one before
+        while label[c] != k:  # first contacts of islands ascend with the islands
             c += 1
         if measures[k] > enough and size[k] == 1.0:
             measures[k] = only_contact(problem, c, r)
@@ -161,7 +175,7 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
             used = -1
             if found > 1 or offset.size > 2:
                 used, measures[k] = part(problem, label, k, r, measures[k], (enough, good), limits)
-            elif offset[-1] <= limits[0]:  # one body, nothing to extract
+            elif offset[-1] <= limits[0]:  # one block, nothing to extract
                 used, measures[k] = small(problem, r, measures[k], (enough, good), limits)
             count += max(used, 0)
             changed = changed or used >= 0
@@ -178,7 +192,10 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
 
 @kernel
 def widest(blocks, label):
-    """Coordinates of the island that has the most, and how many there are; those of the contacts into label (nc,)."""
+    """Return the coordinates of the largest island and the number of islands.
+
+    The island of each contact goes into label (nc,).
+    """
     offset, block = blocks[:2]
     found, seen, out = _blocks.islands(block, offset.size - 1, label), np.zeros(offset.size, np.bool_), 0
     size = np.zeros(found, np.int64)
@@ -193,7 +210,7 @@ def widest(blocks, label):
 
 @no_alloc
 def alone(W, q, mu, scales, q_norm, r, u):
-    """Solve a problem of one contact into r; u = W r + q into u. Returns 1 and measures, as `by_matrix`."""
+    """Solve a problem of one contact; write r and u = W r + q. Returns 1 and the measures, as `by_matrix`."""
     closed_form(W[0], q, mu, r, u)
     top, residual = cones.measures(scales, u, r, mu)
     return 1, top / q_norm, residual
@@ -201,10 +218,11 @@ def alone(W, q, mu, scales, q_norm, r, u):
 
 @kernel
 def in_turn(problem, r, measure, tol, limits):
-    """Sweeps with momentum on all islands at once, then Newton, in place of r, of that measure; how many of both.
+    """Run momentum sweeps on all islands at once and Newton's method in turn, in place of r; return the number of both.
 
-    Newton gets `length` steps and every time twice as many, after sweeps of as much work: a factorisation of a W that
-    couples all contacts takes that of nc sweeps. Sweeps go on where they were, or begin anew where Newton gained.
+    `measure` is that of r at first. Newton's method gets `length` steps at first and twice as many each time. Each run
+    follows sweeps of as much work: a factorisation of a W that couples all contacts costs as much as nc sweeps. Sweeps
+    continue from their last iterate, or begin anew where Newton's method gained.
     """
     (W, q, mu, scales, q_norm), (most, length, penalty) = problem, limits
     nc, count, sweeps = mu.size, 0, (0, 0, measure, 0.5)
@@ -226,25 +244,25 @@ def in_turn(problem, r, measure, tol, limits):
 
 @no_alloc(rounds=1000)
 def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most, length, penalty):
-    """Solve a problem in place of r: lone contacts in closed form, others `in_turn`.
+    """Solve a problem in place of r: lone contacts in closed form, others by `in_turn`.
 
-    Returns the number of sweeps and factorisations, the error of the literature and the residual of r, m/s. Arrays
-    stand by themselves: those in tuples take numba twice as long.
+    Returns the number of sweeps and factorisations, the error of the literature and the residual of r, m/s. Arrays are
+    separate arguments, since numba takes twice as long for arrays in tuples.
 
     Parameters
     ----------
     indptr, indices, data : ndarray
-        W in blocks, as of `FC3D.csr`.
+        W in blocks, as in `FC3D.csr`.
     q : ndarray, shape (3 nc,)
         m/s.
     mu, scales : ndarray, shape (nc,)
     q_norm : float
         m/s.
     r, u : ndarray, shape (3 nc,)
-        Where it begins and what it finds, N·s, and into u W r + q.
+        Initial impulse and result, N·s, and room for W r + q.
     tol : float
     most, length : int
-        Sweeps, and Newton steps of the first time.
+        Most sweeps, and Newton steps of the first run.
     penalty : float
     """
     W, count = (indptr, indices, data), 0

@@ -1,4 +1,4 @@
-"""What a move need not leave alone. Names are those of `nsdyn.stepping.active_set`."""
+"""The active set of contacts of a move, and times of impact. Names are those of `nsdyn.stepping.active_set`."""
 
 import math
 
@@ -10,16 +10,16 @@ from nsdyn._kernels.stepping.touching import approach_of, known, last_status, pl
 
 @no_alloc
 def rests_of(weight, e, bounces):
-    """Speed of parting up to which a contact of restitution e rests, bounces = (½ dt, least 1 - e that counts)."""
+    """Separating speed up to which a contact of restitution e rests; bounces = (½ dt, least 1 - e that counts)."""
     return bounces[0] * weight * max(1.0 - e, bounces[1])
 
 
 @no_alloc
 def parting(contacts, x, carried, twists, sizes, out):
-    """Gaps, into out (nc,), infinite of elastic contacts that are closed, but part faster than what rests.
+    """Gaps, into out (nc,); infinite for closed elastic contacts that separate too fast to rest.
 
-    Contacts and twists, those of velocity and free acceleration, as of `touching.approach_of`; carried (nc,) is
-    what moving surfaces add to the former, m/s; sizes = (what counts as closed, tolerance, bounces).
+    Contacts and twists = (velocity, free acceleration) are as in `touching.approach_of`. carried (nc,) is what moving
+    surfaces add to normal velocities, m/s; sizes = (gap tolerance, tolerance of the solver, bounces).
     """
     (velocity, rate), (closed, tol, bounces), (_, _, scalars) = twists, sizes, contacts
     for c in range(out.size):
@@ -32,27 +32,29 @@ def parting(contacts, x, carried, twists, sizes, out):
 
 @kernel
 def captured(contacts, x, near, carried, twists, before, warm, sizes, located, out):
-    """Which contacts a move need not leave alone, into out (nc,): those `known` of those before, and others.
+    """The active set of a move: contacts whose impulses may act although impacts are located, into out (nc,).
 
-    Those are shallow, neither of a pair barred nor elastic and striking.
+    These are the contacts `known` to be closed where the move begins. A further contact is active if it stays shallow
+    within the move, its pair is not `located`, and it does not strike elastically.
 
     Parameters
     ----------
     contacts, x
-        As of `touching.approach_of`.
+        As in `touching.approach_of`.
     near : tuple
-        Radii of balls inside the shapes, m, and the fraction of that of the smaller at which a contact is deep.
+        Radii of balls inside the shapes, m, and the fraction of the smaller radius at which a contact is deep.
     carried : ndarray, shape (nc,)
         What moving surfaces add to normal velocities, m/s.
     twists : tuple
-        Those of the velocity where the move begins, of the free one and of the free acceleration.
+        Twists of the velocity where the move begins, of the free velocity and of the free acceleration.
     before : tuple
-        keys, gaps, speeds of parting and what counts as closed, of the contacts there.
+        Keys, gaps, normal velocities and gap tolerance of the contacts where the move begins.
     warm : tuple
-        keys, pairs, status.
+        Keys, pairs and status of the warm start.
     sizes : tuple
-        Second half of the move, the move, s; tolerance, m/s; bounces as of `rests_of`.
+        Lengths of the second half of the move and of the move, s; tolerance, m/s; bounces as in `rests_of`.
     located : ndarray of int
+        Pairs of shapes whose impact is to be located.
     out : ndarray of bool
     """
     (names, _, scalars), (inscribed, depth) = contacts, near
@@ -66,20 +68,20 @@ def captured(contacts, x, near, carried, twists, before, warm, sizes, located, o
     last_status(names, inscribed.size, warm, status)
     for c in range(out.size):
         k = place[c]
-        if out[c] or (k >= 0 and before_gap[k] == math.inf):  # the latter part
+        if out[c] or (k >= 0 and before_gap[k] == math.inf):  # an infinite gap: the contact separates
             continue
         i, j = names[0, c], names[1, c]
         pair, deep = i * inscribed.size + j, depth * min(inscribed[i], inscribed[j])
         weight, e = weight_of(c, contacts, x, rate), restitution[c]
         u = approach_of(c, contacts, x, begin)
         if not status[c] > 0:
-            # What bears one of two bodies that fall together is not known here: it might be as if the other fell alone.
+            # Of two bodies that fall together either may be supported, unknown here: assume that the other falls alone.
             u = min(approach_of(c, contacts, x, free), u - h * weight)
         u += carried[c]
         shallow = gap[c] + ahead * u > -deep
-        if not shallow and k >= 0 and before_gap[k] + h * parts[k] > -deep:  # its rows turn
+        if not shallow and k >= 0 and before_gap[k] + h * parts[k] > -deep:  # approaches only because its rows turn
             shallow = status[c] > 0
-            if before_gap[k] <= deep:  # what presses bears what is as near
+            if before_gap[k] <= deep:  # another pressed contact of the pair supports it
                 for l in range(warm[1].size):
                     shallow = shallow or (warm[1][l] == pair and warm[2][l] > 0)
         for b in located:
@@ -89,12 +91,13 @@ def captured(contacts, x, near, carried, twists, before, warm, sizes, located, o
 
 @no_alloc
 def touch(gap, u, change, sizes):
-    """When a gap that ends a move with the speed u, which changed by `change`, is 0, s; infinite for never.
+    """Time of impact, s, of a contact that ends a move with `gap` and speed u, changed by `change`; infinite for none.
 
-    By the parabola gap - u x + fall x²/2 in the time x before the end, of the least positive root where it ends inside.
+    The gap is the parabola gap - u x + fall x²/2 in the time x before the end. If it ends in penetration the impact is
+    at the least positive root.
     """
     _, _, theta, h = sizes
-    # Bodies go θ of the way as fast as they end.
+    # Bodies move with the velocity of the end for the fraction θ of the move.
     speed, fall = u + (2.0 * theta - 1.0) * change, 2.0 * theta / h * change
     root, x = math.sqrt(max(speed * speed - 2.0 * fall * gap, 0.0)), 0.0
     if speed < 0.0:
@@ -107,23 +110,23 @@ def touch(gap, u, change, sizes):
 
 @kernel
 def first_touch(ended, begun, active, joints, located, sizes, wide, geoms):
-    """When a move first touches what is barred, and the least gap of that, as of `nsdyn.stepping.substepping`.
+    """First time of impact of the located pairs in a move, and their least gap, for `nsdyn.stepping.substepping`.
 
     Parameters
     ----------
     ended : tuple
-        Contacts where it ends, x and twists as of `touching.approach_of`, what moving surfaces add to their speeds of
-        parting, (nc,), and twists of the free acceleration.
+        Contacts at the end of the move, x and twists as in `touching.approach_of`, what moving surfaces add to their
+        normal velocities, (nc,), and twists of the free acceleration.
     begun : tuple
-        Of the contacts where it begins (contacts, x, twists, what surfaces add).
+        Of the contacts at the beginning (contacts, x, twists, what moving surfaces add).
     active : (keys, normal impulses)
     joints : (gaps, speeds where it ends, and where it begins)
-        Of joint limits that are barred.
+        Of the located joint limits.
     located : ndarray of int
-        Pairs.
+        Pairs of shapes.
     sizes : (closed, tol, θ, h)
     wide, geoms : float, int
-        The gap where nothing is near, and the number of shapes.
+        The gap returned if no contact is near, and the number of shapes.
     """
     (contacts, x, twists, carried, rates), (begin_contacts, begin_x, begin_twists, begin_carried) = ended, begun
     (names, _, scalars), (closed, tol, _, h) = contacts, sizes

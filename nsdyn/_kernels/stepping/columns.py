@@ -1,8 +1,8 @@
-"""States as a few arrays, and views of these.
+"""Layout of states in a few arrays, and views of these arrays.
 
-What a call takes for its arguments is more than all that is done for a few bodies: a state is an array of floats, its
-results first, then what it has of the frames, of the coordinates and of the contacts, one column after the other. The
-size of a scene is (frames, coordinates, free bodies), the frames of which are the first.
+For a few bodies, passing many arguments to a kernel takes longer than the computation. A state is therefore one array
+of floats: first its results, then the columns of the frames, of the coordinates and of the contacts, one after the
+other. The size of a scene is (frames, coordinates, free bodies); the frames of free bodies come first.
 """
 
 from nsdyn._kernels.compiled import kernel
@@ -31,9 +31,9 @@ from nsdyn._kernels.packing import indices, matrices, numbers, triples
 ) = range(18)
 BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 
-# The last of the floats: numbers, with the names that they have in `System`, `GapRule`, `Auto` and `gauss`; then how
-# many there are in the rows of W of a contact at most, in how many contacts other solutions are looked for, and whether
-# Python has made the first half of the move.
+# The last array of the floats: numbers with the names that they have in `System`, `GapRule`, `Auto` and `gauss`; then
+# the most numbers in H per contact, up to how many contacts other solutions are searched, and whether Python has
+# computed the first half of the move.
 (
     WEIGHT,
     STEP,
@@ -88,16 +88,16 @@ BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
     RESULTS,
 ) = range(22)
 
-# First columns of a frame in a state, and in what is at work; of the quaternions those of free bodies are used.
+# First columns of a frame in a state, and in the work array; only quaternions of free bodies are used.
 X, QUATERNION, R, LINEAR, ANGULAR, DETECTED_AT, FRAME = 0, 3, 7, 16, 19, 22, 35
 R_THERE, REACH, DETECTED_THERE, NEAR, FRAME_WORK = 7, 16, 17, 30, 31
 
-# Columns of the coordinates, behind those of the frames: how many these are, and which.
+# Columns of the coordinates, behind those of the frames: (number of frame columns, index of the column).
 V, RATE = (FRAME, 0), (FRAME, 1)
 V_THERE, V_FREE, V_PLUS, TURN, CHANGE, V_TURNED, V_MEAN, PUSHED = [(FRAME_WORK, k) for k in range(8)]
 COORDINATE, COORDINATE_WORK = 2, 8
 
-# First columns of a contact in a state, in what was found, whose rows of W come last, and in what is at work.
+# First columns of a contact in a state, in detected contacts (H last), and in the work array.
 FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, COUPLE, CONTACT = (
     0,
     3,
@@ -125,14 +125,14 @@ LOCAL, ALONE, FORESEEN, EXCESS_SPEED, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS
     46,
 )
 
-# The first of the integers at work: how many contacts there are where the impulses act, where the step ends, and of the
-# former those that it meets; whether these are not all; keys of new ones; how often impulses may be sought once more;
-# whether they have been; whether couples act; how many contacts there is no room for; whether anything is so fast that
-# it might go unseen; whether Python has solved a problem; two of the clock.
+# The first integers of the work array: numbers of contacts at the midpoint, at the end, and in the active set; whether
+# the active set is not all of those at the midpoint; next keys at the midpoint and at the end; how often impulses may
+# be solved once more; whether they have been; whether couples act; how many contacts need memory; whether a body is so
+# fast that detection may miss a contact; whether Python has solved a problem; two integers of the clock.
 MIDDLE, END, ACTIVE, SOME, KEY_MIDDLE, KEY_END, PASSES_LEFT, AGAIN, TURNED, NEEDED, FAST, SOLVED, CLOCK = range(13)
 HEAD = CLOCK + 2
 
-# Flags of the contacts.
+# Flags of the contacts, the first index of the flags array.
 SLIDES, STAYS, STICKS, OTHER, OFF, FLAGS = range(6)
 
 
@@ -141,8 +141,8 @@ def opened(system):
     """Views of the packed arrays of a system.
 
     (numbers, size); (arm, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹, radii) of bodies; (gravity, no
-    load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as of `links.rows`) where
-    the impulses act, and where the move begins.
+    load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as in `links.rows`) at
+    the midpoint, and the same at the beginning of the move.
     """
     sf, si = system
     num, mass, J = numbers(sf, si, NUMBERS), numbers(sf, si, MASS), matrices(sf, si, INERTIA)
@@ -177,7 +177,7 @@ def opened(system):
 
 @kernel(inline="always")
 def column(f, k, n):
-    """The column k of arrays of n numbers."""
+    """The column k, n numbers."""
     return f[k * n : (k + 1) * n]
 
 
@@ -208,20 +208,20 @@ def velocity(f, k, size):
 
 @kernel(inline="always")
 def placed(f, k, n):
-    """(x, R, reach) of the columns from k on, as of `DetectionPose`."""
+    """(x, R, reach) of the columns from k on, as in `DetectionPose`."""
     return vectors(f, k, n), rotations(f, k + 3, n), column(f, k + 12, n)
 
 
 @kernel(inline="always")
 def contacts(found, nc):
-    """(names, points, scalars) of what was found, as `gather` gives them."""
+    """(names, points, scalars) of detected contacts, in the layout of `gather`."""
     f, i = found
     return i[: 5 * nc].reshape((5, nc)), f[: 12 * nc].reshape((4, nc, 3)), f[12 * nc : 15 * nc].reshape((3, nc))
 
 
 @kernel(inline="always")
 def rows(found, nc):
-    """(frame, block, start, H, scales, its size and whether they are made) of what was found."""
+    """(frame, block, start, H, scales, (size of H, whether H is computed)) of detected contacts."""
     f, i = found
     return (
         rotations(f, FRAMES, nc),

@@ -1,6 +1,6 @@
-"""A step that meets no event, its stages in a row in one call: of free bodies, and of trees but for their motion.
+"""An eventless step of free bodies and trees in one kernel call; only the motion of trees is left to Python.
 
-Each stage is made of the kernels that the general step of `nsdyn.stepping.move` calls, so that both give the same bits.
+Each stage consists of the kernels that the general step of `nsdyn.stepping.move` calls: both give the same bits.
 """
 
 import numpy as np
@@ -44,10 +44,10 @@ from nsdyn._kernels.stepping.solving import PASSES
 
 @kernel(inline="always")
 def depart(s, old, f, w):
-    """The first half of a move: how far it reaches.
+    """Compute the first half of a move; return the largest distance that points may move in the second half, m.
 
-    It may be given: Python makes its motion where there are trees, and under the forces of the user. s as of
-    `columns.opened`, as in all that follows.
+    With trees, and under forces of the user, Python has already computed the motion. s is the result of
+    `columns.opened`, here and in the functions below.
     """
     (num, size), _, _, bodies, (gravity, load), _, (free, trees), _ = s
     n, h, theta, (moments, axes, inverse_mass, inverse_J, radius) = size[0], num[col.STEP], num[col.THETA], bodies
@@ -73,10 +73,10 @@ def depart(s, old, f, w):
 
 @kernel(inline="always")
 def set_out(s, first, warm, next_key, located, asks, step, room):
-    """`depart`, and where contacts are looked for then: `DONE`, `DETECT`, or `OTHERWISE` where something strikes at once.
+    """`depart`, and the poses for detection at the midpoint: `DONE`, `DETECT`, or `OTHERWISE` for an impact at once.
 
-    first = contacts where the move begins, warm = (keys, pairs, states) of what acted last; room = (old state, results,
-    state, what is at work, integers).
+    first = contacts where the move begins, warm = (keys, pairs, states) of the contacts that acted last; room = (old
+    state, results, state, work array, integers).
     """
     (num, size), (arm, nowhere, _), _, _, _, _, _, movers_begun = s
     (b_old, out, b, w, head), n = room, size[0]
@@ -98,9 +98,11 @@ def set_out(s, first, warm, next_key, located, asks, step, room):
 
 @kernel(inline="always")
 def meet(s, contacts, warm, rooms, flags, located, room):
-    """Which of the contacts, (where the move begins, found), it meets, if not all: `DONE`, or `MORE` without room.
+    """Select the active set of a move: `DONE`, or `MORE` if the memory is too small.
 
-    rooms = (of what is met, most numbers of a contact), room = (old state, what is at work, integers).
+    contacts = (those where the move begins, those found at the midpoint). The active set is copied only if it is not
+    all found contacts. rooms = (memory for the active set, most numbers per contact), room = (old state, work array,
+    integers).
     """
     scene, (_, _, inscribed), _, _, _, _, movers, movers_begun = s
     num, (first, found), (into, wide), (b_old, w, head) = scene[0], contacts, rooms, room
@@ -120,10 +122,11 @@ def meet(s, contacts, warm, rooms, flags, located, room):
 
 @kernel(inline="always")
 def seen(s, detection, stage, move, last, rooms, flags, room):
-    """What the move meets where its impulses act, found there: `DONE`, or what else that takes.
+    """Find the contacts at the midpoint and select the active set: `DONE`, or the code of the work that is missing.
 
-    stage = (stage, ready), move = (next_key, barred, asks, step), last = (what was found where it begins, warm), rooms
-    = (room for what is found, and for what is met, most contacts and most numbers of one), room as of `set_out`.
+    stage = (stage, ready), move = (next_key, located, asks, step), last = (contacts where the move begins, warm), rooms
+    = (memory for found contacts, memory for the active set, (most contacts, most numbers per contact)), room as in
+    `set_out`.
     """
     (now, ready), (next_key, located, asks, step), (begun, warm), (all_found, some, most) = stage, move, last, rooms
     (b_old, out, _, w, head), first = room, col.contacts(begun, begun[1].size // col.FOUND_NAMES)
@@ -143,11 +146,12 @@ def seen(s, detection, stage, move, last, rooms, flags, room):
 
 @kernel(inline="always")
 def posed(s, first, last, active, rows, acted, flags, room):
-    """The problem of the move, as foreseen: `DONE`, or `OTHERWISE` where it is none, or something strikes.
+    """Pose the contact problem of the move: `DONE`, or `OTHERWISE` if it is out of range, or if a contact strikes.
 
-    last = (warm, forces of what acted last), acted = (keys, pairs, states) of what acts, room = (old state, results and
-    contacts that act, what is at work, of the contacts, places, integers). Rows that are made are those of contacts
-    that were met before.
+    Slip, couples and end gaps are first as foreseen. last = (warm, forces of the contacts that acted last), acted =
+    (keys, pairs, states) of the active set, room = (old state, results, columns of the active set, work array, work
+    columns of the contacts, places, integers). Factors of W that are computed already belong to the same contacts and
+    are reused.
     """
     (num, size), _, _, _, _, masses, (free_bodies, trees), _ = s
     (warm, force), (frame, block, start, H, scales, made), (names, _, scalars) = last, rows, active
@@ -201,9 +205,10 @@ def posed(s, first, last, active, rows, acted, flags, room):
 
 @kernel(inline="always")
 def solved(s, rows, active, flags, known, label, head, room):
-    """Impulses, and the motion to the end of the move; how that ends, `known` as of `impulses`.
+    """Solve for the impulses and move to the end; returns a code; `known` as in `impulses`.
 
-    `DONE` where free bodies are at the end of the move, `MOVE` where trees are to be moved there.
+    `DONE`: the free bodies are at the end of the move. `MOVE`: Python has to move the trees there. `SOLVE`: Python has
+    to solve the problem.
     """
     scene, _, _, bodies, _, _, movers, _ = s
     (num, size), nc, (out, w, _, a) = scene, active[0].shape[1], room
@@ -227,7 +232,7 @@ def solved(s, rows, active, flags, known, label, head, room):
 
 @kernel(inline="always")
 def goes(s, b, w, out):
-    """Whether contacts are others where the move ends than where its impulses act, and where they are looked for."""
+    """Whether the end of the move needs a new detection after that at the midpoint; sets the poses for it."""
     (num, size), (arm, _, _) = s[0], s[1]
     n = size[0]
     there = col.vectors(b, col.X, n), col.rotations(b, col.R, n), col.column(w, col.NEAR, n)
@@ -239,9 +244,10 @@ def goes(s, b, w, out):
 
 @kernel(inline="always")
 def told(s, rows, contacts, begun, flags, status, head, room):
-    """What a step did, if it met nothing: `DONE`, `EVENT`, or `OTHERWISE` where contacts add too much energy.
+    """Store the results of a step without an event: `DONE`, `EVENT`, or `OTHERWISE` if contacts add too much energy.
 
-    contacts = (met, found at its end), begun = (old state, contacts there, direction of the last certificate).
+    contacts = (active set, contacts found at the end), begun = (old state, contacts at the beginning, Slater direction
+    of the last certificate).
     """
     scene, (_, nowhere, inscribed), inertia, _, (gravity, _), masses, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
@@ -270,7 +276,7 @@ def told(s, rows, contacts, begun, flags, status, head, room):
 
 @no_alloc
 def quiet(system, detection, old, begun, new, rooms, next_key, direction, located, work, call):
-    """A move, or a whole step that is to meet no event, or as far as it goes without Python.
+    """Compute a move, or an eventless step, up to the next work that only Python can do.
 
     Parameters
     ----------
@@ -279,24 +285,24 @@ def quiet(system, detection, old, begun, new, rooms, next_key, direction, locate
     detection : tuple
         Geoms, pairs, most points of a pair, tolerance, as `seek` and `gather` take them.
     old, new : tuple
-        States: floats; keys, then pairs of shapes of the contacts that acted; what these were, of int8. The latter with
-        room for so many contacts.
+        States: floats; keys, then pairs of shapes of the active set; states of its contacts, int8. `new` has memory for
+        as many contacts as its int8 array has entries.
     begun : tuple
-        What was found where the move begins, with rows of W: floats, integers.
+        Contacts found where the move begins, with factors of W: floats, integers.
     rooms : tuple
-        Room, or none until something moves, for what is found where its impulses act, what it meets of that if not
-        all, and what is found where it ends.
+        Memory, or none until a frame moves, for contacts found at the midpoint, for the active set if it is not all of
+        these, and for contacts found at the end.
     next_key : int
     direction : ndarray
-        On which the last certificate rests.
+        Slater direction of the last certificate.
     located : ndarray of int
-        Pairs of shapes that are left alone where they are open, as of `nsdyn.stepping.move.try_move`.
+        Pairs of shapes that get no impulse where they are open, as in `nsdyn.stepping.move.try_move`.
     work : tuple
-        Room: floats, integers, flags (FLAGS, nc).
+        Work arrays: floats, integers, flags (FLAGS, nc).
     call : tuple
-        Of an int and bools: `DONE` to begin with, then how the last call ended; whether Python has placed the geoms,
-        and asked Coal of the pairs; whether Coal is asked of any pair; and whether it is a step, whose works and
-        certificate are told. Of a move it is left to see what it runs into.
+        An int and bools: `DONE` in the first call, then the code of the last call; whether Python has placed the geoms
+        and computed Coal's pairs; whether any pair needs Coal; and whether this is a step, whose works and certificate
+        are stored. After a move the caller checks for missed contacts.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Whether a move is a whole step that meets no event, and what that did, in the arrays of `columns`."""
+"""Checks whether a move is an eventless step, and the results of such a step, in the arrays of `columns`."""
 
 import math
 
@@ -14,19 +14,20 @@ from nsdyn._kernels.stepping import law, slip_reversal, touching
 from nsdyn._kernels.stepping.active_set import rests_of
 from nsdyn._kernels.stepping.eventless_contacts import all_twists
 from nsdyn._kernels.stepping.islands import located
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.vectors import square
 
-GAIN = 1e-5
-"""Of the kinetic energy with which it begins, most that contacts that persist and projections may add in a step."""
+GAIN = OPTIONS.gain
 
 SURELY = 0.5
-"""Part of `GAIN` that contacts joined by bodies may add, so that those of any larger island add less than that: its
-energy, at the velocity of all or at what gravity gives them, is at least half the sum of theirs."""
+"""Fraction of `GAIN` that the contacts of one connected group may add. Then those of any larger island add less than
+`GAIN`: its energy, at the velocity of all bodies or at the velocity that gravity gives them, is at least half the sum
+of the energies of its groups."""
 
 
 @no_alloc
 def strikes_at_once(num, active, last, old, n):
-    """Whether what is closed strikes where the step begins; last = (keys, pairs of shapes, states) of what acted."""
+    """Whether closed contacts strike at the start of the step; last = (keys, pairs, states) of the last active set."""
     x, twists = col.vectors(old, col.X, n), (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n))
     least_speed = touching.striking_speed(active, x, twists, last, int(num[col.GEOMS]), num[col.GAP_TOL])
     return least_speed < -num[col.LEAST_PENETRATION] / num[col.STEP]
@@ -34,9 +35,9 @@ def strikes_at_once(num, active, last, old, n):
 
 @kernel
 def rebounds(scene, movers, active, old, w):
-    """Whether anything strikes where the step begins, or parts, faster than what rests, of what may rebound.
+    """Whether a closed elastic contact approaches or separates at the start of the step too fast to rest.
 
-    scene = (numbers, size), movers as of `opened` where it begins.
+    scene = (numbers, size), movers as in `opened` at the beginning.
     """
     (num, size), n, rates, (names, _, scalars) = scene, scene[1][0], np.empty((2, scene[1][0], 3)), active
     v, v_free, x = col.velocity(old, col.V, size), col.velocity(w, col.V_FREE, size), col.vectors(old, col.X, n)
@@ -60,9 +61,10 @@ def rebounds(scene, movers, active, old, w):
 
 @kernel
 def turns_round(solution, mu, local, was, active, first, node):
-    """Whether any slip ends, or turns round, as of `slip_reversal.ending`, of contacts met in an island where it is located.
+    """Whether any slip ends or reverses, as in `slip_reversal.ending`, in an island whose events are located.
 
-    solution = (r, u, b), first: contacts where the move begins, by which that is told; `node` of every frame.
+    solution = (r, u, b), first: contacts at the beginning of the move, which determine the islands; `node` of every
+    frame.
     """
     ends = np.empty(was.size, np.int8)
     if slip_reversal.ending(*solution, mu, local, was, np.empty(0, np.bool_), ends) == 0:
@@ -78,10 +80,10 @@ def turns_round(solution, mu, local, was, active, first, node):
 
 @no_alloc
 def eventless(num, bodies, contacts, flags, was, spins, room):
-    """Whether nothing has turned round, got deep, arrived or turned far on the way, as `passage` asks.
+    """Whether the move has no event: no slip reversal, no deep overlap, no impact, no body in contact that turns far.
 
-    bodies = (radii of balls inside the shapes, nodes of the frames), contacts = (met, found at the end, those where the
-    move begins), spins: angular velocities of the bodies, (n, 3), at both ends.
+    bodies = (radii of balls inside the shapes, nodes of the frames), contacts = (active set, those found at the end,
+    those at the beginning), spins: angular velocities of the bodies, (n, 3), at both ends.
     """
     (inscribed, node), (active, now, first) = bodies, contacts
     nc, (names, _, scalars), (_, _, own, a) = was.size, active, room
@@ -91,7 +93,7 @@ def eventless(num, bodies, contacts, flags, was, spins, room):
     if deepest < -num[col.GAP_TOL] or turns_round((r, u, b), scalars[1], local, was, names, first[0], node):
         return False
     if deepest < -deep:
-        # Of what is so deep all is to be pressed.
+        # Every contact this deep must have an impulse.
         gap, more = col.column(a, col.GAP_END, nc), 0
         for c in range(now[2].shape[1]):
             more += now[2][0, c] < -deep
@@ -119,7 +121,7 @@ def eventless(num, bodies, contacts, flags, was, spins, room):
 
 @no_alloc
 def may_gain(mass, works, fallen):
-    """Whether contacts add any energy that matters to that of any body, at the velocity `fallen` gravity gives it."""
+    """Whether contact works could exceed the bound of `gains`, for any body at the velocity `fallen` due to gravity."""
     most, slowest = 0.0, np.inf
     for work in works:
         for c in range(work.size):
@@ -132,10 +134,10 @@ def may_gain(mass, works, fallen):
 
 @kernel
 def gains(bodies, blocks, active, flags, status, works, velocities):
-    """Whether contacts that persist, and those that could only take energy, add too much to that of any island.
+    """Whether persistent contacts, and contacts that may only dissipate, add too much energy to any island.
 
-    Trees keep their own errors small: their islands are passed over. works = (normal, friction), velocities: those that
-    the step begins with, and that gravity gives in it.
+    Islands with trees are not checked: trees keep their own errors small. works = (normal, friction), velocities =
+    (those at the beginning of the step, those that gravity gives in the step).
     """
     (mass, J), nc, (normal, friction) = bodies, status.size, works
     added, label, elastic = np.zeros((2, nc)), np.empty(nc, np.int64), np.zeros(nc, np.bool_)
@@ -173,7 +175,7 @@ def gains(bodies, blocks, active, flags, status, works, velocities):
 
 @no_alloc
 def book(scene, bodies, rows, active, flags, direction, head, status, room):
-    """What the step did: works, states, forces, energies and the certificate.
+    """Store the results of a step: works, states, forces, energies and the certificate.
 
     Parameters
     ----------
@@ -185,12 +187,12 @@ def book(scene, bodies, rows, active, flags, direction, head, status, room):
         The contacts.
     flags : ndarray of bool, shape (FLAGS, nc)
     direction : ndarray
-        Of the last certificate.
+        Slater direction of the last certificate.
     head : ndarray of int
     status : ndarray of int8, shape (nc,)
-        What the contacts were, then what they are.
+        States of the contacts in the last move, replaced by those of this step.
     room : tuple
-        The state, what is at work, that of the contacts, and what acts on them.
+        The state, the work array, the work columns of the contacts, and the columns of their impulses and works.
     """
     (num, size), (mass, J, gravity, none) = scene, bodies
     (blocks, frame, scales), (f, w, own, acted) = rows, room

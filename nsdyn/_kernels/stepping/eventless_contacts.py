@@ -1,4 +1,4 @@
-"""What a move finds, and meets of that, in the arrays of `columns`."""
+"""Contact detection and active set of a move, in the arrays of `columns`."""
 
 import numpy as np
 
@@ -9,24 +9,25 @@ from nsdyn._kernels.stepping import active_set, touching
 from nsdyn._kernels.stepping import columns as col
 
 DONE, OTHERWISE, DETECT, SOLVE, DETECT_AHEAD, MORE, MOVE, EVENT = range(8)
-"""How a call ends: the step is made; it is not quiet; geoms are to be placed, or Coal asked, where the impulses act;
-the problem is to be solved; the geoms where it ends; there is no room for so many contacts; trees are to be moved to
-the end; the move is made, but is no whole step. After LOOK, SOLVE, LOOK_AHEAD and MOVE it goes on with what Python has
-done."""
+"""Codes with which a call returns. `DONE`: the step is made. `OTHERWISE`: it is not eventless, or not for the kernel.
+`DETECT`: Python has to place the geoms, or call Coal, at the midpoint. `SOLVE`: Python has to solve the problem.
+`DETECT_AHEAD`: as `DETECT`, at the end. `MORE`: the memory for contacts is too small. `MOVE`: Python has to move the
+trees to the end. `EVENT`: the move is made, but is no whole step. After `DETECT`, `SOLVE`, `DETECT_AHEAD` and `MOVE`
+the next call continues with what Python has done."""
 
 
 @no_alloc
 def all_twists(movers, x, R, v, linear, angular):
-    """Velocities of all frames, at x (n, 3), and angular ones, world axes, into (n, 3) each; movers as of `opened`."""
+    """Linear and angular velocities of all frames at x (n, 3), world axes, into (n, 3) each; movers as in `opened`."""
     motion.twists(R, v, movers[0], linear, angular)
     links.twists(movers[1], x, v, linear, angular)
 
 
 @no_alloc
 def detect(detection, ready, detected_at, begun, into, head, which, room):
-    """Find contacts, which go on from begun = (some, next key), and `DONE`; else `DETECT`, or `MORE` if they are many.
+    """Detect contacts, `DONE`; else `DETECT` if Python has to help, `MORE` if they exceed the memory.
 
-    room = (most contacts, most numbers of each).
+    Contacts keep their keys from begun = (earlier contacts, next key). room = (most contacts, most numbers of each).
     """
     (geoms, pairs, limit, tolerance), (before, next_key), (most, wide) = detection, begun, room
     count = seek(geoms, pairs, limit, ready, detected_at)
@@ -43,10 +44,11 @@ def detect(detection, ready, detected_at, begun, into, head, which, room):
 
 @kernel
 def catch(scene, bodies, contacts, last, old, w, located, out):
-    """Which contacts that are found the move meets, into out (nc,), as of `nsdyn.stepping.active_set.captured`; how many.
+    """Active set of the found contacts, into out (nc,), as in `nsdyn.stepping.active_set.captured`; returns its size.
 
-    scene = (numbers, size), bodies = (movers where the move begins, movers there, radii of balls inside the shapes),
-    contacts = (those where it begins, those found), old: the scene where it begins.
+    scene = (numbers, size), bodies = (movers at the beginning, movers at the midpoint, radii of balls inside the
+    shapes), contacts = (those at the beginning, those found), last = (keys, pairs, states) of the contacts that acted
+    last, old: the state at the beginning.
     """
     (num, size), (movers_begun, movers, inscribed) = scene, bodies
     h, n, (before, found), v = num[col.STEP], size[0], contacts, col.velocity(w, col.V_FREE, size)
@@ -85,7 +87,7 @@ def catch(scene, bodies, contacts, last, old, w, located, out):
 
 @no_alloc
 def take(found, which, into):
-    """The contacts `which` (nc,) of those found."""
+    """Copy the contacts `which` (nc,) of those found."""
     k = 0
     for c in range(which.size):
         if which[c]:
@@ -101,13 +103,13 @@ def take(found, which, into):
 
 @no_alloc
 def gap_rule_of(num):
-    """As of `GapRule`."""
+    """The `GapRule` of the numbers of a system."""
     return num[col.GAP_TOL], num[col.SHALLOW], num[col.THETA] * num[col.STEP], num[col.UNTIL]
 
 
 @kernel
 def strikes(num, n, movers, active, local, end_gap, rate, w):
-    """Whether any contact met strikes, as of `nsdyn.stepping.collisions.striking`."""
+    """Whether any contact of the active set strikes, as in `nsdyn.stepping.collisions.striking`."""
     (names, _, scalars), x, rates = active, col.vectors(w, col.X, n), np.empty((2, n, 3))
     all_twists(movers, x, col.rotations(w, col.R_THERE, n), rate, rates[0], rates[1])
     for c in range(names.shape[1]):

@@ -1,4 +1,4 @@
-"""What contacts do in a move, where it then ends, and gaps there, in the arrays of `columns`."""
+"""Contact impulses of a move, its end, and the gaps at the end, in the arrays of `columns`."""
 
 import numpy as np
 
@@ -16,18 +16,21 @@ from nsdyn._kernels.stepping.eventless_contacts import DONE, SOLVE, gap_rule_of
 from nsdyn._kernels.stepping.solving import thaw, update_sliding
 
 AGAIN = -1
-"""The problem is posed anew."""
+"""Code: the problem has been posed anew."""
 
 
 @kernel
 def too_wide(num, blocks):
-    """Whether an island has more coordinates than are solved here."""
+    """Whether an island has more coordinates than the kernel solves."""
     return num[col.OWN] == 0.0 or widest(blocks, np.empty(blocks[1].shape[0], np.int64))[0] > int(num[col.DENSE])
 
 
 @kernel
 def impulses(scene, rows, active, flags, known, label, head, room):
-    """The impulses of the problem that is posed, or `known` to be `AGAIN`: `DONE`, or `SOLVE` until Python has."""
+    """Solve for the impulses of the problem: `DONE`, or `SOLVE` if Python has to.
+
+    `known` is `DONE` for the first problem of a move, `SOLVE` if Python has solved it, `AGAIN` if it was posed anew.
+    """
     (num, size), (blocks, _, scales), (out, w, own, a) = scene, rows, room
     nc, mu, change = scales.size, active[2][1], col.velocity(w, col.CHANGE, size)
     local = own[: col.ALONE * nc].reshape((5, 3 * nc))
@@ -58,7 +61,7 @@ def impulses(scene, rows, active, flags, known, label, head, room):
 
 @no_alloc
 def pose_anew(scene, rows, active, flags, head, room):
-    """The problem with other slip and gaps, and with what couples add, if any act; from the last impulses."""
+    """Pose the problem anew with corrected slip, end gaps and couples; the last impulses are the warm start."""
     (num, size), (blocks, _, _), (out, w, own, a), nc = scene, rows, room, active[0].shape[1]
     alone = own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc))
     local = own[: col.ALONE * nc].reshape((5, 3 * nc))
@@ -94,7 +97,7 @@ def pose_anew(scene, rows, active, flags, head, room):
 
 @no_alloc
 def arrive(num, size, bodies, f, w):
-    """The second half of a step of free bodies."""
+    """Move the free bodies through the second half of a step."""
     n, x, quaternion = size[0], col.vectors(f, col.X, size[0]), col.quaternions(f, col.QUATERNION, size[0])
     there = col.vectors(w, col.X, n), col.quaternions(w, col.QUATERNION, n), col.velocity(w, col.V_PLUS, size)
     v, R = col.velocity(f, col.V, size), col.rotations(f, col.R, n)
@@ -105,7 +108,7 @@ def arrive(num, size, bodies, f, w):
 
 @no_alloc
 def end_gaps(geoms, active, now, f, n, gap):
-    """Gaps of the contacts met where the step ends, as of `Detector.gaps`, into gap (nc,)."""
+    """Gaps of the active set at the end of the step, as in `Detector.gaps`, into gap (nc,)."""
     if not keys.kept(active[0][4], now[0][4], now[2][0], gap):
         places = col.vectors(f, col.X, n), col.rotations(f, col.R, n)
         keys.gaps(fields_of(geoms), places, room_of(geoms), active, now, gap)
@@ -113,7 +116,7 @@ def end_gaps(geoms, active, now, f, n, gap):
 
 @kernel
 def corrects(num, n, active, now, flags, room):
-    """Whether contacts that persist end with gaps that are to be closed, as of `ContactKinematics.corrected`."""
+    """Whether persistent contacts end with gaps to correct, as in `ContactKinematics.corrected`; corrects them."""
     (out, _, own, a), nc = room, active[0].shape[1]
     f, gap, r = out[col.RESULTS :], col.column(a, col.GAP_END, nc), a[col.IMPULSE * nc : col.U * nc]
     stays, off, alone = (
@@ -133,10 +136,10 @@ def corrects(num, n, active, now, flags, room):
 
 @kernel
 def changes(scene, bodies, rows, active, now, flags, head, room):
-    """Whether impulses are sought once more: contacts slip otherwise than foreseen, do work or end with gaps.
+    """Whether the impulses must be solved once more: unforeseen slip, work of persistent contacts, or end gaps.
 
-    scene = (numbers, size), bodies = (inverse_J, arm), now: contacts where the move ends. Then the problem is posed
-    anew; else the works of couples are told.
+    scene = (numbers, size), bodies = (inverse_J, arm), now: contacts at the end of the move. If True the problem is
+    posed anew; if False the works of couples are stored.
     """
     (num, size), (inverse_J, arm), (blocks, _, _), (out, w, own, a), nc = scene, bodies, rows, room, active[0].shape[1]
     if nc == 0:

@@ -1,4 +1,4 @@
-"""Islands of bodies: what may touch within a step."""
+"""Islands: groups of bodies that may touch within a step."""
 
 import math
 
@@ -8,16 +8,15 @@ from nsdyn._kernels.collision.broadphase import bounds
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem.blocks import number, unite
 from nsdyn._kernels.sorting import order as order_of
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.vectors import square
 
-WORK, EVENT = 400, 8
-"""Most contacts in all moves that an island tries in a step to locate its events, so that the effort is bounded, and
-the moves that one takes, about; what it cannot afford it catches within the rest of the step."""
+WORK, EVENT = OPTIONS.work, OPTIONS.event
 
 
 @kernel
 def located(node, frames, out):
-    """Whether events are located in the island of each node (nodes,), by the frames of its contacts, (2, nc)."""
+    """Whether events are located in the island of each node, into out (nodes,), from frames (2, nc) of the contacts."""
     parent, label, joined = np.arange(out.size), np.empty(out.size, np.int64), np.empty(frames.shape, np.int64)
     for c in range(frames.shape[1]):
         for s in range(2):
@@ -34,10 +33,11 @@ def located(node, frames, out):
 
 @kernel
 def islands(lower, upper, node, first, second, label):
-    """Connected components of nodes whose boxes overlap, or that a contact joins; how many.
+    """Connected components of nodes whose boxes overlap, or that a contact joins; returns their number.
 
-    lower, upper (geoms, 3) bound the geoms of the nodes `node` (geoms,), first and second (nc,) are the nodes of the
-    contacts; -1 for what is no node. Into label (nodes,), ascending in the order of the least node.
+    lower, upper (geoms, 3) bound the geoms, `node` (geoms,) are their nodes, first and second (nc,) the nodes of the
+    contacts; -1 for a fixed or kinematic body. The labels go into label (nodes,), ascending with the least node of each
+    component.
     """
     parent = np.arange(label.size)
     for c in range(first.size):
@@ -62,10 +62,11 @@ def islands(lower, upper, node, first, second, label):
 
 @kernel
 def sweep(fields, one, other, arm, frames, boxes, wide):
-    """Boxes about geoms at poses one = (x, R) and others, (lower, upper), (geoms, 3), with those about others too.
+    """Enlarge boxes (lower, upper), (geoms, 3), of geoms at poses one = (x, R) by the boxes at poses `other`.
 
-    Into wide (frames,) how far off the straight way geoms may be in between, by `arm` (frames,), and `bent` of their
-    way in frames that are not free. `fields` are those of `Geometry`; frames = (how many are free, bent).
+    Into wide (frames,) goes how far geoms may leave the straight way between both poses: by rotation, with `arm`
+    (frames,), and in frames that are not free by `bent` times the length of the way. `fields` are those of `Geometry`;
+    frames = (number of free ones, bent).
     """
     (free, bent), (lower, upper) = frames, boxes
     low, high = lower.copy(), upper.copy()

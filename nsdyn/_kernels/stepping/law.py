@@ -1,7 +1,7 @@
-"""The contact law of a step: relative velocities and their offsets, slip, works.
+"""The contact law of a step: relative velocities and their offsets, prediction of sliding, works.
 
-Rows come first for the contacts, three a contact (N, T1, T2), then for joint limits and joint friction. Names are those
-of `nsdyn.stepping.contact_kinematics`.
+The contacts come first with three rows each (N, T1, T2), then joint limits and joint friction. Names are those of
+`nsdyn.stepping.contact_kinematics`. "Foreseen" means predicted from the motion up to the midpoint.
 """
 
 import math
@@ -11,27 +11,25 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics.motion import beyond_potential
 from nsdyn._kernels.problem.blocks import diagonal_block, relative_velocity, widest
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
-TILTS = math.cos(0.2)
-"""Cosine of the angle by which the normal of a contact may turn in half a move: from one feature of corners to the next
-it jumps, and how fast what was there parted says nothing of what is here."""
-
-TURNS = 0.5
-"""Angle, rad, by which bodies may turn in the second half of a move for its rows to be foreseen by how they turned in
-the first. Beyond it is of first order, which never makes energy; needles that spin made all they had."""
+TILTS, TURNS = math.cos(OPTIONS.tilt), OPTIONS.turn
 
 NO_SLIP = 1e-14
-"""Slip, m/s, that is round-off: what rests on the edge of its cone slips on by less for good."""
+"""Slip, m/s, that is round-off: a body at rest with its impulse on the edge of the cone keeps slipping by less."""
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
-"""Fraction of what is to be closed that `left_open` leaves, and most of it as a fraction of what counts as closed."""
+"""Fraction of a gap that `left_open` leaves open, and the largest gap it leaves, as a fraction of the gap tolerance."""
 
 
 @no_alloc
 def warm_start(place, force, h, frame, r):
-    """Impulses in h s of the world forces of old contacts, in the frames of those that go on, into r (3 nc,)."""
+    """Warm start: impulses in h s of the world forces of old contacts, in the frames of the new ones, into r (3 nc,).
+
+    place (nc,) is the index of each contact among the old ones; new contacts (-1) get 0.
+    """
     for c in range(place.size):
         for i in range(3):
             r[3 * c + i] = 0.0
@@ -42,7 +40,7 @@ def warm_start(place, force, h, frame, r):
 
 @no_alloc
 def alone(k, names, gap, closed):
-    """Whether contact k is the only one between its frames, or all others are open by more than it."""
+    """Whether contact k is the only one between its frames, or all others have a gap larger by more than `closed`."""
     for other in range(gap.size):
         if other != k and names[2, other] == names[2, k] and names[3, other] == names[3, k]:
             if gap[other] <= max(gap[k], 0.0) + closed:
@@ -52,16 +50,21 @@ def alone(k, names, gap, closed):
 
 @no_alloc
 def begin_velocities(place, begin, here, carried, surface_velocity, u):
-    """Relative velocities of the contacts where the step begins, with the rows that they have there, into u (3 nc,).
+    """Relative velocities of the contacts at the beginning of the step, with the rows of the beginning, into u (3 nc,).
 
-    Frame f moves there with linear[f] + angular[f] x (p - x_old[f]). A contact that was found there too, at a point
-    from which the motion may have carried it here, has that point and that normal, and its tangents are those of here
-    turned by the least rotation from normal to normal; any other one has the arms and the frame of here. What rolls may
-    go any way: that of a disk which lies almost flat goes round its rim a hundred times as fast as its points, and what
-    is near enough to be met in a move is a contact of its own from the start. One of several goes as far as the bodies
-    do, for where an edge slides across another nothing rolls. Surfaces that
-    move add `carried` (old contacts, 3) there, in world axes, and `surface_velocity` (3 nc,) here, in the frames; both are
-    empty where none do. `begin` and `here` are those of `local_velocities`.
+    Frame f moves at the beginning with linear[f] + angular[f] x (p - x_old[f]). A contact may have been found at the
+    beginning too, at a point from which the motion may have carried it to the midpoint. It then uses that point and
+    that normal; its tangents are those of the midpoint turned by the least rotation from normal to normal. Any other
+    contact uses the arms and the frame of the midpoint.
+
+    The only contact of two frames may have moved any distance, because it may roll: the contact of a disk which lies
+    almost flat moves round the rim a hundred times as fast as the points of the disk. A point near enough to touch
+    within a move is a contact of its own from the start. One of several contacts moves at most as far as the bodies do:
+    where an edge slides across another nothing rolls.
+
+    Moving surfaces add `carried` (old contacts, 3) at the beginning, in world axes, and `surface_velocity` (3 nc,) at
+    the midpoint, in the contact frames; both are empty without moving surfaces. `begin` and `here` are as in
+    `local_velocities`.
     """
     (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed) = begin
     (names, points, _), frame, x = here
@@ -93,11 +96,12 @@ def begin_velocities(place, begin, here, carried, surface_velocity, u):
 
 @no_alloc
 def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out):
-    """Relative velocities of a step, what its second half adds, the gaps it ends with if nothing moves; warm start.
+    """Relative velocities of a step, their drift in its second half, gaps at its end for zero normal speed; warm start.
 
-    Of the `velocities`, u_begin has the rows of the beginning; `jacobian_drift` = u - u_begin, by which rows change though
-    nothing acts. end_gap = gap - ahead/2 drift_N, but for what the twists change: the parabola whose speed at the end
-    of the step, `ahead` seconds later, is 0; of bodies that turn by more than `TURNS` nothing is foreseen.
+    u_begin is v_begin in the rows of the beginning; u and u_free are in the rows of the midpoint. `jacobian_drift`
+    = u - u_begin is the change of relative velocity because the rows turn, without any impulse. end_gap
+    = gap - ahead/2 drift_N belongs to the parabola whose speed at the end of the step, `ahead` seconds later, is 0,
+    but for changes of the twists. For bodies that turn by more than `TURNS` no drift is foreseen.
 
     Parameters
     ----------
@@ -106,16 +110,17 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     velocities : tuple
         v_begin, v, v_free.
     surfaces : tuple
-        What surfaces that move add: carried and transport as in `begin_velocities`, all of these at the twists of the
-        impulses; transport with those of the end; normal velocities of joint friction. Each is empty for none.
+        Velocities that moving surfaces add: `carried` and `surface_velocity` as in `begin_velocities`, both with the
+        twists of the midpoint; the surface velocity with the twists of the end; normal velocities of joint friction.
+        Each is empty for none.
     begin : tuple
-        The contacts found where the step begins, places and twists of the frames there, and (how far points of the
-        frames move in about half a step, the largest gap that counts as closed).
+        The contacts found at the beginning of the step, places and twists of the frames there, and (how far points of
+        the frames move in about half a step, the gap tolerance).
     here : tuple
-        The contacts where the impulses act, their directions, and the places of the frames.
+        The contacts at the midpoint, their directions, and the places of the frames.
     warm : tuple
-        Keys, forces in world axes, h: forces whose impulses in h s start the solver; they need not be those found where
-        the step begins.
+        Keys, forces in world axes, h: forces whose impulses in h s start the solver. Their contacts need not be those
+        found at the beginning of the step.
     ahead : float
     out : tuple
         local, shape (5, 3 rows): u_begin, u, u_free, drift, warm start; end_gap, shape (rows,); and the places of the
@@ -148,7 +153,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         if ahead * ahead * spin > TURNS * TURNS:
             jacobian_drift[3 * c], jacobian_drift[3 * c + 1], jacobian_drift[3 * c + 2] = 0.0, 0.0, 0.0
         end_gap[c] = scalars[0, c] - 0.5 * ahead * jacobian_drift[3 * c]
-    # Driven bodies go with the twist of the end all the way from here, which needs no time to be reached.
+    # Kinematic bodies have the twist of the end from the midpoint on; reaching it takes no time.
     for i in range(surface_velocity.size):
         jacobian_drift[i] += transport_end[i] - surface_velocity[i]
     for i in range(joint_load.size):
@@ -157,10 +162,10 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
 
 @kernel
 def predict_sliding(blocks, mu, place, old_status, local, sliding):
-    """Which contacts slide through the step, into slides (nc,): too fast to be stopped by the friction foreseen.
+    """Predict which contacts slide through the step, too fast for the foreseen friction to stop, into sliding (nc,).
 
-    What stuck begins without slip, but for what the solver's tolerance left; of what is new nothing can be foreseen.
-    `local` is what `local_velocities` gives.
+    Only contacts that slid in the last move can. One that stuck begins without slip, except for errors of the solver's
+    tolerance; for a new one nothing can be foreseen. `local` is the result of `local_velocities`.
     """
     u_begin, u_free, jacobian_drift, guess, most = local[0], local[2], local[3], local[4], widest(blocks[0])
     x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
@@ -179,18 +184,19 @@ def predict_sliding(blocks, mu, place, old_status, local, sliding):
 
 @no_alloc
 def left_open(gap, u, ahead, closed):
-    """Gap with which a contact that stays is to end a move, G without speed there, that it begins with the speed u, m.
+    """Return the gap, m, with which a persistent contact is to end a move.
 
-    Gaps of 0 at the ends of all moves are reached with normal speeds that alternate: what a motion once had of them, at
-    a landing say, its contact forces would keep for good. In smooth motion G + h₂ u is 0. Of what it is otherwise the
-    move leaves 1/9 open, and it falls to a third each time.
+    `gap` is G, the gap at the end with zero normal speed, and u the normal speed at the beginning. If all moves ended
+    with gap 0, normal speeds would alternate in sign: the contact forces would keep an alternation for good once it
+    arose, at a landing say. In smooth motion G + h₂ u is 0. Otherwise the move leaves 1/9 of G + h₂ u open, which then
+    falls to a third with each move.
     """
     return min(max(LEFT * (gap + ahead * u), -MOST_LEFT * closed), MOST_LEFT * closed)
 
 
 @no_alloc
 def off(gap, r, stays, closed, out):
-    """Which rows stay and are pressed, but end a move with a gap (rows,), into out (rows,); whether any does."""
+    """Persistent rows with an impulse whose gap (rows,) is not 0 at the end of a move, into out (rows,); if any."""
     some = False
     for c in range(out.size):
         out[c] = stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > MOST_LEFT * closed
@@ -200,12 +206,13 @@ def off(gap, r, stays, closed, out):
 
 @kernel
 def end_otherwise(off, gap, key, ended, local, sizes, end_gap, excess_speed):
-    """Correct G and `excess_speed` (rows,) of rows that are `off` (rows,): they end with other gaps (rows,) and speeds.
+    """Correct G and `excess_speed` (rows,) of rows that are `off` (rows,): rows with other end gaps than intended.
 
-    Of ended = (names, speeds, speeds of joint rows) contacts with the names `key` (nc,) have the first there; `excess_speed` is
-    by how much these are more than foreseen, m/s. sizes = (h₂, what counts as closed). Not `off` is what ends within
-    `MOST_LEFT` of the latter where it should. A gap of more than the rows turn by, or than such speeds open, is that of
-    another contact, under whose name one that has gone far is found again: it is not, either. Returns whether any is.
+    `gap` (rows,) are the gaps at the end of the move, ended = (keys, normal speeds, speeds of joint rows) the contacts
+    found there, `key` (nc,) those of the move. `excess_speed` is how much faster than foreseen they separate, m/s.
+    sizes = (h₂, gap tolerance). A row is not `off` if its gap is within `MOST_LEFT` gap tolerances of the intended one.
+    Nor is it if its gap is larger than the drift of the rows or the excess speed can open: the gap then belongs to
+    another contact, which detection gave the key of one that moved far. Returns whether any row is off.
     """
     ahead, closed = sizes
     nc, some = key.size, False
@@ -220,7 +227,7 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, excess_speed):
                 more = ended[2][c - nc] - foreseen
             elif place[c] >= 0:
                 more = ended[1][place[c]] - foreseen
-            else:  # it rolls away: nothing is left open
+            else:  # the contact rolls away: no gap is left open
                 more = local[0, i] + end_gap[c] / ahead
             bent = math.sqrt(square(local[3, i]) + square(local[3, i + 1]) + square(local[3, i + 2]))
             off[c] = MOST_LEFT * closed < abs(gap[c] - left) <= ahead * max(bent, abs(more))
@@ -234,14 +241,17 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, excess_speed):
 def offsets(local, laws, stays, sliding, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
-    Normal: u_free + drift, plus the speed at which a gap closes where it is open, or of either sign but for what is
-    `left_open` where a row `stays` (rows,), empty for none, minus what is kept of an impact (`u_after_impact`, empty for
-    none). Tangential: u_free + drift for slip at the end of the step, u + u_free, twice the mean slip without impulses,
-    where a contact slides through. What parts, at u - drift, and is pressed all the same comes back no faster than it
-    parted, but for what an impact gave: its normal impulse does no positive work. `local` is what `local_velocities`
-    gives; laws = (end_gap, restitution, rebound, late, closing), closing = (closed, shallow, ahead, until) as of
-    `GapRule`: gaps up to `closed` count as none, those up to `shallow` close just when the next impulses act, `until`
-    seconds later, and others, and those that may rebound, within the step; `excess_speed` is that of `ContactKinematics`.
+    Normal: u_free + drift, plus the speed at which an open gap closes, minus the velocity kept from an impact
+    (`u_after_impact`, empty for none). Where a row `stays` (rows,; empty for none) its gap closes with either sign,
+    except for the part `left_open`. Tangential: u_free + drift for slip at the end of the step; u + u_free, twice the
+    mean slip without impulses, where a contact slides through. A contact that separates at u - drift and gets an
+    impulse nevertheless comes back no faster than it separated, unless an impact gave it its velocity: its normal
+    impulse does no positive work.
+
+    `local` is the result of `local_velocities`. laws = (end_gap, restitution, u_after_impact, excess_speed, rule) with
+    `excess_speed` of `ContactKinematics` and rule = (closed, shallow, ahead, until) as in `GapRule`: gaps up to
+    `closed` count as none; gaps up to `shallow` close when the next impulses act, `until` seconds later; larger ones,
+    and those that may rebound, close within the step.
     """
     u, u_free, jacobian_drift = local[1], local[2], local[3]
     end_gap, restitution, u_after_impact, excess_speed, (closed, shallow, ahead, until) = laws
@@ -265,10 +275,10 @@ def offsets(local, laws, stays, sliding, b):
 
 @no_alloc
 def reconsider(solution, local, sliding, back):
-    """Change `sliding` (nc,) where the solution (r, y, b, mu), y = W r + b, shows otherwise, and tell whether any has.
+    """Correct `sliding` (nc,) by the solution (r, y, b, mu), y = W r + b; return whether any contact changed.
 
-    One that was to slide through but sticks, or whose mean slip opposes that of the end, has stopped. One that was to
-    stop but slips on in the direction it had slides through, unless it is only looked `back`.
+    A contact predicted to slide through has stopped if it sticks, or if its mean slip opposes its slip at the end. A
+    contact predicted to stop slides through if it still slips in its first direction; with `back` this is not checked.
     """
     (r, y, b, mu), (u_begin, u, u_free, jacobian_drift) = solution, (local[0], local[1], local[2], local[3])
     some = False
@@ -291,7 +301,7 @@ def reconsider(solution, local, sliding, back):
 
 @no_alloc
 def state(r, mu, i):
-    """0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary) of rows i to i + 2."""
+    """State of rows i to i + 2: 0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary)."""
     if r[i] <= 0.0:
         return 0
     return 1 if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9) else 2
@@ -306,16 +316,19 @@ def states(r, mu, out):
 
 @no_alloc
 def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
-    """How a step ends at its contacts and joint rows: states, works [J], relative velocities, forces in world axes.
+    """Results of a step at its contacts and joint rows: states, works [J], relative velocities, forces in world axes.
 
-    Into out = (status, normal, friction, u_end, world), from what is `lasting`, (stays, sticks, works of couples) as of
-    `persistence` and the normal impulses of impacts (empty for none). `rows` are the factors of W, the transport of
-    surfaces that move, mu, what `local_velocities` gives and the directions of the contacts. The
-    states are those of `states`, but what ends no faster than `slow` sticks: impulses that redundant contacts share may
-    lie anywhere in their cones. The works (rows,) are those of the impulses at the one configuration where they act,
-    ½ (u + u⁺)·r. Returns `beyond_potential` of bodies = (mass, gravity) in a move = (h, theta), and the sums of what
-    they are in the limit of small steps: (normal, friction, nothing). Nothing is the work of a contact that stays
-    closed, with its couple, or was struck, normal, and sticks, tangential; joint rows always do work.
+    They go into out = (status, normal, friction, u_end, world). lasting = (stays, sticks, works of couples, as in
+    `persistence`, normal impulses of impacts), the latter two empty for none. rows = (factors of W, velocities of
+    moving surfaces, mu, the result of `local_velocities`, directions of the contacts). States are those of `states`,
+    but a contact that slips no faster than `slow` at the end sticks: impulses shared by redundant contacts may lie
+    anywhere in their cones. The works (rows,) are ½ (u + u⁺)·r, those of the impulses at the one configuration where
+    they act.
+
+    Returns `beyond_potential` of bodies = (mass, gravity) in a move = (h, theta), and three sums of works: normal,
+    friction, and works that vanish in the limit of small steps. The last has the normal work, with that of the couple,
+    of contacts that stay closed or were struck, and the tangential work of contacts that stick. Joint rows always do
+    work.
     """
     blocks, surface_velocity, mu, local, frame = rows
     stays, sticks, turned, struck = lasting

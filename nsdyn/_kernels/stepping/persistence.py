@@ -1,4 +1,4 @@
-"""Contacts that persist through a move, and the couples that make them do no work."""
+"""Persistent contacts of a move, and the couples with which they do no work."""
 
 import math
 
@@ -12,36 +12,41 @@ from nsdyn._kernels.stepping.touching import last_status, places
 from nsdyn._kernels.vectors import along, dot, put, row, square, times, to_local
 
 STILL = 1e-3
-"""Fraction of what forces, and bodies that turn towards each other, change a velocity by in a move below which a closed
-contact neither approaches nor slips; and of what counts as closed, by which the rows of a contact at rest may drift."""
+"""Two thresholds. A closed contact neither approaches nor slips below this fraction of the change of velocity that
+forces, and bodies that turn towards each other, make in a move. The rows of a contact at rest may drift by this
+fraction of the gap tolerance."""
 
 LEFT = 1e-8
-"""What the solver's tolerance leaves of a relative velocity, and of what its rows turn by: bodies that fall together,
-on which forces change no more, do not press."""
+"""Fraction of a relative velocity, and of the drift of its rows, that the solver's tolerance leaves as an error: bodies
+that fall together, where forces change the relative velocity by no more than that, have no contact impulse."""
 
 JOLT = 1.0
-"""Speeds of approach that are errors of a motion, in drifts of the rows over half a move: these are of first order,
-errors of second. Where nothing turns there are none, and what approaches is stopped."""
+"""Largest approach speed that counts as an error of the motion, in units of the drift of the rows over half a move: the
+drift is of first order, errors are of second. Where no body turns there are no such errors: an approach is stopped."""
 
 ARM = 1.0
-"""Most that a couple moves a contact force, in lengths h ω R: as far as points of the body go in the move."""
+"""Largest distance by which a couple shifts a contact force, in units of h ω R, the way of body points in the move."""
 
 NO_ARM, NO_WORK, NOISE = 1e-10, 1e-13, 1e-10
-"""Arms, as fractions of R, of what may be at rest, which have no couples; works, of r_N R ω, that are round-off;
-and those that are if another pass does not halve them: impulses of redundant contacts are less exact."""
+"""Shifts of the force, as a fraction of R, below which bodies may be at rest and get no couple; works, as fractions of
+r_N R ω, that are round-off; works that are round-off unless another pass halves them: impulses of redundant contacts
+are less exact."""
 
 
 @kernel
 def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
-    """Which rows persist, into out = (stays, sticks, was): those that do no work along and across their normals.
+    """Persistent rows, into out = (stays, sticks, was): they do no work along (stays), across (sticks) their normals.
 
-    What pressed in the last move, by `warm` as of `last_status`, or was closed where this one begins, by begin = (the
-    contacts, what counts as closed, h), and did not approach, stays, as do joint limits, of which `limits` has
-    (gaps, whether they pressed), (rows - nc,) each. Not what is squeezed, so that it overlaps, strikes or parts: an
-    approach in h s faster than `JOLT` drifts of the rows is one of the bodies, and no error. What stuck sticks however
-    it approaches, for its slip is an error, as does what stays and did not slip there. Gaps that count as closed, of
-    rows that do not turn, are set to 0. Returns whether anything stays. What contacts were in the last move goes into
-    was (nc,), slip if they were closed without pressing, and slip now.
+    A contact stays if it had an impulse in the last move, by `warm` as in `last_status`. It also stays if it was closed
+    where this move begins and did not approach; begin = (the contacts there, gap tolerance, h). The same holds for
+    joint limits: limits = (gaps, whether they had an impulse), (rows - nc,) each. A contact does not stay if it
+    overlaps (is squeezed), strikes or separates: an approach in h s faster than `JOLT` drifts of the rows is a motion
+    of the bodies and no error. With `struck` no row stays.
+
+    A contact that stuck sticks however it approaches, because its slip is an error. A contact that stays and did not
+    slip at the beginning sticks too. Gaps within the gap tolerance of rows that do not turn are set to 0. The states of
+    the last move go into was (nc,): slip for contacts that were closed without an impulse and slip now. Returns whether
+    any row stays.
     """
     ((begin_names, _, scalars), closed, h), (stays, sticks, was), key = begin, out, names[4]
     begin_gap = scalars[0]
@@ -81,7 +86,7 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
 
 @no_alloc
 def spin_of(f, free, R, v):
-    """Angular velocity of frame f, that of a free body or of one that stands still, world axes."""
+    """Angular velocity, world axes, of frame f, a free body; 0 for any other frame, taken to be fixed."""
     if f < 0 or f >= free:
         return 0.0, 0.0, 0.0
     i = 6 * f + 3
@@ -91,7 +96,7 @@ def spin_of(f, free, R, v):
 
 @no_alloc
 def add_couple(f, sign, couple, R, inverse_J, dv):
-    """Add to dv what a couple in world axes does to frame f, unless that stands still."""
+    """Add to dv the change of velocity of frame f by `sign` times a couple in world axes; none for the world (-1)."""
     if f >= 0:
         own = to_local(R, f, couple)
         for i in range(3):
@@ -101,21 +106,22 @@ def add_couple(f, sign, couple, R, inverse_J, dv):
 
 @no_alloc
 def holds(i, r, y, mu):
-    """Whether the contact of the rows from i on does not slip, at r and y = W r + b."""
+    """Whether the contact with the rows from i on does not slip, at r and y = W r + b."""
     if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9):
         return True
-    # Of what redundant contacts share some may be at its limit all the same.
+    # Of redundant contacts that share an impulse some may be at the friction limit without slip.
     return math.sqrt(square(y[i + 1]) + square(y[i + 2])) <= LEFT
 
 
 @kernel
 def couples(blocks, contacts, mean, bodies, pressed, flags, found):
-    """Couples that make contacts of free bodies that persist do no work, and the change of v by them.
+    """Couples with which persistent contacts of free bodies do no work, and the change of v by the couples.
 
-    With w = Σ r·ū of the contacts of a pair of shapes, normal and, of those that stick, tangential, and ω̄ how body 2
-    turns on body 1, the pair turns by -w ω̄/‖ω̄‖² and back: as if its forces pressed a little elsewhere, at most by
-    `ARM` h ‖ω̄‖ R. Where nothing sticks only across the normal, about which a normal force has no moment. Contacts carry
-    it in the ratio of their pressures. Velocities are relative to surfaces that move: the work of these is their own.
+    w = Σ r·ū is the work of the contacts of a pair of shapes: normal work, and tangential work of those that stick. ω̄
+    is the angular velocity of body 2 relative to body 1. The couple on body 2 is -w ω̄/‖ω̄‖², on body 1 the opposite,
+    as if the contact forces acted at shifted points, by at most `ARM` h ‖ω̄‖ R. If no contact sticks, ω̄ is taken
+    perpendicular to the normal, because a normal force has no moment about it. Contacts share the couple in proportion
+    to their normal impulses. Velocities are relative to moving surfaces, whose own work is booked separately.
 
     Parameters
     ----------
@@ -127,20 +133,20 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
     bodies : tuple
         R, inverse_J, shapes (frames, 3, 3), (nf, 3, 3); how far bodies reach from their centres, (frames,), m; and h.
     pressed : tuple
-        r, y = W r + b and mu, shapes (3 rows,), (3 rows,) and (rows,), what moving surfaces add to u, (3 rows,), empty
-        if none move, and what the solver leaves of a relative velocity, m/s: works of that are no works.
+        r, y = W r + b and mu, shapes (3 rows,), (3 rows,) and (rows,); what moving surfaces add to u, (3 rows,), empty
+        if none move; and the error of a relative velocity that the solver leaves, m/s, whose work is not corrected.
     flags : three ndarrays of bool, shape (nc,)
         Contacts that stay, stick, and slide through.
     found : tuple
-        couple, shape (nc, 3), on body 2, world axes, N·m·s: those that act, changed where others would do no work; dv,
-        shape (n,), the change of v by them; left, shape (nc,), the work that the couples of the pair leave, J, changed
-        from that of those before, infinite if none was looked for, or gaps were others then; other, shape (nc,),
-        whether they differ from those that act by more than round-off.
+        couple, shape (nc, 3), on body 2, world axes, N·m·s: the couples so far, replaced where the work is not 0; dv,
+        shape (n,), the change of v by the couples; left, shape (nc,), the work that the couples of the pair leave, J,
+        on entry that of the pass before, infinite if there was none or its gaps were different; other, shape (nc,),
+        whether the new couples differ from those so far by more than round-off.
 
     Returns
     -------
     bool
-        Whether any does.
+        Whether any couple differs.
     """
     names, normal = contacts[0], contacts[1][1]
     geom1, geom2, frame1, frame2 = names[0], names[1], names[2], names[3]
@@ -204,7 +210,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
 
 @no_alloc
 def turns(v, free, h):
-    """Whether any of the free bodies may turn on another by so much in h s that they have couples."""
+    """Whether any free body may turn relative to another far enough in h s for a couple."""
     most = 0.0
     for f in range(free):
         most = max(most, square(v[6 * f + 3]) + square(v[6 * f + 4]) + square(v[6 * f + 5]))
@@ -213,7 +219,7 @@ def turns(v, free, h):
 
 @kernel
 def turn(blocks, contacts, mean, bodies, pressed, flags, found):
-    """`couples` in place of those that act, where others do less work; whether any do."""
+    """Replace the couples so far by `couples` if any contact then does less work; return whether they changed."""
     couple, dv, left, other = found
     other[:] = False
     if not turns(mean, bodies[1].shape[0], bodies[3]):

@@ -1,4 +1,4 @@
-"""Slip that ends, or turns round, within a move. Names are those of `nsdyn.stepping.contact_kinematics`."""
+"""Slip that ends or reverses within a move. Names are those of `nsdyn.stepping.contact_kinematics`."""
 
 import math
 
@@ -7,19 +7,19 @@ from nsdyn._kernels.stepping.law import state
 from nsdyn._kernels.vectors import square
 
 ROUND = 0.5
-"""Cosine of the angle from which on slip has turned round in a move: by less than 60° its mean tells its direction."""
+"""Cosine of the angle from which on slip counts as reversed in a move: below 60° the mean slip gives its direction."""
 
 STANDS = 1e-6
-"""Fraction of the slip where a move begins that is none at its end."""
+"""Slip at the end of a move that counts as none, as a fraction of the slip at its beginning."""
 
 
 @no_alloc
 def ending(r, y, b, mu, local, was, slid, out):
-    """Contacts and joint rows that slide where a move begins, and no longer that way at its end, into out (rows,).
+    """Contacts and joint rows whose slip at the beginning of a move ends or reverses before its end, into out (rows,).
 
-    1 where it sticks, 2 where it has turned round, or sticks by friction along the slip it had, 0 else; returns the
-    most of those that are pressed. The solution is y = W r + b, was (nc,) what the contacts were in the last move, slid
-    (joint rows,) which of those are dry friction that slid.
+    1: the row sticks at the end. 2: its slip has reversed, or it sticks by friction along its former slip. 0: neither.
+    Returns the largest value of rows with an impulse. The solution is y = W r + b; was (nc,) are the states of the
+    contacts in the last move, slid (joint rows,) the rows of dry joint friction that slid.
     """
     u_begin, u_free, jacobian_drift = local[0], local[2], local[3]
     nc, most = was.size, 0
@@ -38,8 +38,8 @@ def ending(r, y, b, mu, local, was, slid, out):
             onward, before, after = onward + u_begin[j] * end, before + square(u_begin[j]), after + square(end)
             gain += r[j] * (u_begin[j] + end)
         if before == 0.0:
-            continue  # it has stopped where the move begins
-        # Of what redundant contacts share some may be at its limit though the body sticks.
+            continue  # it had stopped before the move
+        # Of redundant contacts that share an impulse some may be at the friction limit though the body sticks.
         if found == 1 or after <= STANDS * STANDS * before:
             out[c] = 2 if gain > 0.0 else 1
         elif onward < ROUND * math.sqrt(before * after):

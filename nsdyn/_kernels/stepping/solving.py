@@ -1,4 +1,4 @@
-"""Which impulses of a move are sought once more: of islands that slip otherwise, turn otherwise or end elsewhere."""
+"""Islands of a move whose impulses are solved once more: their slip, couples or end gaps differ from the foreseen."""
 
 import numpy as np
 
@@ -7,13 +7,14 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping.law import reconsider
 
 PASSES = 8
-"""Most times that the impulses of a move are sought once more, with other slip, couples and gaps. Each makes what is
-left of the latter smaller by about h ω; slip is, after the first, only changed where it would be turned round."""
+"""Most times that the impulses of a move are solved once more, with corrected slip, couples and gaps. Each pass reduces
+the remaining error of couples and gaps by a factor of about h ω. After the first pass slip is only corrected where it
+would be reversed."""
 
 
 @kernel
 def concerned(blocks, some):
-    """Rows in islands of which a row is among `some` (rows,), shape (rows,)."""
+    """Rows of islands with at least one row in `some` (rows,), shape (rows,)."""
     label, out = np.empty(some.size, np.int64), np.empty(some.size, np.bool_)
     islands = np.zeros(_blocks.islands(blocks[1], blocks[0].size - 1, label), np.bool_)
     for c in range(some.size):
@@ -26,7 +27,7 @@ def concerned(blocks, some):
 
 @kernel
 def thaw(blocks, some, before, after):
-    """Leave (r, u) as they were `before`, in after, in the islands of which no row is among `some` (rows,)."""
+    """Restore (r, u) from `before` into `after` in the islands without a row in `some` (rows,)."""
     anew = concerned(blocks, some)
     for c in range(some.size):
         if not anew[c]:
@@ -36,9 +37,9 @@ def thaw(blocks, some, before, after):
 
 @kernel
 def update_sliding(blocks, solution, local, sliding, back, some, out):
-    """`law.reconsider` contacts of the islands of which a row is among `some` (rows,), of all if that is empty.
+    """Apply `law.reconsider` to islands with a row in `some` (rows,), to all islands if `some` is empty.
 
-    Into out (nc,) which slide otherwise than before; whether any does.
+    Into out (nc,) the contacts whose `sliding` changed; whether any did.
     """
     nc, found = sliding.size, False
     for c in range(nc):

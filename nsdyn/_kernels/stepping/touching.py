@@ -1,6 +1,6 @@
-"""Where contacts were found before, and how fast bodies approach each other there.
+"""Matching of contacts with earlier ones, reuse of detection, and normal velocities of contacts.
 
-Contacts are (names, points, scalars), as `nsdyn.collision.contacts.ContactSet` has them.
+Contacts are (names, points, scalars), the fields of `nsdyn.collision.contacts.ContactSet`.
 """
 
 import numpy as np
@@ -10,12 +10,12 @@ from nsdyn._kernels.sorting import order, place_of
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
 
 LEAST = 5e-324
-"""The least impulse there is, N·s."""
+"""The least positive impulse, N·s."""
 
 
 @no_alloc
 def places(old_key, new_key, out):
-    """Where every new key stands among the old ones, -1 where it does not, into out (nc,)."""
+    """Index of every new key among the old ones, -1 for a key that is new, into out (nc,)."""
     known = 0
     while known < min(old_key.size, new_key.size) and old_key[known] == new_key[known]:
         out[known] = known
@@ -36,7 +36,7 @@ def sorted_places(old_key, new_key, begin, out):
 
 @kernel
 def known(key, old_key, old_gap, closed, out):
-    """Which contacts are among old ones that are closed, into out (nc,); whether all are."""
+    """Contacts that are among the old ones with gap up to `closed`, into out (nc,); whether all are."""
     place, every = np.empty(key.size, np.int64), True
     places(old_key, key, place)
     for c in range(key.size):
@@ -47,9 +47,9 @@ def known(key, old_key, old_gap, closed, out):
 
 @no_alloc
 def unmoved(detected_at, now, arm, tol):
-    """Whether no point of the frames, `arm` (n,) from their origins at most, moved by tol, nor must see so far.
+    """Whether no point of the frames moved by more than tol, and no reach of detection grew by more than tol.
 
-    `detected_at` and `now` are (x, R, reach).
+    Points are at most `arm` (n,) from the origins of their frames. `detected_at` and `now` are (x, R, reach).
     """
     (x, R, reach), (x_now, R_now, reach_now) = detected_at, now
     for f in range(arm.size):
@@ -65,10 +65,10 @@ def unmoved(detected_at, now, arm, tol):
 
 @no_alloc
 def detection_pose(detected_at, now, arm, tol, out):
-    """Where contacts are looked for: each frame where it was until it moves by tol, or must see farther.
+    """Poses for contact detection, into out = (x, R, reach); whether all frames keep their pose.
 
-    What is found of a pair so depends on its two frames alone. As in `unmoved`, into out = (x, R, reach); whether all
-    frames are where they were.
+    Each frame keeps its earlier pose until it moves by tol, or needs a longer reach, as in `unmoved`. The contacts
+    found of a pair therefore depend on its two frames alone.
     """
     (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out), every = detected_at, now, out, True
     for f in range(arm.size):
@@ -85,7 +85,7 @@ def detection_pose(detected_at, now, arm, tol, out):
 
 @no_alloc
 def approach_of(c, contacts, x, twists):
-    """Normal velocity of contact c of frames at x with twists = (linear, angular), as of `begin_velocities`, m/s."""
+    """Normal velocity of contact c, m/s; frames at x have twists = (linear, angular), as in `begin_velocities`."""
     (names, points, _), (linear, angular) = contacts, twists
     p, w = row(points[0], c), (0.0, 0.0, 0.0)
     for s in range(2):
@@ -105,7 +105,7 @@ def approach(contacts, x, twists, out):
 
 @no_alloc
 def weight_of(c, contacts, x, rates):
-    """`weights` of contact c."""
+    """One entry of `weights`: that of contact c."""
     (names, points, _), (linear, angular) = contacts, rates
     p, n, total = row(points[0], c), row(points[1], c), 0.0
     for f in (names[2, c], names[3, c]):
@@ -116,10 +116,10 @@ def weight_of(c, contacts, x, rates):
 
 @no_alloc
 def weights(contacts, x, rates, out):
-    """How much faster free accelerations would make each contact approach, |a1·n| + |a2·n|, into out (nc,), m/s².
+    """Sum of the free normal accelerations of both bodies, |a1·n| + |a2·n| per contact, into out (nc,), m/s².
 
-    Of frames whose accelerations are those fields; as in `approach_of`. Not their difference: what two bodies that fall
-    together rest by is nothing, but one of them is borne.
+    rates = (linear, angular) are accelerations of the frames, used as in `approach_of`. The sum, not the difference: of
+    two bodies that fall together the difference is 0 and nothing could rest by it, but one of them is supported.
     """
     for c in range(out.size):
         out[c] = weight_of(c, contacts, x, rates)
@@ -127,10 +127,11 @@ def weights(contacts, x, rates, out):
 
 @kernel
 def last_status(names, geoms, warm, out):
-    """What each contact was in the last move, 0 open, 1 stick, 2 slip, into out (nc,).
+    """State of each contact in the last move, 0 open, 1 stick, 2 slip, into out (nc,).
 
-    By warm = (keys, pairs of so many geoms, states) of what acted then. One without a name there goes on from those of
-    its pair of shapes whose names are lost: it has rolled far.
+    warm = (keys, pairs of shapes, states) are the contacts that acted in that move; a pair is coded with the number
+    `geoms` of shapes. A contact whose key is new takes the state of contacts of its pair whose keys no longer exist: it
+    has rolled far.
     """
     key, (warm_key, warm_pair, warm_status) = names[4], warm
     place, kept = np.empty(key.size, np.int64), np.empty(warm_key.size, np.int64)
@@ -146,10 +147,10 @@ def last_status(names, geoms, warm, out):
 
 @kernel
 def striking_speed(contacts, x, twists, warm, geoms, closed):
-    """The least normal velocity of contacts that may strike, m/s, 0 if none is negative.
+    """Least normal velocity of contacts that may strike, m/s, 0 if none is negative.
 
-    Those that are closed, but that pressed in the last move and do not rebound: they turn with their bodies, and close
-    a little without striking.
+    These are the closed contacts, except those that had an impulse in the last move and no restitution: they turn with
+    their bodies, and approach a little without an impact.
     """
     names, _, scalars = contacts
     was, least = np.empty(names.shape[1], np.int8), 0.0
@@ -162,9 +163,9 @@ def striking_speed(contacts, x, twists, warm, geoms, closed):
 
 @no_alloc
 def turns_far(contacts, status, closed, spins, most, out):
-    """Which contacts touch whose bodies turn faster than `most`, rad/s, into out (nc,).
+    """Contacts that are closed, or have an impulse, with a body that turns faster than `most`, rad/s, into out (nc,).
 
-    Those that are closed, or press. spins: angular velocities of the frames, (frames, 3), at both ends of a move.
+    spins: angular velocities of the frames, (frames, 3), at both ends of a move.
     """
     names, _, scalars = contacts
     for c in range(out.size):
