@@ -41,7 +41,7 @@ def captured_impacts(
     while True:
         impact = _strike(s, kin, closed, resting, resting)
         after = kin.changed(kin.rows.velocity_change(impact.r), struck)
-        # What is so driven against others strikes them too.
+        # Contacts that these impacts make approach and close strike, too.
         driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, h)
         if not driven.any():
             return after, impact
@@ -49,7 +49,7 @@ def captured_impacts(
 
 
 def _closes(s: System, kin: ContactKinematics, h: float) -> Bools:
-    """Which gaps close within a move of h s if nothing else acts."""
+    """Mark the gaps that close within a move of h s if no impulse acts."""
     u_free, jacobian_drift = kin.u_free[0::3], kin.jacobian_drift[0::3]
     out: Bools = kin.end_gap + s.theta * h * (u_free + jacobian_drift) <= 0.0
     return out
@@ -86,8 +86,8 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * OPTIONS.joint)
     depth[:nc] = s.penetration_tol(contacts)
     if s.depth >= OPTIONS.depth_located:
-        # What was pressed before turns with its bodies: it closes a little without striking. But what has just closed
-        # its gap still approaches, and where that gains energy it is stopped first.
+        # A contact that pressed before turns with its bodies: it closes a little without striking. But a contact that
+        # has just closed its gap still approaches, and where that gains energy it is stopped first.
         depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
     slow = np.where(kin.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, kin, kin.end_gap <= s.gap_tol, resting, slow)
@@ -126,7 +126,7 @@ def _passing(s: System, at: SceneState, closed: ContactSet, surfaces: Array, lim
 
 
 def _strike(s: System, kin: ContactKinematics, closed: Bools, resting: Array, slow: Array) -> Impact:
-    """Impacts of the closed contacts and joint limits."""
+    """Compute the impacts of the closed contacts and joint limits."""
     at = Round(kin.rows.blocks, kin.u, kin.mu, kin.restitution, closed, s.solver)
     return strike(s.impact, at, resting, slow)
 

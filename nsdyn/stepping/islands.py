@@ -258,7 +258,7 @@ class Islands:
         changed = [x is not y for x, y in zip(limited.trees, a.mid.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
         opened[label[np.concatenate(out)]] = True
-        # What passes through something unseen.
+        # Bodies that pass through others unseen.
         fast = d.node[:-1][a.mid.reach > OPTIONS.unseen * s.smallest] if a.mid.fast else d.node[:0]
         if (fast < 0).any() or not opened[label[fast]].all():
             poses = begin.placement, mid.state.placement, a.moved.placement

@@ -89,7 +89,7 @@ class Midpoint:
 
     @cached_property
     def fast(self) -> bool:
-        """Whether that is so far that it might go unseen."""
+        """Whether some points may move so far in the second half that contacts go unseen."""
         fast: bool = _reductions.most(self.reach) > OPTIONS.unseen * self.s.smallest
         return fast
 

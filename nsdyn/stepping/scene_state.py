@@ -82,7 +82,7 @@ class System(NamedTuple):
 
     @property
     def capturing(self) -> System:
-        """The same in a move that catches what it meets, and what strikes as slowly where it begins."""
+        """The system of a move that captures the contacts it meets, and impacts as slow where it begins."""
         return self._replace(depth=max(self.depth, OPTIONS.depth_captured))
 
     def during(self, t: float, h: float, begin: Position) -> System:
@@ -112,7 +112,7 @@ class System(NamedTuple):
         together: ContactSet | None = None,
         foreseen: Array | None = None,
     ) -> Touches:
-        """Contacts of `Detector.touches` of pairs so `Options.unseen` that where they end does not tell which sides met."""
+        """Return `Detector.touches` of pairs so fast (`Options.unseen`) that their end does not tell which sides met."""
         return self.detector.touches(begin, end, memory, known, OPTIONS.unseen * self.inscribed, together, foreseen)
 
     def detection_pose(self, last: DetectionPose, now: Poses, reach: Array) -> DetectionPose | None:
@@ -128,7 +128,7 @@ class System(NamedTuple):
     def penetration_tol(self, contacts: ContactSet) -> Array:
         """Return the penetrations, m, that a move may capture: deeper contacts are impacts to be located.
 
-        Joint limits have `depth` times a fixed length, in place of the inscribed radius.
+        For joint limits, `Options.joint` takes the place of the inscribed radius.
         """
         out: Array = self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
@@ -154,7 +154,7 @@ class System(NamedTuple):
         """
         c, w = at.contacts, at.warm
         warm = w.key, w.pair, w.status
-        # But where such a contact has just closed its gap and that gains energy, it is stopped first.
+        # But where a contact has just closed its gap and that gains energy, the contact is stopped first.
         if self.depth < OPTIONS.depth_located:
             warm = w.key, w.pair, np.zeros_like(w.status)
         least: float = _touching.striking_speed(
@@ -164,15 +164,16 @@ class System(NamedTuple):
 
     @property
     def bounces(self) -> tuple[float, float]:
-        """Half a step, s, and the least 1 - e that counts in it, as of `resting`."""
+        """Half a step, s, and the least 1 - e that counts in it, for `resting`."""
         return 0.5 * self.dt, 1.0 / OPTIONS.bounces
 
     def resting(self, kin: ContactKinematics, there: Placement, rate: Array) -> Array:
         """Return speeds of approach, m/s, up to which contacts rest after an impact, at the free acceleration `rate`.
 
-        After an impact that leaves u the flight takes 2 u/a_n, with the free accelerations of both bodies along the
-        normal added up, and those that follow e, e², ... times as long: they are over within a step, or the `Options.bounces` of
-        it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS). What the solver's tolerance leaves of a velocity is no approach.
+        The shape of `rate` is (n,). After an impact that leaves u the flight takes 2 u/a_n, where a_n adds up the free
+        accelerations of both bodies along the normal. The next flights take e, e², ... times as long. Where u ≤ ½ a_n
+        dt max(1 - e, 1/N), all flights end within a step, or the N = `Options.bounces` flights do that count as
+        infinitely many. An approach within the solver's tolerance is none.
         """
         d, c, e = self.dynamics, kin.contacts, kin.restitution
         weight = np.empty(c.gap.size)
@@ -185,14 +186,14 @@ class System(NamedTuple):
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
-        """Whether bodies are in each other by more than `Options.unseen` of the inscribed radius of the smaller shape."""
+        """Return whether bodies penetrate by more than `Options.unseen` of the smaller shape's inscribed radius."""
         if _reductions.least(contacts.gap) >= -OPTIONS.unseen * self.smallest:
             return False
         radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return bool((contacts.gap < -OPTIONS.unseen * radius).any())
 
     def shifted(self, before: Position, after: Position) -> bool:
-        """Whether a projection moved points of a free body by more than `Options.unseen` of the least inscribed radius."""
+        """Return whether a projection moved points of a free body by more than `Options.unseen` of `smallest`."""
         free = before.x.shape[0]
         if after is before or not free:
             return False

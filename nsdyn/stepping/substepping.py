@@ -77,7 +77,7 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
     path = [now.placement]
     while pieces:
         end, halvings = pieces[-1]
-        # In halves bodies run less far into each other before they are stopped.
+        # In halves, bodies are stopped at a smaller penetration.
         own, span = (
             s._replace(depth=OPTIONS.depth_located * OPTIONS.refine**halvings),
             (state.next_t - (s.dt - at), end - at),
@@ -159,7 +159,7 @@ def _gains_energy(s: System, begin: SceneState, m: StepResult, h: float) -> bool
             gained += sum(max(0.0, w.normal + w.friction) for w in works)
     if gained <= 0.0 or d.trees:  # trees keep their own errors small
         return False
-    # Where all is at rest, what gravity gives in a move is the scale.
+    # For bodies at rest, the scale is the energy that gravity gives in a move.
     return gained > OPTIONS.gain * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
 
 
@@ -219,7 +219,7 @@ def _to_event(
     def capture(begun: Known) -> tuple[float, Attempt]:
         return h, try_move(s.capturing, loads, begin, t, h, None, begun)
 
-    # The first move is tried however many contacts it has: most meet no event.
+    # The first move is tried however many contacts it has: most first moves meet no event.
     if not (affords := effort.affords(begin, OPTIONS.event)) and (meets or effort.left < OPTIONS.work):
         return capture(begun)
     effort.spend(begin)
