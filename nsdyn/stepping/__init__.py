@@ -1,1 +1,1 @@
-"""The step: moves between impacts, the contact law, impacts, projection, and where the energy went."""
+"""The step: moves between impacts, the contact law, impacts, position projection, and the energy ledger."""

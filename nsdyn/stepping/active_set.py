@@ -1,9 +1,10 @@
-"""Which contacts a move meets: all that its motion shows, and no other.
+"""The active set of contacts of a move: all contacts that agree with the motion of the move, and no others.
 
-Impacts are located as long as that is affordable: contacts that are open where a move begins, and would strike or
-become deep, are left alone and found where they are hit. Else all are caught within the move, and looked at again after
-it: a pair that was deep in each other has the features with which it touched, contacts that the motion does not reach
-are dropped, pairs that it would pass through and contacts that end deep are added.
+Impacts are located as long as the effort allows. Contacts that are open where a move begins, and would strike or become
+deep, are then left out of the move and found where they are hit. Otherwise all contacts are captured within the move,
+and the active set is checked after it. Pairs that penetrated deeply get the features with which they first touched.
+Spurious contacts, which the motion does not reach, are dropped. Missed contacts are added: those of pairs that would
+pass through each other, and those that end deep.
 """
 
 from __future__ import annotations
@@ -49,13 +50,13 @@ TURN = 1.0
 
 
 def captured(s: System, contacts: ContactSet, begin: SceneState, mid: Midpoint, located: Index) -> ContactSet:
-    """Contacts that a move need not leave alone: closed where it begins, or neither barred nor deep, and at rest soon.
+    """Return the contacts that a move includes: closed where it begins, or not deep, soon at rest and not located.
 
-    What parts there after a rebound is left alone, too: where bodies turn, it may strike again within the move. What
-    pressed in the last move carries its load again, though its gap may be a hair more than what counts as closed: of
-    that the velocity at the beginning says whether it becomes deep, not the one that no contact has changed, and as the
-    contact is there: where bodies turn, a motion without contacts brings them into each other. So it does for all
-    contacts of the pair, which those that press may bear.
+    A contact that separates at the beginning after a rebound is left out: where bodies turn, it may strike again within
+    the move. A contact that pressed in the last move carries its load again, though its gap may slightly exceed the gap
+    tolerance. The velocity and the geometry at the beginning decide whether a pressing contact becomes deep. The free
+    velocity, which no contact has changed, does not: where bodies turn, a motion without contact impulses makes them
+    penetrate. The same holds for all contacts of the pair, which the pressing contacts may carry.
     """
     d, c, before, (there, v) = s.dynamics, contacts, begin.contacts, (mid.state.placement, mid.forces.foreseen)
     gap, rate = before.gap, (v - begin.v) / mid.h
@@ -86,7 +87,7 @@ def captured(s: System, contacts: ContactSet, begin: SceneState, mid: Midpoint, 
 def captured_limits(
     s: System, joints: JointRows, begin: SceneState, v: Array, ahead: float, located: Index
 ) -> JointRows | None:
-    """Joint rows that a move need not leave alone, as `captured` has it of contacts."""
+    """Return the joint rows that a move includes, by the rule of `captured`; None if there are none."""
     laws = s.dynamics.joints
     place = np.searchsorted(laws.limits, joints.slot)
     friction = joints.mu > 0.0
@@ -101,12 +102,13 @@ def captured_limits(
 def missed_impacts(
     s: System, found: ContactSet, kin: ContactSet, r: Array, limits: Array, slot: Index
 ) -> tuple[Index, float]:
-    """What strikes, of the contacts found and the gaps of all joint limits: codes of those not met that are too deep.
+    """Return codes of contacts and joint limits that strike: those not active whose penetration is too deep.
 
-    And how far they may run into each other, m or rad, infinite where nothing strikes. The code of a contact is that of
-    its pair of shapes, that of joint limit i is -1 - i. A contact that is met but not pressed is left alone, too: where
-    bodies turn it may open, and strike again when it closes. Met are some contacts with normal impulses r (nc,), N·s,
-    and the joint rows of some slots.
+    Return also the penetration allowed to them, m or rad, infinite where nothing strikes. The code of a contact is that
+    of its pair of shapes, that of joint limit i is -1 - i. Candidates are the contacts `found` and the gaps of all
+    joint limits. Active are the contacts `kin` with normal impulses r (nc,), N·s, and the joint rows of the slots
+    `slot`. A contact of `kin` without impulse counts as not active: where bodies turn it may open, and strike again
+    when it closes.
     """
     if found is kin and not limits.size:
         return NO_CODES, np.inf
@@ -118,7 +120,7 @@ def missed_impacts(
     code, gap = s.detector.codes(left), left.gap
     limit = np.where((left.restitution > 0.0) & ~rests, s.gap_tol, s.penetration_tol(left))
     if limits.size:
-        # Strikes on these are few: they are located sharply, with restitution or without.
+        # Impacts of joint limits are few: they are located sharply, with restitution or without.
         k = np.flatnonzero(~among(s.dynamics.joints.limits, slot))
         code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
         limit = np.concatenate((limit, np.full(k.size, s.gap_tol)))
@@ -129,9 +131,10 @@ def missed_impacts(
 def normal_velocities(
     d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array
 ) -> Array:
-    """Normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s.
+    """Return the normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s.
 
-    Driven bodies are at such positions (nd, 3), they and surfaces have such twists (surfaces, 2, 3).
+    Driven bodies are at the positions driven_x (nd, 3); driven bodies and surfaces have the twists `surfaces`
+    (surfaces, 2, 3).
     """
     out = np.empty(contacts.gap.size)
     _touching.approach(contacts[:3], there.x, d.twists(there, v), out)
@@ -139,7 +142,7 @@ def normal_velocities(
 
 
 def surface_normal_velocities(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:
-    """What surfaces and driven bodies add to normal velocities, as of `parting`, shape (nc,), m/s."""
+    """Return the part of normal velocities due to moving surfaces and driven bodies, shape (nc,), m/s."""
     if not d.surfaces.count:
         return np.zeros(contacts.gap.size)
     out: Array = (contacts.normal * d.surfaces.velocities(contacts, driven_x, surfaces)).sum(axis=1)
@@ -149,7 +152,7 @@ def surface_normal_velocities(d: Dynamics, contacts: ContactSet, driven_x: Array
 def continuous_contacts(
     s: System, contacts: ContactSet, begin: SceneState, there: Placement, memory: ContactSet
 ) -> tuple[ContactSet, ContactSet]:
-    """Contacts where the impulses act, of which pairs deep in each other have those with which they touched."""
+    """Return the contacts at the midpoint, for deeply penetrating pairs those of their first touch, and the memory."""
     closed = take(begin.contacts, begin.contacts.gap <= s.gap_tol)
     touches = s.touches(begin.placement, there, memory, None, closed)
     c = touches.contacts
@@ -163,9 +166,9 @@ def continuous_contacts(
 
 
 def tracked(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
-    """Contacts where a move begins of pairs that do not pass through each other unseen, of the contacts at its end.
+    """Return the contacts where a move begins of pairs that do not pass through each other unseen.
 
-    The same features are on the same sides there.
+    Such a contact is found again at the end of the move, with the same features on the same sides.
     """
     c = begin
     where = np.empty(c.gap.size, np.int64)
@@ -184,13 +187,14 @@ def time_of_impact(
     h: float,
     speed: Array,
 ) -> float:
-    """Time just after a pair that is open touches unseen on its way in a move of h s, s; h if none does.
+    """Return a time just after an open pair touches unseen in a move of h s, s; h if none does.
 
-    Or one in which all that may touch turns by no more than `TURN` in either half, of what turns by half a turn.
-    Not much after it, so that what is hit is seen from the side where it is: the frames move with `speed` (frames,).
-    The places are those where the move begins, where its impulses act and where it ends, the contacts those where it
-    begins, those that press and those where it ends. What touches where it begins, and what presses, which the second
-    half brings together, is found where it touches once more.
+    If a body of a pair that may touch turns by half a turn, return instead the length of a move in which bodies of this
+    kind turn by no more than `TURN` in either half. The time is only a little after the touch, so that the body that is
+    hit is seen from the side where it is: the frames move with `speed` (frames,). `places` are the poses where the move
+    begins, where its impulses act and where it ends. `contacts` are those at the beginning, those that press and those
+    at the end. Pairs that touch at the beginning, and pairs that press, which the second half brings together, are
+    found where they touch once more.
     """
     (begin, pressed, end), (first, second, third) = contacts, places
     known, closed = tracked(s, begin, end), take(begin, begin.gap <= s.gap_tol)
@@ -224,12 +228,13 @@ def update_active_set(
     fast: bool,
     kept: Index,
 ) -> tuple[ContactSet, ContactSet, Index]:
-    """Contacts that the motion of a move shows, of those met with impulses r and those missed, and what to keep.
+    """Update the active set to the motion of a move: drop spurious contacts, add missed ones.
 
-    What ends deep with features that were not met is met with those, where they were in the `middle`, where the
-    impulses act: the projection of positions would lift it without taking its speed. The motion ends at `moved`; `fast`
-    is whether anything is so fast that it might pass through unseen; `kept` are keys of contacts that were missed
-    before: they stay.
+    The active contacts `kin` had impulses r. Return the contacts, the memory, and the keys of contacts to keep. A
+    contact that ends deep with features that were not active is added as it was in the `middle`, where the impulses
+    act: the position projection would remove the penetration but not the velocity. The motion ends at `moved`. `fast`
+    says whether any body is so fast that it might pass through another unseen. `kept` are the keys of contacts that
+    were missed before: these stay.
     """
     found = moved.contacts
     real = ~_spurious(s, kin, r, found) | among(kin.contacts.key, kept)
@@ -252,10 +257,11 @@ def update_active_set(
 def missed_contacts(
     s: System, kin: ContactKinematics, r: Array, moved: SceneState, begin: Placement, middle: Placement
 ) -> ContactSet | None:
-    """Contacts that a move misses, of those met with normal impulses r (nc,), as they are in the `middle`.
+    """Return the contacts that a move misses, as they are in the `middle`; None if there are none.
 
-    A patch is met by a few of its points. Where none of these bears what presses, as at a rim between them, the bodies
-    turn about two, and another, which touched where the move begins, ends in the other body. None if there are none.
+    The active contacts have normal impulses r (nc,). A patch has active contacts at a few of its points. If none of
+    them can carry the pressure, as on a rim between two points, the bodies turn about these two. Another point of the
+    patch, which touched where the move begins, then ends inside the other body.
     """
     found, codes = moved.contacts, s.detector.codes
     if found is kin.contacts or _reductions.least(found.gap) >= -s.gap_tol:
@@ -271,10 +277,10 @@ def missed_contacts(
 
 
 def _separating(s: System, missed: ContactSet, kin: ContactSet, end: Poses, middle: Poses) -> ContactSet:
-    """Of contacts found at the end, as they are in the middle, those along whose normals bodies are parted there.
+    """Return the contacts found at the end whose normals separate the bodies in the middle, as they are in the middle.
 
-    Along any other, as of a face that meets the other body only after both have turned, what touches elsewhere would be
-    pushed sideways. What is left out is struck when it touches.
+    A contact with any other normal, as that of a face that meets the other body only after both have turned, would push
+    sideways a body that touches elsewhere. The contacts left out strike when they touch.
     """
     missed, apart = s.detector.carry(missed, end, middle)
     same = s.detector.codes(missed)[:, None] == s.detector.codes(kin)
@@ -283,7 +289,7 @@ def _separating(s: System, missed: ContactSet, kin: ContactSet, end: Poses, midd
 
 
 def _spurious(s: System, kin: ContactKinematics, r: Array, found: ContactSet) -> Bools:
-    """Contacts that have an impulse but are open where the motion ends: bodies pass there."""
+    """Mark contacts that have an impulse but are open where the motion ends: the bodies pass each other."""
     nc = kin.frame.shape[0]
     out: Bools = (r[0 : 3 * nc : 3] > 0.0) & (kin.end_gap[:nc] > s.penetration_tol(kin.contacts))
     if out.any():

@@ -1,4 +1,4 @@
-"""What a move does."""
+"""The result of an attempted move."""
 
 from __future__ import annotations
 
@@ -22,33 +22,36 @@ NO_CODES = np.empty(0, np.int64)
 
 
 class Attempt(NamedTuple):
-    """A move: what its contacts do, where it then ends, and what it runs into.
+    """An attempted move: its impulses, the state where it ends, and the contacts that it runs into.
 
     Attributes
     ----------
     mid : Midpoint
     kin : ContactKinematics
     impact : Impact or None
-        Impacts that were caught, before the other impulses.
+        Captured impacts, which act before the other impulses.
     sliding : ndarray of bool, shape (nc,)
-        Contacts that slide through.
+        Contacts that slide through the whole move.
     problem : FC3D
     solution : Solution
     couple : Couple
     v : ndarray, shape (n,)
         v⁺.
     impulse : ndarray, shape (n,)
-        H r of all.
+        H r of all impulses, those of captured impacts included.
     trees : tuple of Flow
     moved : SceneState
-        Where the motion ends, whatever overlaps there; what acted last and energies of trees are still to be told.
+        Where the motion ends, even if bodies overlap there; warm start and energies of trees are not yet those of the
+        end.
     hits : ndarray of int
-        Codes, as of `nsdyn.stepping.active_set.others`, of what strikes, where the motion ends; none where all was caught.
+        Codes, as in `nsdyn.stepping.active_set.missed_impacts`, of contacts and joint limits that strike where the
+        motion ends; none where all contacts were captured.
     limit : float
-        How far that may run into each other, m or rad.
+        Largest penetration allowed to the hits, m or rad.
     touch_time : float
-        Time just after a pair that is open where the move begins touches on its way, s; infinite if none does, if
-        nothing is so fast that it might go unseen, or if something is barred, whose contact is what is looked for.
+        Time just after a pair that is open at the beginning touches on the way, s. At least the length of the move if
+        no pair does; infinite if no body is so fast that it might pass unseen, or if impacts are being located, whose
+        contacts are sought then.
     """
 
     mid: Midpoint
@@ -68,12 +71,12 @@ class Attempt(NamedTuple):
 
     @property
     def kick(self) -> Array | float:
-        """Change of v by the impacts, (n,), 0 without any."""
+        """Change of v by the captured impacts, (n,), 0 without any."""
         return 0.0 if self.impact is None else self.kin.rows.velocity_change(self.impact.r)
 
     @property
     def normal_impulses(self) -> Array:
-        """Normal impulses of the contacts met, (nc,), N·s."""
+        """Normal impulses of the active contacts, (nc,), N·s."""
         return self.solution.r[0 : 3 * self.kin.contacts.gap.size : 3]
 
 
@@ -82,5 +85,5 @@ Known = Midpoint | Attempt | None
 
 
 def parted(known: Known) -> tuple[Midpoint | None, Attempt | None]:
-    """The first half and the move, as far as they are known."""
+    """Return the first half and the attempt, as far as they are known."""
     return (known.mid, known) if isinstance(known, Attempt) else (known, None)

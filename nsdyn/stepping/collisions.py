@@ -1,4 +1,4 @@
-"""Impacts of a scene: of what is closed at an instant, and of what a move catches where its impulses act."""
+"""Impacts of a scene: of contacts closed at an instant, and of contacts that a move captures at its midpoint."""
 
 from __future__ import annotations
 
@@ -26,21 +26,22 @@ NO_SLOTS = np.empty(0, np.int64)
 def captured_impacts(
     s: System, kin: ContactKinematics, there: Placement, rate: Array, h: float
 ) -> tuple[ContactKinematics, Impact | None]:
-    """Impacts in no time where the other impulses act, of contacts that close within the move of h s.
+    """Apply impacts in no time, at the midpoint, of contacts that close within the move of h s.
 
-    What the others meet then, and the impacts, if there are any. `rate` (n,) is the free acceleration.
+    Return the kinematics for the other impulses, and the impacts, if there are any. `rate` (n,) is the free
+    acceleration.
     """
     struck = striking(s, kin, there, rate, h)
     if struck is None:
         return kin, None
-    # Rows that turn with their bodies are no approach.
+    # The drift of rows that turn with their bodies is no approach.
     resting = s.resting(kin, there, rate)
     resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.jacobian_drift[0::3]))
     closed = struck | (kin.end_gap <= s.gap_tol)
     while True:
         impact = _strike(s, kin, closed, resting, resting)
         after = kin.changed(kin.rows.velocity_change(impact.r), struck)
-        # What is so driven against others strikes them too.
+        # Contacts that these impacts make approach and close strike, too.
         driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, h)
         if not driven.any():
             return after, impact
@@ -48,14 +49,14 @@ def captured_impacts(
 
 
 def _closes(s: System, kin: ContactKinematics, h: float) -> Bools:
-    """Which gaps close within a move of h s if nothing else acts."""
+    """Mark the gaps that close within a move of h s if no impulse acts."""
     u_free, jacobian_drift = kin.u_free[0::3], kin.jacobian_drift[0::3]
     out: Bools = kin.end_gap + s.theta * h * (u_free + jacobian_drift) <= 0.0
     return out
 
 
 def striking(s: System, kin: ContactKinematics, there: Placement, rate: Array, h: float) -> Bools | None:
-    """Which rows strike within a move of h s, as of `captured_impacts`; None if none does."""
+    """Mark the rows that strike within a move of h s, for `captured_impacts`; None if none does."""
     if not s.elastic or not kin.mu.size:
         return None
     u_begin, u = kin.u_begin[0::3], kin.u[0::3]
@@ -65,10 +66,10 @@ def striking(s: System, kin: ContactKinematics, there: Placement, rate: Array, h
 
 
 def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple[SceneState, Impulses] | None:
-    """Impacts in no time of what is closed at an instant, and it after them; None where nothing strikes.
+    """Apply impacts in no time of contacts closed at an instant; return the state after them and the impulses, or None.
 
-    What rests, but closes so fast that it would become deep in the move of h s from the time t, strikes without
-    restitution. The free acceleration there is `rate` (n,).
+    None means that no contact strikes. A resting contact that closes so fast that it would become deep in the move of
+    h s from the time t strikes without restitution. `rate` (n,) is the free acceleration at the instant.
     """
     d, c = s.dynamics, at.contacts
     limit = s.solver.tol if s.elastic and _reductions.most(c.restitution) > 0.0 else s.least_penetration / h
@@ -85,8 +86,8 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * OPTIONS.joint)
     depth[:nc] = s.penetration_tol(contacts)
     if s.depth >= OPTIONS.depth_located:
-        # What was pressed before turns with its bodies: it closes a little without striking. But what has just closed
-        # its gap still approaches, and where that gains energy it is stopped first.
+        # A contact that pressed before turns with its bodies: it closes a little without striking. But a contact that
+        # has just closed its gap still approaches, and where that gains energy it is stopped first.
         depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
     slow = np.where(kin.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     impact = _strike(s, kin, kin.end_gap <= s.gap_tol, resting, slow)
@@ -101,7 +102,7 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
             reaction = free.m @ (v[k] - at.v[k]) - push[k]
             works = works._replace(constraint=works.constraint + 0.5 * float(reaction @ (v[k] + at.v[k])))
         impulses = impulses._replace(works=works)
-    # What was struck is not pressed as it was: from its last impulses a solver may find what is not symmetric.
+    # The load of a struck contact has changed: from its last impulses a solver may find an asymmetric solution.
     struck = among(at.warm.key, contacts.key[impulses.r[:, 0] > 0.0])
     warm = at.warm._replace(force=np.where(struck[:, None], 0.0, at.warm.force))
     after = at._replace(v=v, twists=d.twists(at.placement, v), warm=warm, energies=d.tree_energies(at.position, v))
@@ -109,10 +110,10 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
 
 
 def _passing(s: System, at: SceneState, closed: ContactSet, surfaces: Array, limit: float) -> Bools:
-    """Which closed contacts (nc,) approach, but not along the normal of some face that separates their bodies.
+    """Mark closed contacts (nc,) that approach, but not along the normal of some face that separates their bodies.
 
-    Where edges or corners meet, all normals between those of their faces do. What slides along one of these does not
-    strike the other: as from one plate onto the next.
+    Where edges or corners meet, every normal between those of their faces separates the bodies. A body that slides
+    along one of these faces does not strike the other body: for example from one plate onto the next.
     """
     out, here = np.zeros(closed.gap.size, np.bool_), (at.placement, at.v, at.position.driven_x, surfaces)
     approach = np.flatnonzero(normal_velocities(s.dynamics, closed, *here) < -limit)
@@ -125,13 +126,13 @@ def _passing(s: System, at: SceneState, closed: ContactSet, surfaces: Array, lim
 
 
 def _strike(s: System, kin: ContactKinematics, closed: Bools, resting: Array, slow: Array) -> Impact:
-    """Impacts of the closed contacts and joint limits."""
+    """Compute the impacts of the closed contacts and joint limits."""
     at = Round(kin.rows.blocks, kin.u, kin.mu, kin.restitution, closed, s.solver)
     return strike(s.impact, at, resting, slow)
 
 
 def limits_struck(s: System, at: SceneState, h: float) -> Index:
-    """Slots of the joint limits that a joint is at and may strike, with a move of h s to come."""
+    """Return slots of joint limits that a joint has reached and may strike, given a move of h s to come."""
     if not _reductions.any_below(at.limits, s.gap_tol):
         return NO_SLOTS
     joints, slots = s.dynamics.joints, s.dynamics.joints.limits

@@ -1,21 +1,23 @@
-"""What a step meets at its contacts: relative velocities, and the law they obey at its end.
+"""Contact kinematics of a step: relative velocities at contacts and joint rows, and the contact law at the end.
 
-Impulses act at one configuration, between two flows. Until there the contacts' relative velocities have changed from
-u_k to u⁻ though nothing acted, for rows turn with their bodies; the second half of the motion adds as much once more,
-to first order. So the law is on u⁺ + c with c = u⁻ - u_k, and nothing is remembered of earlier steps:
+Impulses act at one configuration, between two flows. Up to there the relative velocities of the contacts change from
+u_k to u⁻ though no impulse acts, because contact rows turn with their bodies. The second half of the motion adds the
+same change once more, to first order. So the law applies to u⁺ + c with c = u⁻ - u_k, and no earlier step is
+remembered:
 
     K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K,   y = W r + b,
     b_N = u_f + c_N + [G > closed or stays] (G - L) / τ     u_f = u⁻ + Hᵀ M̃⁻¹ h f̃,  G = g̃ - h₂ c_N / 2
     b_T = u_f + c_T       of a contact that sticks, or stops: slip of the end
         = u⁻ + u_f        of one that slides through: twice the mean slip, exactly
-    b_N = u⁻ + u_f        of one that parts (u_k > 0) faster than G closes: it comes back as fast, and gives no energy
+    b_N = u⁻ + u_f        of one that separates (u_k > 0) faster than G closes: it returns as fast, and gives no energy
 
-where h₂ is the time left after the impulses and G the gap that the end would have if its speed were 0 there; L, less
-than what counts as closed, keeps speeds of contacts that stay from alternating (`left_open`). A gap closes at the
-constant speed (G - L) / τ. With τ = h₂ bodies would touch where the step ends, with that speed, and be in each
-other when the next impulses stop them, by as much as the gap was: lifted again, each opens the gaps around it as far,
-and a pile never comes to rest. So τ is the time until these impulses where the gap is shallow and nothing may rebound,
-but in moves that are cut where bodies touch.
+where h₂ is the time left after the impulses, and G the gap that the end would have if the normal velocity were 0 there.
+The bracket is 1 where the gap exceeds the gap tolerance (closed) or the contact persists (stays), else 0. L, less than
+the gap tolerance, keeps the normal velocities of persistent contacts from alternating (`left_open`). A gap closes at
+the constant speed (G - L) / τ. With τ = h₂ bodies would touch where the step ends, with that speed. They would
+penetrate by as much as the gap was, until the next impulses stop them. The position projection would lift each body,
+which opens the gaps around it as far, and a pile would never come to rest. So τ is the time until the next impulses
+where the gap is shallow and no contact may rebound, except in moves that are cut where bodies touch.
 """
 
 from __future__ import annotations
@@ -67,15 +69,17 @@ class ContactKinematics(NamedTuple):
     end_gap : ndarray, shape (rows,)
         G, m or rad.
     surface_velocity : ndarray, shape (2, 3 rows)
-        What surfaces that move add to u⁻ and u⁺, and what they would at the end of the step, m/s; empty if none move.
+        Velocities that moving surfaces add to u⁻ and u⁺, and those they would add at the end of the step, m/s; empty if
+        none move.
     u_after_impact : ndarray, shape (rows,)
-        u_N that impacts have given here, m/s; empty if there were none. The rest of the step does not take it back:
-        Newton's u_N⁺ = -e u_N⁻ is for its impulses and forces together. An impact has no time of its own, so the fall
-        after it would be one too many, and an elastic ball would lose m g h v.
+        u_N after impacts in this move, m/s; empty if there were none. The rest of the step does not take it back:
+        Newton's u_N⁺ = -e u_N⁻ holds for its impulses and forces together. An impact has no time of its own, so the
+        fall after it would be one too many, and an elastic ball would lose m g h v.
     stays, sticks, was : ndarrays of bool, bool and int8, shapes (rows,), (nc,), (nc,)
-        What persists, and across its normal too; what contacts were: `nsdyn._kernels.stepping.persistence.persists`.
+        Rows that persist along their normals, contacts that persist across them, and the status of contacts in the last
+        move: `nsdyn._kernels.stepping.persistence.persists`.
     excess_speed : ndarray, shape (rows,)
-        How much faster than foreseen they part where the move ends, m/s, as far as that is known.
+        How much faster than predicted rows separate where the move ends, m/s, as far as that is known.
     """
 
     contacts: ContactSet
@@ -97,7 +101,7 @@ class ContactKinematics(NamedTuple):
     def of(
         cls, mid: Midpoint, there: Placement, contacts: ContactSet, joints: JointRows | None, begin: SceneState
     ) -> ContactKinematics:
-        """Relative velocities of a move at its contacts and joint rows, with the frames placed `there`."""
+        """Compute the relative velocities of a move at its contacts and joint rows, with the frames placed `there`."""
         d, middle, forces, old, warm = mid.s.dynamics, mid.state, mid.forces, begin.contacts, begin.warm
         rows, frame = d.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
@@ -122,10 +126,10 @@ class ContactKinematics(NamedTuple):
         return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, surface_velocity)
 
     def changed(self, dv: Array, struck: Bools) -> ContactKinematics:
-        """The same after a change of velocity (n,) by impacts: what is struck no longer turns as it did."""
+        """Return the kinematics after impacts that change v by dv (n,): the rows they affect lose their drift c."""
         du, local = self.rows.full.relative_velocity(dv), self.local.copy()
         local[1:3] += du
-        # What is left of a velocity that impacts have stopped is round-off, which no contact need resist.
+        # The rest of a velocity that impacts have stopped is round-off, which no contact need resist.
         local[1:3][np.abs(local[1:3]) <= STOPPED * np.abs(du)] = 0.0
         local[3, np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3)] = 0.0
         end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
@@ -133,14 +137,14 @@ class ContactKinematics(NamedTuple):
         return self._replace(local=local, end_gap=end_gap, u_after_impact=u_after_impact)
 
     def offsets(self, sliding: Bools, gap_rule: GapRule) -> Array:
-        """b, shape (3 rows,), m/s, where the contacts `sliding` (nc,) slide through."""
+        """Return b, shape (3 rows,), m/s, where the contacts `sliding` (nc,) slide through the move."""
         b = np.empty(self.local.shape[1])
         laws = self.end_gap, self.restitution, self.u_after_impact, self.excess_speed, gap_rule
         _law.offsets(self.local, laws, self.stays, sliding, b)
         return b
 
     def take(self, kept: Bools) -> ContactKinematics:
-        """Some of the rows, for what they did."""
+        """Return the kinematics of some of the rows, to evaluate their impulses."""
         nc, full = self.contacts.gap.size, self.rows.full
         rows, contacts = np.repeat(kept, 3), take(self.contacts, kept[:nc])
         own = ContactJacobian(full.of(kept), {}, *NO_CLUTCHES)
@@ -194,7 +198,7 @@ class ContactKinematics(NamedTuple):
 
     @property
     def begun(self) -> Array:
-        """What `local` is with u⁻ as it is where the move begins, on surfaces that quicken too."""
+        """`local` with the surface velocities of the beginning of the move in u_k, for accelerating surfaces too."""
         if not self.surface_velocity.size:
             return self.local
         out = self.local.copy()
@@ -202,9 +206,9 @@ class ContactKinematics(NamedTuple):
         return out
 
     def lasting(self, s: System, begin: SceneState, limits: Array, h: float, struck: bool) -> ContactKinematics:
-        """The same with what persists of what there was where the move of h s begins; nothing if `struck`.
+        """Return the kinematics with its persistent rows marked, for a move of h s; no row persists if `struck`.
 
-        There joint rows have the gaps `limits`.
+        Rows persist from the beginning of the move, where joint rows have the gaps `limits`.
         """
         warm, geoms = begin.warm, s.inscribed.size
         nc, rows = self.contacts.gap.size, self.end_gap.size
@@ -216,7 +220,7 @@ class ContactKinematics(NamedTuple):
         return self._replace(stays=stays, sticks=sticks, was=was, excess_speed=np.zeros(rows))
 
     def turned(self, dv: Array, r: Array) -> ContactKinematics:
-        """The same with couples that change v by dv (n,), and impulses to start from."""
+        """Return the kinematics with couples that change v by dv (n,), and with impulses r to start from."""
         local = self.local.copy()
         if dv.size:
             local[2] += self.rows.full.relative_velocity(dv)
@@ -226,10 +230,10 @@ class ContactKinematics(NamedTuple):
     def corrected(
         self, gap: Array, off: Bools, closed: float, ahead: float, ended: tuple[Index, Array, Array]
     ) -> ContactKinematics:
-        """The same with the gaps (rows,) that the rows that are `off` end with.
+        """Return the kinematics corrected in the rows that are `off` by the gaps (rows,) at the end of the move.
 
-        The move takes `ahead` s after the impulses, and has `ended` with contacts of such names and normal speeds, m/s,
-        and joint rows of such speeds. Rows whose gaps are not theirs are no longer `off`.
+        The move lasts `ahead` s after the impulses. `ended` holds the keys and normal velocities, m/s, of the contacts
+        at its end, and the velocities of its joint rows. Rows whose gaps are not their own are no longer `off`.
         """
         end_gap, excess_speed = self.end_gap.copy(), self.excess_speed.copy()
         own = self.contacts.key, ended, self.local, (ahead, closed)
@@ -237,30 +241,30 @@ class ContactKinematics(NamedTuple):
         return self._replace(end_gap=end_gap, excess_speed=excess_speed)
 
     def sharing(self, angle: Array, r: Array) -> ContactKinematics:
-        """The same with the friction of ball joints parted by angles (balls,), and impulses to start from."""
+        """Return the kinematics with ball-joint friction split by angles (balls,), and impulses r to start from."""
         rows, local = self.rows.sharing(angle), self.local.copy()
         local[2] += rows.joint_load - self.rows.joint_load
         local[4] = r
         return self._replace(rows=rows, local=local)
 
     def off(self, gap: Array, r: Array, closed: float) -> Bools:
-        """Which rows stay and are pressed by r, but end with a gap (rows,)."""
+        """Mark rows that persist and are pressed by r, but end with a gap (rows,), open or not."""
         out = np.empty(gap.size, np.bool_)
         _law.off(gap, r, self.stays, closed, out)
         return out
 
 
 def _of_joints(mid: Midpoint, joints: JointRows, warm: WarmStart, local: Array, end_gap: Array) -> None:
-    """Impulses to begin from, accelerations and gaps of joint rows in a move, into local and end_gap."""
+    """Write the warm start, the drift c and the gaps G of the joint rows of a move into local and end_gap."""
     local[4] = mid.h * warm.joints[joints.slot].ravel()
-    # As of springs, the law of actuators is on the velocity here, and that of what slips in axes that turn.
+    # Like that of springs, the law of actuators applies to the velocity here; so does that of slip in axes that turn.
     here = joints.actuated | mid.s.dynamics.joints.turning[joints.slot]
     local[3].reshape(-1, 3)[here, 1:] = 0.0
     end_gap[:] = joints.gap - 0.5 * mid.ahead * local[3, ::3]
 
 
 def predict_sliding(kin: ContactKinematics, warm: WarmStart) -> Bools:
-    """Which contacts slide through the step, by what they did in the last and the friction foreseen."""
+    """Mark the contacts that will slide through the step, by their last status and the predicted friction."""
     sliding, place = np.empty(kin.frame.shape[0], np.bool_), np.empty(kin.frame.shape[0], np.int64)
     _touching.places(warm.key, kin.contacts.key, place)
     _law.predict_sliding(kin.rows.full.arrays, kin.mu, place, warm.status, kin.local, sliding)

@@ -1,15 +1,16 @@
-"""Laws of impact: what contacts that strike give back, in no time and at one configuration.
+"""Laws of impact: how contacts that strike respond, in no time and at one configuration.
 
-With U⁻ and U⁺ before and after, U⁺ = U⁻ + W r, and per contact the restitution e, which is 0 where the contact rests.
-On a single frictionless contact all laws agree. What impacts provoke follows in rounds: `nsdyn.stepping.rounds`.
+U⁻ and U⁺ are the relative velocities before and after, U⁺ = U⁻ + W r. Each contact has a restitution e, which is 0
+where the contact rests. On a single frictionless contact all laws agree. Impacts that are provoked by others follow in
+rounds: `nsdyn.stepping.rounds`.
 
 To add a law:
 
-1. a frozen dataclass of its options with the methods of `Law` and a docstring with its equations, its source, and when
-   it creates energy; an object of it is an option of `nsdyn.Stepper`;
-2. an entry in `LAWS`: its name is then one too;
-3. its line in the docstring of `nsdyn.Stepper` and in `demos/guide/step.md`;
-4. `tests/stepping/test_impacts.py` tries all of `LAWS` on single and multiple impacts: say there what it promises;
+1. write a frozen dataclass of its options with the methods of `Law` and a docstring with its equations, its source, and
+   when it creates energy; an object of it is an option of `nsdyn.Stepper`;
+2. add an entry to `LAWS`: its name is then an option, too;
+3. add its line to the docstring of `nsdyn.Stepper` and to `demos/guide/step.md`;
+4. `tests/stepping/test_impacts.py` tries all of `LAWS` on single and multiple impacts: state there its promise;
 5. `python demos/bench/truth.py impacts` tries to prove that promise wrong.
 """
 
@@ -45,7 +46,7 @@ class Round(NamedTuple):
         U⁻, m/s.
     mu, e : ndarray, shape (rows,)
     hit : ndarray of bool, shape (rows,)
-        Which approach.
+        Contacts that approach.
     solver : Solver
     """
 
@@ -57,18 +58,19 @@ class Round(NamedTuple):
     solver: Solver
 
     def of(self, part: Bools) -> Round:
-        """The impact of some of the contacts alone."""
+        """Return the impact of some of the contacts alone."""
         blocks = self.blocks.of(part)
         return Round(blocks, self.before[np.repeat(part, 3)], self.mu[part], self.e[part], self.hit[part], self.solver)
 
     def after(self, r: Array) -> Array:
-        """U⁺ = U⁻ + W r, m/s."""
+        """Return U⁺ = U⁻ + W r, m/s."""
         return self.before + self.blocks.relative_velocity(self.blocks.velocity_change(r))
 
     def solved(self, b: Array) -> Solved:
-        """The problem K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K, y = W r + b, and its solution.
+        """Return the problem K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K, y = W r + b, and its solution.
 
-        It is near the impulses without friction, which keep what is symmetric so: with it there may be several.
+        The solver starts from the impulses without friction, which preserve symmetry: with friction there may be
+        several solutions.
         """
         problem, start = FC3D.from_blocks(self.blocks, b, self.mu), None
         if problem.nc > 1 and self.mu.any():
@@ -76,29 +78,29 @@ class Round(NamedTuple):
         return problem, self.solver(problem, start)
 
     def islands(self) -> Index:
-        """The island of each contact, from 0 on."""
+        """Return the island of each contact, numbered from 0."""
         return self.blocks.islands()
 
     def work(self, r: Array, label: Index) -> Array:
-        """Work of impulses on each island, J: ½ (U⁻ + U⁺)·r."""
+        """Return the work of impulses on each island, J: ½ (U⁻ + U⁺)·r."""
         work = 0.5 * (self.before + self.after(r)) * r
         return np.bincount(np.repeat(label, 3), work).astype(float, copy=False)
 
     def created(self, r: Array, label: Index, tol: float) -> Array:
-        """As `work`, but 0 where it is not positive by more than an error `tol` of U leaves, m/s."""
+        """Return `work`, but 0 where it is not positive by more than an error `tol` of U, m/s, explains."""
         work = self.work(r, label)
         noise = tol * np.bincount(np.repeat(label, 3), np.abs(r))
         return np.where(work > noise, work, 0.0)
 
 
 class Law(Protocol):
-    """What tells laws apart: a frozen dataclass of its own options that is called on an impact."""
+    """The interface of a law of impact: a frozen dataclass of its own options that is called on an impact."""
 
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
-        """Which closed contacts of an island that is struck take part."""
+        """Mark the closed contacts of a struck island that take part."""
 
     def __call__(self, impact: Round) -> Given:
-        """The impulses r, shape (3 rows,), N·s, and the problems that were solved for them."""
+        """Return the impulses r, shape (3 rows,), N·s, and the problems that were solved for them."""
 
 
 @dataclass(frozen=True)
@@ -106,17 +108,17 @@ class Newton:
     """U_N⁺ ≥ -e U_N⁻, friction opposes U_T⁺: K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K, y = U⁺ + e U_N⁻ e_N.
 
     With friction, or in chains of contacts, it may create energy (T. R. Kane, D. A. Levinson, Dynamics: theory and
-    applications, 1985); `Step.created` says how much. Contacts that rest and have a restitution of their own follow in
-    a round of their own, so that the balls of Newton's cradle strike one after the other.
+    applications, 1985); `Step.created` says how much. Resting contacts with restitution follow in a round of their own,
+    so that the balls of Newton's cradle strike one after the other.
     """
 
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
-        """What approaches, and what cannot rebound."""
+        """Mark contacts that approach, and contacts that cannot rebound."""
         out: Bools = hit | (restitution == 0.0)
         return out
 
     def __call__(self, impact: Round) -> Given:
-        """One problem."""
+        """Solve one problem."""
         b = impact.before.copy()
         b[0::3] += impact.e * impact.before[0::3]
         solved = impact.solved(b)
@@ -125,29 +127,30 @@ class Newton:
 
 @dataclass(frozen=True)
 class Dissipative(Newton):
-    """Newton's law, with the restitution of an island lowered where its impact would create energy else.
+    """Newton's law, with the restitution of an island lowered where its impact would otherwise create energy.
 
-    r = (1 - s) r₀ + s r₁, with r₁ as of `Newton`, r₀ the same with e = 0, and the largest s in [0, 1] for which the
-    impulses on the island do no work:
+    r = (1 - s) r₀ + s r₁, where r₁ is the impulse of `Newton`, r₀ the same with e = 0, and s the largest in [0, 1] for
+    which the impulses on the island do no positive work:
 
         ½ (U⁻ + U⁺)·r ≤ 0,    U_N⁺ = (1 - s) U_N⁰ + s U_N¹ ≥ -s e U_N⁻,    r ∈ K, which is convex.
 
-    There is one: r₀ never does any, since ½ (U⁻ + U⁰)·r₀ = -μ‖U_T⁰‖·r₀_N - ½ r₀·W r₀ (J. J. Moreau, Unilateral contact
-    and dry friction in finite freedom dynamics, CISM 302, 1988), and the work is a convex quadratic of s. So no impact
-    creates energy, whatever W, μ and e, and where Newton's law creates none it is Newton's law, with r₁ alone. Where it
-    does, the impact keeps the energy, and friction is a mean of that of both. No restitution is left (s = 0) where no
-    velocity obeys Newton's law, as of a body that fits between two walls, or none is found.
+    Such an s exists: r₀ never does positive work, since ½ (U⁻ + U⁰)·r₀ = -μ‖U_T⁰‖·r₀_N - ½ r₀·W r₀ (J. J. Moreau,
+    Unilateral contact and dry friction in finite freedom dynamics, CISM 302, 1988), and the work is a convex quadratic
+    of s. So no impact creates energy, whatever W, μ and e. Where Newton's law creates none, the result is that of
+    Newton's law, r₁ alone. Where it does, the impact keeps the energy, and friction is a mean of the frictions of r₀
+    and r₁. No restitution is left (s = 0) where no velocity obeys Newton's law, as for a body that fits between two
+    walls, or where none is found.
     """
 
     def __call__(self, impact: Round) -> Given:
-        """One problem, and one more where that creates energy."""
+        """Solve one problem, and one more where the first creates energy."""
         r, solved = super().__call__(impact)
         label = impact.islands()
         created = impact.created(r, label, impact.solver.tol)
         jammed = not solved[0][1].accepted
         if not (jammed or created.any()):
             return r, solved
-        if jammed and created.size > 1:  # other islands rebound all the same
+        if jammed and created.size > 1:  # other islands still rebound
             return self._apart(impact, label)
         plastic = impact.solved(impact.before)
         if jammed:
@@ -156,7 +159,7 @@ class Dissipative(Newton):
         return plastic[1].r + np.repeat(share[label], 3) * (r - plastic[1].r), [*solved, plastic]
 
     def _apart(self, impact: Round, label: Index) -> Given:
-        """The islands one by one."""
+        """Solve the islands one by one."""
         r, solved = np.empty_like(impact.before), []
         for k in range(int(label.max()) + 1):
             own = label == k
@@ -166,19 +169,19 @@ class Dissipative(Newton):
 
 
 def _workless(impact: Round, label: Index, begin: Array, end: Array) -> Array:
-    """Per island the s for which (1 - s) begin + s end does no work, of which `begin` does none and `end` positive."""
-    # The work is a s² + b s + c; a is that of the change alone, on what is at rest.
+    """Return per island the s at which (1 - s) begin + s end does no work; `begin` does none, `end` positive work."""
+    # The work is a s² + b s + c; a is the work of the change alone, on bodies at rest.
     a = np.maximum(impact._replace(before=np.zeros_like(begin)).work(end - begin, label), 0.0)
     c = np.minimum(impact.work(begin, label), 0.0)
     b = impact.work(end, label) - a - c
     root = np.sqrt(b * b - 4.0 * a * c)
-    with np.errstate(divide="ignore", invalid="ignore"):  # of the form that cancels, which is not taken
+    with np.errstate(divide="ignore", invalid="ignore"):  # the form with cancellation is not taken
         return np.where(b > 0.0, -2.0 * c / (b + root), (root - b) / (2.0 * a))
 
 
 @dataclass(frozen=True)
 class Poisson:
-    """Compression with e = 0 gives r_c; expansion e r_c, and more where bodies would meet else: r = r_c + e r_c + r'.
+    """Compression with e = 0 gives r_c; expansion e r_c, and r' where bodies would collide else: r = r_c + e r_c + r'.
 
     K* ∋ U⁺ + μ‖U_T⁺‖ e_N ⟂ r' ∈ K. It never creates energy if all contacts have one e: the change is at most
     -½ ‖r_e - e r_c‖²_W - ½ (1 - e²) ‖r_c‖²_W with r_e = e r_c + r'. (F. Pfeiffer, C. Glocker, Multibody dynamics with
@@ -186,11 +189,11 @@ class Poisson:
     """
 
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
-        """Every closed contact."""
+        """Mark every closed contact."""
         return np.ones_like(hit)
 
     def __call__(self, impact: Round) -> Given:
-        """Two problems, one after the other."""
+        """Solve two problems, one after the other."""
         compression = impact.solved(impact.before)
         r = np.repeat(1.0 + impact.e, 3) * compression[1].r
         expansion = impact.solved(impact.after(r))
@@ -199,18 +202,18 @@ class Poisson:
 
 @dataclass(frozen=True)
 class Fremond:
-    """U_N⁺ ≥ -e U_N⁻ where bodies approach, U_N⁺ ≥ -U_N⁻ where they part, friction opposes ½ (U_T⁺ + U_T⁻).
+    """U_N⁺ ≥ -e U_N⁻ where bodies approach, U_N⁺ ≥ -U_N⁻ where they separate, friction opposes ½ (U_T⁺ + U_T⁻).
 
-    No work is ever positive. Every closed contact takes part. Sticking turns U_T round, as a superball does.
-    (M. Frémond, Rigid bodies collisions, Physics Letters A 204, 1995.)
+    No work is ever positive. Every closed contact takes part. Sticking reverses U_T, as on a superball. (M. Frémond,
+    Rigid bodies collisions, Physics Letters A 204, 1995.)
     """
 
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
-        """Every closed contact."""
+        """Mark every closed contact."""
         return np.ones_like(hit)
 
     def __call__(self, impact: Round) -> Given:
-        """One problem: b_N = (1 + e) U_N⁻ where bodies approach, 2 U_N⁻ where they part, b_T = 2 U_T⁻."""
+        """Solve one problem: b_N = (1 + e) U_N⁻ where bodies approach, 2 U_N⁻ where they separate, b_T = 2 U_T⁻."""
         before = impact.before
         b = 2.0 * before
         rebound = before[0::3] + impact.e * before[0::3]
@@ -229,7 +232,7 @@ LAWS: dict[str, Callable[[], Law]] = {
 
 
 def as_law(given: str | Law) -> Law:
-    """The law of a name of `LAWS`, or the law itself; ValueError for anything else."""
+    """Return the law of a name of `LAWS`, or the law itself; ValueError for anything else."""
     if isinstance(given, str):
         return LAWS[choice(given, LAWS, "impact")]()
     if isinstance(given, type) or not callable(given) or not hasattr(given, "takes_part"):

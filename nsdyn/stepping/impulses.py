@@ -1,4 +1,4 @@
-"""What acted at one configuration, and what it did: works, and what it leaves to the next move."""
+"""Impulses that acted at one configuration, their works, and the warm start that they leave to the next move."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Impulses", "book"]
 
 
 class Impulses(NamedTuple):
-    """What acted at one configuration.
+    """Impulses that acted at one configuration.
 
     Attributes
     ----------
@@ -35,23 +35,24 @@ class Impulses(NamedTuple):
     couple : ndarray, shape (nc, 3)
         On body 2, world axes, N·m·s: `nsdyn.stepping.persistence`.
     work_normal, work_friction : ndarray, shape (nc,)
-        Works, J; that of the couple with the normal one.
+        Works, J; that of the couple is included in the normal one.
     joints : ndarray, shape (7, nv)
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
         wrenches, N m s or N s; displacement by the position projection, rad or m; the most that actuators may give,
         N m s or N s, infinite where they have no limit; and the change of velocity of driven joints, rad/s or m/s.
     links : ndarray, shape (links, 6)
-        Of external wrenches on the links of trees, one by joint: force and moment about the world's origin, N·s, N m s.
+        Impulses of external wrenches on the links of trees, one by joint: force and moment about the world's origin,
+        N·s, N m s.
     created : float
         Energy that impacts created, J.
     begin, duration : float
-        When the move begins, s after the beginning of the step, and how long it is, s; 0 of impacts in no time. The
+        When the move begins, s after the beginning of the step, and how long it is, s; 0 for impacts in no time. The
         impulses of a move act (1 - θ) of it after its beginning.
     solved : (FC3D, Solution)
-        Its problem and the solution, of impacts the worst.
+        Problem and solution of the move; of several impacts the worst.
     works : Works
     moves : ndarray of bool, shape (nv,), or None
-        Of these coordinates those of the island that it is of; None for all.
+        Marks, among these coordinates of trees, those of the island that moved; None for all.
     wrench : ndarray, shape (free, 6), or None
         Impulses of external wrenches on the free bodies: force and moment about the centre of mass, world axes, N·s and
         N·m·s; None where there are none.
@@ -59,8 +60,8 @@ class Impulses(NamedTuple):
         Displacements of the free bodies by the projection at the end of the move: of the centre of mass, m, and
         rotation vector, rad, world axes; None where there are none.
     lasting : (ndarray, ndarray of bool, ndarray of bool), or None
-        Normal works of the move [J], and of which contacts, the first of these, it and that of friction where they
-        stick are booked as numerics; None of impacts in no time.
+        Normal works of the move [J], the contacts whose normal work is booked as numerics, and the contacts whose
+        friction work is booked as numerics where they stick; None for impacts in no time.
     """
 
     contacts: ContactSet
@@ -85,7 +86,7 @@ class Impulses(NamedTuple):
 
     @staticmethod
     def joined(done: list[Impulses]) -> Impulses:
-        """The contacts of all that acted in a step, one after the other, and sums of what it did to coordinates."""
+        """Join the contacts of all impulses of a step, one after the other, and add up what acted on coordinates."""
         columns = list(zip(*done, strict=True))
         frame, u, r, status, couple, *works = (np.concatenate(parts) for parts in columns[1:8])
         out = done[-1]._replace(contacts=joined(columns[0]), frame=frame, u=u, r=r, status=status, couple=couple)
@@ -104,10 +105,10 @@ def book(
     couple: Couple,
     mass: Array,
 ) -> tuple[Impulses, WarmStart]:
-    """What the impulses of a move of h s and its impacts did, and what they leave; h = 0: of impacts alone.
+    """Book the impulses of a move of h s and its impacts, or with h = 0 impacts alone; return also the warm start.
 
-    The impulses that are `solved` for act on what is `kin`, and change the velocities (n,) of before the impacts and
-    after them to the last ones. Gravity works on free bodies of such masses (free,), kg.
+    The impulses of the solution in `solved` act on the rows `kin`. `velocities` (n,) are those before the impacts,
+    after the impacts, and after all impulses. Gravity acts on free bodies of the masses `mass` (free,), kg.
     """
     d, c, nc, nr = s.dynamics, kin.contacts, kin.frame.shape[0], kin.mu.size
     actuation = beyond = normal_work = friction_work = rest = created = 0.0
@@ -148,7 +149,7 @@ def book(
     slots, on_joints = d.joints.impulses(kin.joints, impulse[nc:], d.n - first) if d.trees else d.no_impulses
     if kin.joints is not None and h > 0.0:
         slots = slots / h
-        # Actuators act all along the move, those at their limits as others: at the mean velocity of all of it.
+        # All actuators, also those at their limits, act throughout the move, at its overall mean velocity.
         along = 0.5 * float(on_joints[0] @ (velocities[0] - velocities[1])[first:])
         works = works._replace(external=works.external + along, integration=works.integration - along)
     if nr > nc:

@@ -1,8 +1,9 @@
-"""The step of a scene: all that moves at once; an island that meets an event is taken back and made by itself.
+"""The step of a scene: all islands move at once; an island that meets an event is taken back and moved by itself.
 
-An island is what may touch within the step. One that strikes, opens, closes, ends in an overlap or slips otherwise than
-foreseen is made as if there were nothing else, through all its events, and so does exactly what it would do alone. Its
-motion then says whether it came near another after all: these are made once more, together.
+An island is a group of bodies that may touch within the step. Events are impacts, contacts that open or close, overlaps
+at the end of the step, and slip that stops or reverses. An island with an event is moved through all its events as if
+no other island existed. Its motion is therefore exactly the motion it has alone. The path of the motion then shows
+whether the island came near another one after all. Such islands are moved once more, together.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ BENT = 0.25
 
 
 class Islands:
-    """The step of a scene, and the systems of its islands."""
+    """The step of a scene, moved island by island where events require it, and the subsystems of the islands."""
 
     def __init__(self, whole: System) -> None:
         d = whole.dynamics
@@ -53,10 +54,11 @@ class Islands:
         self._parts: dict[tuple[int, ...], Subsystem] = {}
 
     def step(self, state: State, loads: Loads, begun: Known) -> StepResult:
-        """Everything dt later, of which it is known what has `begun` in one move.
+        """Return the end of the step dt later, with the impulses and works of its moves.
 
-        What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.midpoint` does. An island that is made
-        by itself asks in each of its moves; all others are then where the step begins.
+        `begun` is the known part of the step as one move: its first half, or an attempt at all of it. `loads` gives the
+        callbacks for a time [s], as in `nsdyn.stepping.midpoint`. An island that is moved by itself calls them in each
+        of its moves; all other bodies are then where the step begins.
         """
         s = self.whole.during(state.next_t - state.dt, state.dt, state.instant.position)
         out = self._step(s, state, loads, begun)
@@ -65,6 +67,7 @@ class Islands:
         return out._replace(end=driven(out.end, *s.dynamics.surfaces.poses(state.next_t, s.theta)))
 
     def _step(self, s: System, state: State, loads: Loads, begun: Known) -> StepResult:
+        """Move all islands at once, then move the islands that meet an event by themselves."""
         if self.count < 2:
             return integrate(self.whole, state, loads, begun)
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
@@ -75,7 +78,7 @@ class Islands:
         opened[label[self._struck(begin, mid)]] = True
         large = OPTIONS.event * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > OPTIONS.work
         if made is None and (unseen := large & ~opened).any():
-            # One whose events are not located is made roughly first, which shows whether it meets any.
+            # A rough move first shows whether an island whose events are not located meets any.
             meets |= self._hit(try_islands(s, begin, mid, None, label, ~unseen[label], rough=True), label, unseen)
             opened |= meets
         if count < 2:
@@ -102,9 +105,9 @@ class Islands:
         tried: Attempt | None,
         meets: Bools,
     ) -> StepResult:
-        """The step from an attempt at it, of which the islands `opened` are made by themselves.
+        """Complete a step from an attempt at it: the islands `opened` are moved by themselves, the others as attempted.
 
-        It is known of some nodes (nodes,) that their island `meets` an event.
+        `meets` (nodes,) marks nodes whose island is known to meet an event.
         """
         s, begin, d = self.whole, state.instant, self.whole.dynamics
         boxes = self._swept(s, [begin.placement])
@@ -152,7 +155,7 @@ class Islands:
         return out._replace(end=end, clear=out.clear and all(p.clear for _, p in made))
 
     def _part(self, name: tuple[int, ...], nodes: Index) -> Subsystem:
-        """The system of some nodes."""
+        """Return the subsystem of some nodes, whose indices are its `name`; subsystems are kept for later steps."""
         if name not in self._parts:
             if len(self._parts) >= KEPT:
                 self._parts.clear()
@@ -162,9 +165,12 @@ class Islands:
     # -- islands -----------------------------------------------------------------------------------------------
 
     def _foreseen(self, begin: SceneState, mid: Midpoint) -> tuple[Index, int]:
-        """Islands of what may touch, should nothing be met, (nodes,), and their number."""
+        """Predict the islands of bodies that may touch, for a motion without contact impulses.
+
+        Return the island of each node, (nodes,), and the number of islands.
+        """
         s, d = self.whole, self.whole.dynamics
-        # What is found in the middle of the step is as far as detection sees, and as the second half may reach.
+        # At the midpoint contacts are found within the range of detection plus the reach of the second half.
         reach = d.reach(begin.placement, begin.v, mid.h - mid.ahead, mid.h, mid.surfaces[0]) + mid.reach
         lower, upper = s.detector.boxes(*begin.placement[:2])
         frame = s.detector.frame
@@ -173,7 +179,7 @@ class Islands:
         return label, self._islands((lower - far, upper + far), begin.contacts, None, label)
 
     def _islands(self, boxes: tuple[Array, Array], contacts: ContactSet, before: Index | None, label: Index) -> int:
-        """Connected nodes, by their boxes, contacts and the islands there were, into label (nodes,); their number."""
+        """Label nodes joined by boxes, contacts or islands `before`, into label (nodes,); return how many islands."""
         node = self.whole.dynamics.node
         first, second = node[contacts.frame1], node[contacts.frame2]
         if before is not None:
@@ -182,7 +188,7 @@ class Islands:
         return int(_islands.islands(*boxes, self._node, first, second, label))
 
     def _swept(self, s: System, path: Sequence[Placement]) -> tuple[Array, Array]:
-        """Boxes about the geoms on their way, (geoms, 3) each, m."""
+        """Return the lower and upper corners of boxes that contain the geoms along a path, (geoms, 3) each, m."""
         frame, free = s.detector.frame, s.dynamics.free
         lower, upper = s.detector.boxes(*path[0][:2])
         wide = np.zeros(s.dynamics.frames)
@@ -194,33 +200,33 @@ class Islands:
     # -- events ------------------------------------------------------------------------------------------------
 
     def _struck(self, begin: SceneState, mid: Midpoint) -> Index:
-        """Nodes of closed contacts and joint limits that approach so fast that they may strike in no time."""
+        """Return nodes of closed contacts and joint limits that approach fast enough for an impact at the beginning."""
         s, d, c = self.whole, self.whole.dynamics, begin.contacts
         out = [d.joints.block[limits_struck(s, begin, mid.h)]]
         if c.gap.size:
             u = normal_velocities(d, c, begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0])
             limit = np.where(c.restitution > 0.0, s.solver.tol, s.least_penetration / mid.h)
             strikes = (c.gap <= s.gap_tol) & (u < -limit)
-            if strikes.any():  # not what pressed before, which turns with its bodies
+            if strikes.any():  # contacts that pressed before turn with their bodies
                 strikes &= (c.restitution > 0.0) | (s.last_status(c, begin.warm) == 0)
             out += self._nodes(c, strikes)
         return np.concatenate(out)
 
     def _nodes(self, c: ContactSet, which: Bools) -> list[Index]:
-        """Nodes of some contacts."""
+        """Return the nodes of the contacts marked by `which`, as a list of one array."""
         node = self.whole.dynamics.node
         both = np.concatenate((node[c.frame1[which]], node[c.frame2[which]]))
         return [both[both >= 0]]
 
     def _of_rows(self, kin: ContactKinematics, which: Bools) -> list[Index]:
-        """Nodes of some rows."""
+        """Return the nodes of the rows marked by `which`, contacts first, then joint rows, as a list of arrays."""
         out, nc = self._nodes(kin.contacts, which[: kin.contacts.gap.size]), kin.contacts.gap.size
         if kin.joints is not None:
             out.append(self.whole.dynamics.joints.block[kin.joints.slot[which[nc:]]])
         return out
 
     def _hit(self, tried: Attempt, label: Index, of: Bools) -> Bools:
-        """Which islands run into what their move did not meet, of some (islands,)."""
+        """Mark the islands, among those in `of` (islands,), that run into contacts or limits left out of the move."""
         out, hit, joints = np.zeros_like(of), tried.hits, self.whole.dynamics.joints
         if hit.size:
             nodes = self._node[np.concatenate(np.divmod(hit[hit >= 0], self._node.size))]
@@ -228,9 +234,9 @@ class Islands:
         return out & of
 
     def _open(self, begin: SceneState, a: Attempt, label: Index, opened: Bools, large: Bools) -> None:
-        """Open the islands that an attempt does not do: they meet an event, or impulses are to be sought once more.
+        """Mark in `opened` the islands for which an attempt does not hold: they meet an event or need another solve.
 
-        In `large` islands (islands,) slip that turns round is not located.
+        In `large` islands (islands,) reversals of slip are not located.
         """
         s, d = self.whole, self.whole.dynamics
         out = [np.empty(0, np.int64)]
@@ -252,7 +258,7 @@ class Islands:
         changed = [x is not y for x, y in zip(limited.trees, a.mid.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
         opened[label[np.concatenate(out)]] = True
-        # What passes through something unseen.
+        # Bodies that pass through others unseen.
         fast = d.node[:-1][a.mid.reach > OPTIONS.unseen * s.smallest] if a.mid.fast else d.node[:0]
         if (fast < 0).any() or not opened[label[fast]].all():
             poses = begin.placement, mid.state.placement, a.moved.placement
@@ -266,7 +272,10 @@ class Islands:
                 opened[label[np.concatenate((kin, nodes[nodes >= 0]))]] = True
 
     def _gaining(self, begin: SceneState, made: StepResult, tried: Attempt, label: Index, opened: Bools) -> None:
-        """Open the islands whose contacts add energy in a move made: by themselves these take it in pieces."""
+        """Mark in `opened` the islands whose contacts add energy in the move `made`, or whose bodies turn far.
+
+        Moved by themselves, these islands take the step in smaller pieces.
+        """
         s, d, a, kin = self.whole, self.whole.dynamics, made.done[0], tried.kin
         if not a.status.size:
             return
@@ -279,7 +288,7 @@ class Islands:
         gained, more = (np.bincount(island, w, count) for w in (nothing, a.work_normal + a.work_friction - nothing))
         more[island[d.surfaces.carry(a.contacts) | (a.contacts.restitution > 0.0)]] = 0.0
         gained += np.maximum(more, 0.0)
-        gained[label[d.free :]] = 0.0  # trees, as of `substepping`
+        gained[label[d.free :]] = 0.0  # trees are exempt, as in `substepping`
         if (gained > 0.0).any():
             energies = []
             for v in (begin.v, s.dt * made.rate):
@@ -289,9 +298,9 @@ class Islands:
             opened |= gained > OPTIONS.gain * np.maximum(*energies)
 
     def _kept(self, a: Attempt, left: Bools, next_key: int) -> Attempt:
-        """What an attempt did to the nodes left; new contacts of theirs have keys from `next_key` on."""
+        """Return the part of an attempt that concerns the nodes `left`; new contacts get keys from `next_key` on."""
         s, d = self.whole, self.whole.dynamics
-        # What is seen of two islands from afar is of neither.
+        # A distant contact between two islands belongs to neither.
         stays = np.append(left, True)[d.node]
         kept, there = (stays[c.frame1] & stays[c.frame2] for c in (a.kin.contacts, a.moved.contacts))
         if a.kin.joints is not None:

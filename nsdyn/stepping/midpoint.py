@@ -1,9 +1,9 @@
-"""The first half of a move: half a free flow, and the forces there, those of the user's callbacks at second order.
+"""The first half of a move: half a free flow, and the forces there; forces of callbacks are of second order.
 
-Forces that depend on the velocity are those at the mean velocity of the move, ½ (v⁻ + v⁺), which is found by predicting
-them: the callbacks are called where the forces act, first with the velocity v⁻ before them, and once more with
-½ (v⁻ + v⁺) of the motion so found. Where they then say something else the motion is found again, with that. The works
-of forces are those on the mean velocity, too: a force that is perpendicular to the velocity works O(h⁴) in a step.
+Forces that depend on the velocity are evaluated at the mean velocity of the move, ½ (v⁻ + v⁺). This velocity is found
+by prediction: the callbacks are called where the forces act, first with the velocity v⁻ before them, and once more with
+½ (v⁻ + v⁺) of the motion so found. If they then return other forces, the motion is computed again, with those. Works of
+forces are taken on the mean velocity, too: a force that is perpendicular to the velocity does work O(h⁴) in a step.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ class Midpoint:
     ----------
     s : System
     h : float
-        The move, s.
+        Length of the move, s.
     end : float
         Time at the end of the move, s.
     state : MidpointState
         Where the forces and impulses act.
     forces : Forces
     foreseen : ndarray, shape (n,)
-        The velocity that they are first thought to leave.
+        First prediction of the velocity after the forces.
     surfaces : three ndarrays of shape (surfaces, 2, 3)
-        Twists of what moves as prescribed: at the beginning, when the impulses act, at the end.
+        Twists of driven bodies and moving surfaces: at the beginning, when the impulses act, at the end.
     given : (Wrenches or None, Controls)
-        What the callbacks say.
+        Values that the callbacks returned.
     """
 
     s: System
@@ -72,7 +72,7 @@ class Midpoint:
 
     @property
     def ahead(self) -> float:
-        """Its second half, s."""
+        """Length of the second half, s."""
         return self.s.theta * self.h
 
     @cached_property
@@ -89,12 +89,12 @@ class Midpoint:
 
     @cached_property
     def fast(self) -> bool:
-        """Whether that is so far that it might go unseen."""
+        """Whether some points may move so far in the second half that contacts go unseen."""
         fast: bool = _reductions.most(self.reach) > OPTIONS.unseen * self.s.smallest
         return fast
 
     def turns(self, begin: SceneState, moved: SceneState) -> tuple[Array, Array]:
-        """About how far frames turn in either half from one instant to another, rotation vectors, (frames, 3) each."""
+        """Return about how far frames turn in each half of a move to `moved`, as rotation vectors, (frames, 3) each."""
         d, ends = self.s.dynamics, (begin.twists[1], moved.twists[1])
         first, second = (d.spins(w, twist) for w, twist in zip(ends, self.surfaces[::2], strict=True))
         return (self.h - self.ahead) * first, self.ahead * second
@@ -105,7 +105,7 @@ class Midpoint:
         return self.s.dynamics.surfaces.poses(self.end, self.s.theta)
 
     def booked(self, own: Works, v0: Array, v1: Array, left: Bools | None = None) -> Works:
-        """`own` works and those of the loads on free bodies, on the mean of v0 and v1 (n,); of `left` as `wrench`."""
+        """Return `own` works plus those of loads on free bodies at the mean of v0 and v1 (n,); `left` as `wrench`."""
         if self.given[0] is None:
             return own
         free = self.forces.load.shape[1]
@@ -117,7 +117,7 @@ class Midpoint:
         return own
 
     def wrench(self, left: Bools | None = None) -> Array | None:
-        """Impulses of the loads on the free bodies as of `Impulses`; of the nodes `left`, if not of all."""
+        """Return the impulses of the loads on free bodies, as in `Impulses`; of the nodes `left`, if not of all."""
         load = self.forces.load if left is None else left[: self.forces.load.shape[1], None] * self.forces.load
         if not load.any():
             return None
@@ -128,7 +128,7 @@ class Midpoint:
 
 
 def midpoint(s: System, begin: SceneState, t: float, h: float, callbacks: Callbacks) -> Midpoint:
-    """Half a free flow from the time t, and the forces there, as callbacks say at the velocity v⁻."""
+    """Compute half a free flow from the time t, and the forces there, with callbacks at the velocity v⁻."""
     d, surfaces = s.dynamics, STILL_SURFACES
     if d.surfaces.count:
         begun, ended = d.surfaces.twists(t), d.surfaces.twists(t + h)
@@ -139,7 +139,7 @@ def midpoint(s: System, begin: SceneState, t: float, h: float, callbacks: Callba
 
 
 def corrected(s: System, begin: SceneState, mid: Midpoint, v: Array, callbacks: Callbacks) -> Midpoint:
-    """The half with what callbacks say at the mean velocity, where v⁺ = v; itself where they say the same."""
+    """Return the first half with callbacks at the mean velocity for v⁺ = v; `mid` itself if they return the same."""
     if callbacks is None:
         return mid
     given = callbacks(mid.state.position, 0.5 * (mid.state.v + v))
@@ -157,13 +157,13 @@ def _under(
     surfaces: tuple[Array, Array, Array],
     given: Given,
 ) -> Midpoint:
-    """The first half of a move of h s until the time `end` under the forces given."""
+    """Return the first half of a move of h s that ends at the time `end`, under the given forces."""
     forces = s.dynamics.forces(state, end, h, *given, begin.warm.joints)
     return Midpoint(s, h, end, state, forces, forces.foreseen, surfaces, given)
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Whether nested values are the same to the last bit."""
+    """Return whether nested values are equal to the last bit."""
     if one is other:
         return True
     if isinstance(one, np.ndarray):

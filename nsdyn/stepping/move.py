@@ -1,4 +1,4 @@
-"""One move of a scene: half a free flow, all forces and impulses at one configuration, half a free flow."""
+"""One move of a scene: half a free flow, all forces and impulses at the midpoint, half a free flow."""
 
 from __future__ import annotations
 
@@ -66,11 +66,13 @@ def try_move(
 
         q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
 
-    and the contact law of `contact_kinematics`, with the contacts that the motion shows. Where the callbacks, which `loads`
-    gives at a time [s], say another f̃ at the mean velocity ½ (v⁻ + v⁺) the motion is found once more, with that.
+    and the contact law of `contact_kinematics`, for the active set that agrees with the motion. `loads` gives the
+    callbacks for a time [s]. Where they return another f̃ at the mean velocity ½ (v⁻ + v⁺), the motion is computed once
+    more, with that f̃.
 
-    `located` are codes, as of `others`, of what is left alone where it is open, as is all that would become deep, or
-    strike: the move then says what it ran into. None: all is caught. `begun` is what is known of it.
+    `located` holds codes, as in `missed_impacts`, of contacts and joint limits whose impacts are to be located. The
+    move leaves these out while they are open, and also all contacts that would become deep or strike. The result then
+    says which contacts the move runs into. With None, all contacts are captured. `begun` is the known part of the move.
     """
     (mid, made), callbacks = parted(begun), loads(t + (1.0 - s.theta) * h)
     if mid is None and (s.dynamics.trees or callbacks is not None):
@@ -89,7 +91,7 @@ def try_move(
 
 
 def _moved(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> Attempt:
-    """The move from its first half, stage by stage; where all is caught, with the contacts that its motion shows."""
+    """Compute the move from its first half, in stages; update the active set where all contacts are captured."""
     there, needs = _reachable(s, begin, mid, located)
     m = _respond(s, begin, mid, there, needs, located, None)
     kept = NO_SLOTS
@@ -104,7 +106,10 @@ def _moved(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -
 
 
 def _whole(s: System, begin: SceneState, m: Attempt, located: Index, label: Index | None = None) -> Attempt:
-    """The move with the contacts that its motion shows to be `missed`; they stay as long as nothing moves."""
+    """Return the move with the contacts added that its motion shows to be missed.
+
+    The added contacts stay among those found as long as nothing moves.
+    """
     there: SceneState | None = None
     for _ in range(UPDATES):
         late = missed_contacts(s, m.kin, m.normal_impulses, m.moved, begin.placement, m.mid.state.placement)
@@ -112,7 +117,7 @@ def _whole(s: System, begin: SceneState, m: Attempt, located: Index, label: Inde
             break
         if there is None:
             there, (_, joints) = _reachable(s, begin, m.mid, located)
-        apart = take(there.contacts, ~among(there.contacts.key, late.key))  # of which it may have been left alone
+        apart = take(there.contacts, ~among(there.contacts.key, late.key))  # a late one may be found already
         contacts, memory = united((apart, late)), there.memory.joined(m.moved.memory, late.key)
         there, kin = there._replace(contacts=contacts, memory=memory), united((m.kin.contacts, late))
         m = _respond(s, begin, m.mid, there, (kin, joints), located, m, label=label)
@@ -120,7 +125,7 @@ def _whole(s: System, begin: SceneState, m: Attempt, located: Index, label: Inde
 
 
 def _met(s: System, begin: SceneState, m: Attempt, located: Index | None) -> Attempt:
-    """The move with what it runs into."""
+    """Return the move with the contacts and joint limits that it runs into, and with its time of touch."""
     if located is None:
         return m
     mid, moved = m.mid, m.moved
@@ -137,7 +142,7 @@ def _met(s: System, begin: SceneState, m: Attempt, located: Index | None) -> Att
 
 
 def _run_into(s: System, m: Attempt, limits: Array) -> Attempt:
-    """The move with what strikes where it ends, of contacts and such gaps of joint limits."""
+    """Return the move with its hits: contacts, and joint limits with the gaps `limits`, that strike at its end."""
     slots = NO_SLOTS if m.kin.joints is None else m.kin.joints.slot
     hits, limit = missed_impacts(s, m.moved.contacts, m.kin.contacts, m.normal_impulses, limits, slots)
     return m._replace(hits=hits, limit=limit)
@@ -153,11 +158,11 @@ def try_islands(
     made: Attempt | None = None,
     rough: bool = False,
 ) -> Attempt:
-    """A move of all islands that leaves alone what may strike, as a `try_islands` with nothing barred.
+    """Move all islands at once, and leave out contacts that may strike, as `try_move` does with an empty `located`.
 
-    Nodes have the label of their island (nodes,), none of which changes because of another. It is no motion of the
-    nodes `skip`, whose contacts are passed over. One that is `kernel_result` serves where nothing is. A `rough` one is only to
-    show what is met: its persistent contacts do some work.
+    Each node has the label of its island (nodes,); no island changes because of another. The result is no motion of the
+    nodes `skip`, whose contacts are left out. An attempt `made` by the kernel is used if no node is skipped. A `rough`
+    move only shows which events are met: its persistent contacts do some work.
     """
     if skip.any():
         made = None
@@ -176,7 +181,10 @@ def try_islands(
 
 
 def _reachable(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> tuple[SceneState, Needs]:
-    """Where a move begins with what is found where its impulses act, and what it needs, unless that is left alone."""
+    """Return the beginning of a move with the contacts found at its midpoint, and the contacts and rows it needs.
+
+    The second half needs all contacts and joint rows but those that the move leaves out.
+    """
     middle, v, there = mid.state, mid.forces.foreseen, begin
     if (detected_at := s.detection_pose(begin.detected_at, middle.placement, mid.reach)) is not None:
         found = s.detector.find(*detected_at, begin.memory)
@@ -204,11 +212,11 @@ def _respond(
     rough: bool = False,
     label: Index | None = None,
 ) -> Attempt:
-    """Impulses, and half a free flow; from what was found with other contacts or roughly, if anything was.
+    """Solve for the impulses of a move and compute its second half, starting from the last attempt if there is one.
 
-    The half has rows for all actuators that the impulses bring to their limits, each of which may take another solve:
-    not where nodes have a label, that of their island. Then nothing is done to an island because of another, and that
-    is left to see who asks.
+    The second half has rows for all actuators that the impulses bring to their limits, each of which may take another
+    solve. Actuators are not checked where nodes have a label, that of their island: no island may change because of
+    another, and the caller checks the actuators.
 
     Parameters
     ----------
@@ -216,17 +224,17 @@ def _respond(
     begin : SceneState
         Where the move begins.
     mid : Midpoint
-        Its first half.
+        First half of the move.
     there : SceneState
-        What was found where the impulses act.
+        The beginning, with the contacts found where the impulses act.
     needs : Needs
-        Of that, what the second half needs.
+        Contacts and joint rows that the second half needs.
     located : ndarray of int, optional
-        As of `try_islands`.
+        As in `try_move`.
     last : Attempt, optional
-        What was found before.
+        The last attempt, with other contacts or a rough solution.
     rough : bool
-        Whether a rough solution is enough where it is of a collision.
+        Whether a rough solution of a collision is enough.
     label : ndarray of int, shape (nodes,), optional
     """
     d, forces = s.dynamics, mid.forces
@@ -277,10 +285,10 @@ def _respond(
 def _arrive(
     s: System, mid: Midpoint, at: SceneState, v: Array, impulse: Array, near: Array
 ) -> tuple[tuple[Flow, ...], SceneState]:
-    """The second half of a move: what trees do in it, and where it ends, with what is found there.
+    """Compute the second half of a move: the flows of the trees, and the end with the contacts found there.
 
-    It goes on from what is found `at` the impulses H r (n,) that leave the velocity v (n,), and contacts are sought as
-    far as `near` (frames,) from each frame, m.
+    The impulses H r (n,) lead to the velocity v (n,). Detection goes on from the state `at`, and searches as far as
+    `near` (frames,) from each frame, m.
     """
     d = s.dynamics
     position, v_end, there, trees = d.end(mid.state, mid.forces, v, impulse, mid.ahead, mid.driven)
@@ -295,7 +303,7 @@ def _arrive(
 def _encounter(
     s: System, begin: SceneState, mid: Midpoint, detected_at: DetectionPose, needs: Needs, label: Index | None
 ) -> tuple[ContactKinematics, Impact | None]:
-    """What the second half meets, with impacts that it catches."""
+    """Return the contacts and joint rows of the second half of a move, and the impacts captured at its midpoint."""
     d, (contacts, joints) = s.dynamics, needs
     there, every = mid.state.placement, d.with_actuators(joints, mid.forces)
     kin = ContactKinematics.of(mid, there._replace(x=detected_at.x, R=detected_at.R), contacts, every, begin)
@@ -309,7 +317,7 @@ def _encounter(
 def _ending(
     s: System, mid: Midpoint, kin: ContactKinematics, solution: Solution, moved: SceneState
 ) -> tuple[ContactKinematics, Bools]:
-    """What is met with the gaps that rows end with, and which rows end otherwise than the solution tells."""
+    """Return the rows with their gaps at the end of the move, and mark rows that end otherwise than predicted."""
     d, there, joints = s.dynamics, moved.placement, kin.joints
     gap = s.detector.gaps(kin.contacts, moved.contacts, there)
     if joints is not None:
@@ -323,7 +331,7 @@ def _ending(
 
 
 def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:
-    """The gaps of joint rows somewhere, rad or m; infinite for friction and actuators."""
+    """Return the gaps of joint rows at a placement, rad or m; infinite for friction and actuators."""
     if joints is None:
         return NOTHING
     gaps = s.dynamics.joints.gaps(joints.slot, s.dynamics.angles(there))
@@ -331,7 +339,7 @@ def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:
 
 
 def _resume(kin: ContactKinematics, sliding: Bools, last: Attempt) -> None:
-    """Start from what the last look has left: impulses and slip of contacts that are still there, and joint rows."""
+    """Start from the last attempt: impulses and slip of contacts that are still active, and impulses of joint rows."""
     key, r, rows = last.kin.contacts.key, last.solution.r.reshape(-1, 3), last.kin.joints
     nc = kin.contacts.gap.size
     where = np.empty(nc, np.int64)
@@ -339,5 +347,5 @@ def _resume(kin: ContactKinematics, sliding: Bools, last: Attempt) -> None:
     known, guess = where >= 0, kin.r_last.reshape(-1, 3)
     guess[:nc][known] = r[where[known]]
     sliding[known] = last.sliding[where[known]]
-    if kin.joints is not None and rows is not None:  # of which some may be new, those of actuators
+    if kin.joints is not None and rows is not None:  # some may be new: those of actuators
         guess[nc:][among(kin.joints.slot, rows.slot)] = r[key.size :]

@@ -1,4 +1,4 @@
-"""Rounds of impacts: one provokes the next, at one configuration and in no time, until nothing strikes."""
+"""Rounds of impacts: one provokes the next, at one configuration and in no time, until no contact strikes."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ ROUNDS = 60
 
 
 class Impact(NamedTuple):
-    """What a series of impacts did.
+    """The result of a series of impacts.
 
     Attributes
     ----------
     r : ndarray, shape (3 rows,)
         Sum of the impulses, N·s.
     u : ndarray, shape (3 rows,)
-        Relative velocities after it, m/s.
+        Relative velocities after the impacts, m/s.
     work_normal, work_friction : ndarray, shape (rows,)
-        Works of the impulses, J: where nothing of an island rebounds those of their sum, at the mean of the first u and
-        the last.
+        Works of the impulses, J. On islands where no contact rebounds they are those of the summed impulses, at the
+        mean of the first u and the last.
     created : float
-        Energy created, J: the sum over rounds and islands of contacts whose impulses together did positive work, by
-        more than their solution leaves.
+        Energy created, J: the sum over rounds and islands of contacts whose impulses together did positive work, beyond
+        the error of their solution.
     solved : (FC3D, Solution) or None
-        Of the problems solved the worst; None where nothing struck.
+        Of the problems solved the worst; None where no contact struck.
     """
 
     r: Array
@@ -45,17 +45,17 @@ class Impact(NamedTuple):
 
 
 def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
-    """Impacts at one configuration until nothing strikes.
+    """Apply impacts at one configuration until no contact strikes.
 
     Parameters
     ----------
     law : Law
     at : Round
-        Of all contacts, with their restitutions e; `hit` are those that are closed and may carry impulses.
+        State of all contacts, with their restitutions e; `hit` are those that are closed and may carry impulses.
     resting : ndarray, shape (rows,)
-        Speeds of approach [m/s] below which a contact rests: what strikes with less does not rebound.
+        Speeds of approach [m/s] below which a contact rests: a slower impact does not rebound.
     slow : ndarray, shape (rows,)
-        Speeds of approach below which it does not strike at all.
+        Speeds of approach below which a contact does not strike at all.
     """
     blocks, u, _, restitution, closed, solver = at
     label = np.full(closed.size, -1)
@@ -66,13 +66,13 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
         hit = closed & (u[0::3] < -slow)
         if not hit.any():
             break
-        # An island without an impact is not concerned.
+        # An island without an impact takes no part.
         struck = np.zeros(label.size + 1, np.bool_)
         struck[label[hit]] = True
         part = closed & struck[label]
         e = np.where(hit & (u[0::3] < -resting), restitution, 0.0)
         if k < ROUNDS - 1:
-            # Where nothing rebounds all comes to rest at once: one by one contacts would set each other off for long.
+            # Without rebounds an island comes to rest in one round: one by one, contacts would strike in many rounds.
             rebounds = np.zeros(label.size + 1, np.bool_)
             rebounds[label[e > 0.0]] = True
             part &= law.takes_part(hit, restitution) | ~rebounds[label]
@@ -92,8 +92,8 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
         for problem, solution in solved:
             if worst is None or solution.error > worst[1].error:
                 worst = problem, solution
-        if not all(solution.accepted for _, solution in solved):  # what follows on no solution is none either
+        if not all(solution.accepted for _, solution in solved):  # later rounds have no solution then
             break
-    # What a loose solution leaves may strike again.
+    # A loose solution leaves velocities that may strike again. Without rebound, take the work of the summed impulses.
     works = np.where(np.repeat(bounced, 3), works, 0.5 * (at.before + u) * total)
     return Impact(total, u, works[0::3], works[1::3] + works[2::3], created, worst)

@@ -1,4 +1,4 @@
-"""What moves of a scene share: the system, and its state at an instant."""
+"""Values that all moves of a scene share: the system, and the state of the scene at an instant."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STILL = 0.5
 
 
 class System(NamedTuple):
-    """What does not change from move to move.
+    """The properties of a scene that do not change from move to move.
 
     Attributes
     ----------
@@ -42,23 +42,23 @@ class System(NamedTuple):
     theta : float
         Fraction of the move after the impulses.
     dt : float
-        The step of which moves are parts, s: what bounces on for less than that rests.
+        Length of the step of which moves are parts, s: a contact that would bounce on for less than dt rests.
     gap_tol : float
-        Largest gap that counts as closed, m.
+        Gap tolerance: largest gap that counts as closed, m.
     inscribed : ndarray, shape (geoms,)
-        Radii of balls inside the shapes, m; infinite of those that never move.
+        Inscribed radii of the shapes, m; infinite for shapes that never move.
     smallest : float
-        The least of them, m.
+        Least inscribed radius, m.
     arm : ndarray, shape (frames,)
         How far shapes reach from the origins of their frames, m.
     impact : Law
-        Of impact.
+        Law of impact.
     elastic : bool
         Whether any contact or joint limit has restitution.
     depth : float
-        Fraction of the inscribed radius of the smaller shape up to which bodies may run into each other within a move.
+        Largest penetration within a move, as a fraction of the inscribed radius of the smaller shape.
     mover : MoveKernel, optional
-        Where no surfaces move.
+        Kernel of moves, where no surfaces move.
     """
 
     dynamics: Dynamics
@@ -77,23 +77,24 @@ class System(NamedTuple):
 
     @property
     def least_penetration(self) -> float:
-        """The least of what is `deep`."""
+        """Least penetration, m, that counts as deep."""
         return self.depth * self.smallest
 
     @property
     def capturing(self) -> System:
-        """The same in a move that catches what it meets, and what strikes as slowly where it begins."""
+        """The system of a move that captures the contacts it meets, and impacts as slow where it begins."""
         return self._replace(depth=max(self.depth, OPTIONS.depth_captured))
 
     def during(self, t: float, h: float, begin: Position) -> System:
-        """The same in a step of h s from t on that begins at a position."""
+        """Return the system in a step of h s from the time t on that begins at a position."""
         return self._replace(dynamics=self.dynamics.during(t, h, begin)) if self.dynamics.surfaces.count else self
 
     def gap_rule(self, h: float, captured: bool) -> GapRule:
-        """How gaps close in a move of h s that catches all impacts or locates them: then it ends where bodies touch.
+        """Return how gaps close in a move of h s: it captures all impacts, or locates them and ends where bodies touch.
 
-        The move after it is no longer than the step. Left to close later is what gravity closes from rest in a step,
-        which is of second order, and not deep; what crosses wider gaps strikes. None where impacts are located.
+        The next move is no longer than the step. Gaps that gravity closes from rest in a step may stay open until the
+        next impulses: they are of second order, and not deep. Contacts that cross wider gaps strike. No gap stays open
+        so where impacts are located.
         """
         shallow = (
             min(OPTIONS.depth_captured * min(self.smallest, OPTIONS.joint), self.dynamics.weight * self.dt**2)
@@ -111,44 +112,49 @@ class System(NamedTuple):
         together: ContactSet | None = None,
         foreseen: Array | None = None,
     ) -> Touches:
-        """Contacts of `Detector.touches` of pairs so `Options.unseen` that where they end does not tell which sides met."""
+        """Return `Detector.touches` of pairs so fast (`Options.unseen`) that their end does not tell which sides met."""
         return self.detector.touches(begin, end, memory, known, OPTIONS.unseen * self.inscribed, together, foreseen)
 
     def detection_pose(self, last: DetectionPose, now: Poses, reach: Array) -> DetectionPose | None:
-        """Where to look for contacts now: where they were looked for, but for frames of which that is no longer so.
+        """Return where to search for contacts: each frame at its last pose if that still holds, else at its present.
 
-        None if there are none: then the contacts found are those of now, up to the gaps that `reach` (frames,) allows.
+        None if all last poses hold: the contacts found are then those of now, up to the gaps that `reach` (frames,)
+        allows.
         """
         out = DetectionPose(np.empty_like(now.x), np.empty_like(now.R), np.empty_like(reach))
         there = now.x, now.R, reach
         return None if _touching.detection_pose(tuple(last), there, self.arm, STILL * self.gap_tol, tuple(out)) else out
 
     def penetration_tol(self, contacts: ContactSet) -> Array:
-        """Overlaps, m, that a move may catch: deeper ones are impacts to be located; of joint limits depth JOINT."""
+        """Return the penetrations, m, that a move may capture: deeper contacts are impacts to be located.
+
+        For joint limits, `Options.joint` takes the place of the inscribed radius.
+        """
         out: Array = self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return out
 
     def nodes(self, contacts: ContactSet) -> Index:
-        """The block of coordinates that moves each contact, of the two the first, shape (nc,); -1 for none."""
+        """Return the block of coordinates that moves each contact, the first of two, shape (nc,); -1 for none."""
         node = self.dynamics.node
         first = node[contacts.frame1]
         out: Index = np.where(first >= 0, first, node[contacts.frame2])
         return out
 
     def last_status(self, contacts: ContactSet, warm: WarmStart) -> NDArray[np.int8]:
-        """What the contacts were in the last move, shape (nc,): 0 open, 1 stick, 2 slip."""
+        """Return the status of the contacts in the last move, shape (nc,): 0 open, 1 stick, 2 slip."""
         out = np.empty(contacts.gap.size, np.int8)
         _touching.last_status(contacts.names, self.inscribed.size, (warm.key, warm.pair, warm.status), out)
         return out
 
     def striking_speed(self, at: SceneState) -> float:
-        """The least normal velocity of what may strike in no time at an instant, m/s, 0 if none is negative.
+        """Return the least normal velocity of contacts that may strike at an instant, m/s, 0 if none is negative.
 
-        Of contacts that are closed; those that pressed in the last move turn with their bodies, and close a little.
+        These are closed contacts. Those that pressed in the last move and do not rebound are left out: they turn with
+        their bodies, and close a little.
         """
         c, w = at.contacts, at.warm
         warm = w.key, w.pair, w.status
-        # But where such a contact has just closed its gap and that gains energy, it is stopped first.
+        # But where a contact has just closed its gap and that gains energy, the contact is stopped first.
         if self.depth < OPTIONS.depth_located:
             warm = w.key, w.pair, np.zeros_like(w.status)
         least: float = _touching.striking_speed(
@@ -158,15 +164,16 @@ class System(NamedTuple):
 
     @property
     def bounces(self) -> tuple[float, float]:
-        """Half a step, s, and the least 1 - e that counts in it, as of `resting`."""
+        """Half a step, s, and the least 1 - e that counts in it, for `resting`."""
         return 0.5 * self.dt, 1.0 / OPTIONS.bounces
 
     def resting(self, kin: ContactKinematics, there: Placement, rate: Array) -> Array:
-        """Speeds of approach up to which what strikes rests afterwards, at a free acceleration `rate` (n,), m/s.
+        """Return speeds of approach, m/s, up to which contacts rest after an impact, at the free acceleration `rate`.
 
-        After an impact that leaves u the flight takes 2 u/a_n, with the free accelerations of both bodies along the
-        normal added up, and those that follow e, e², ... times as long: they are over within a step, or the `Options.bounces` of
-        it, where u ≤ ½ a_n dt max(1 - e, 1/EVENTS). What the solver's tolerance leaves of a velocity is no approach.
+        The shape of `rate` is (n,). After an impact that leaves u the flight takes 2 u/a_n, where a_n adds up the free
+        accelerations of both bodies along the normal. The next flights take e, e², ... times as long. Where u ≤ ½ a_n
+        dt max(1 - e, 1/N), all flights end within a step, or the N = `Options.bounces` flights do that count as
+        infinitely many. An approach within the solver's tolerance is none.
         """
         d, c, e = self.dynamics, kin.contacts, kin.restitution
         weight = np.empty(c.gap.size)
@@ -179,30 +186,30 @@ class System(NamedTuple):
         return out
 
     def sunk(self, contacts: ContactSet) -> bool:
-        """Whether bodies are in each other by more than `Options.unseen` of the inscribed radius of the smaller shape."""
+        """Return whether bodies penetrate by more than `Options.unseen` of the smaller shape's inscribed radius."""
         if _reductions.least(contacts.gap) >= -OPTIONS.unseen * self.smallest:
             return False
         radius = np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
         return bool((contacts.gap < -OPTIONS.unseen * radius).any())
 
     def shifted(self, before: Position, after: Position) -> bool:
-        """Whether a projection moved points of a free body by more than `Options.unseen` of the least inscribed radius."""
+        """Return whether a projection moved points of a free body by more than `Options.unseen` of `smallest`."""
         free = before.x.shape[0]
         if after is before or not free:
             return False
-        # Of a small turn the quaternion changes by half.
+        # A small turn changes the quaternion by half its angle.
         turn = 2.0 * np.linalg.norm(after.quaternion - before.quaternion, axis=1)
         moved = np.linalg.norm(after.x - before.x, axis=1) + self.arm[:free] * turn
         return float(moved.max()) > OPTIONS.unseen * self.smallest
 
 
 class WarmStart(NamedTuple):
-    """What a step leaves to the next besides its end: a start for the solver, and what was closed.
+    """The data that a step leaves to the next besides its end: a start for the solver, and the status of the contacts.
 
     Attributes
     ----------
     key, pair : ndarray of int, shape (nc,)
-        Names of the contacts, and codes of their pairs of shapes.
+        Keys of the contacts, and codes of their pairs of shapes.
     force : ndarray, shape (nc, 3)
         World axes, N: impulses over the length of their move.
     status : ndarray of int8, shape (nc,)
@@ -219,7 +226,7 @@ class WarmStart(NamedTuple):
 
 
 class SceneState(NamedTuple):
-    """A state of the scene with all that a move begins with.
+    """The state of a scene at an instant, with all data from which a move begins.
 
     Attributes
     ----------
@@ -227,17 +234,18 @@ class SceneState(NamedTuple):
     v : ndarray, shape (n,)
     placement : Placement
     contacts : ContactSet
-        Found there, with the true gaps of the shapes.
+        Contacts found there, with the true gaps of the shapes.
     limits : ndarray
         Gaps of all joint limits, rad or m.
     memory : ContactSet
+        Contacts whose keys the next detection goes on with.
     detected_at : DetectionPose
-        Where the contacts were found; not quite here if nothing has moved since.
+        Where the contacts were found; not quite at `placement` if frames have hardly moved since.
     warm : WarmStart
     twists : two ndarrays of shape (frames, 3)
-        Of the frames, world axes, m/s and rad/s.
+        Linear and angular velocities of the frames, world axes, m/s and rad/s.
     energies : tuple of (float, float)
-        Kinetic and potential, of every tree, J.
+        Kinetic and potential energy of every tree, J.
     """
 
     position: Position
@@ -253,7 +261,7 @@ class SceneState(NamedTuple):
 
 
 def among(x: Index, some: Index) -> Bools:
-    """Which of x (n,) are among some: in small arrays ten times as fast as NumPy."""
+    """Mark the elements of x (n,) that are among some: in small arrays ten times as fast as NumPy."""
     out = np.empty(x.size, np.bool_)
     _sorting.among(x, some, out)
     return out

@@ -1,10 +1,10 @@
-"""When the slip of a contact, or of a joint with dry friction, turns round within a move.
+"""Reversal of slip within a move, of a contact or of a joint with dry friction.
 
-Friction is against the slip until that is zero, and the other way afterwards, where it does not hold. A move knows but
-one direction, and its friction would be wrong by up to 2 μ r_N: it is to end where the slip is zero. What stops, and
-does not slide back, needs that not: the impulse by which it stands still at the end is right however early it stops.
-But where bodies turn, it may stop by itself, and the friction that then holds it be along the slip it had: on the mean
-slip of the move it would create energy.
+Friction opposes the slip until the slip is zero. It has the opposite direction afterwards, unless the contact sticks. A
+move has only one direction of friction, so its friction would be wrong by up to 2 μ r_N: the move has to end where the
+slip is zero. A contact that stops, and does not slide back, needs no such cut: the impulse that holds it at rest at the
+end is right however early it stops. But where bodies turn, slip may stop by itself. The friction that then holds the
+contact may be along the slip it had: on the mean slip of the move this friction would create energy.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ SLIPS = 1.0 - 1e-9
 
 
 def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution, cut: bool = False) -> float:
-    """The fraction of a move after which the first slip turns round, 1 if none does.
+    """Return the fraction of a move after which the first slip reverses, 1 if none does.
 
-    With the slip u_k where the move begins and u_e where it would end if friction did not change its direction, the
-    forces of the move being constant: u_k/(u_k - u_e). What is solved loosely tells of none. Where the move has been
-    `cut` only friction that still drives, as where stiff forces change with the time, tells of one.
+    The fraction is u_k/(u_k - u_e), with the slip u_k where the move begins and u_e where it would end if friction did
+    not change its direction, the forces of the move being constant. A loose solution shows no reversal. Where the move
+    has been `cut`, a reversal counts only if friction still drives the slip, as where stiff forces change with the
+    time.
     """
     local = kin.begun
     if not solution.converged or (end := endings(kin, problem, solution)) is None:
@@ -40,7 +41,7 @@ def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: So
     free, turned = free + jacobian_drift, end == 2
     b = problem.q.reshape(-1, 3).copy()
     if (stops := end == 1).any():
-        # What stops would slide back from rest.
+        # Solve again: would contacts that stop slide back from rest?
         rest = b.copy()
         rest[stops, 1:] = (free - begin)[stops]
         again = solver(problem.with_velocity(rest.ravel()), solution.r)
@@ -53,7 +54,7 @@ def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: So
         return 1.0
     begin, free, now = begin[turned], free[turned], now[turned]
     speed = np.linalg.norm(begin, axis=1)
-    # So fast that the law sees it slide on whatever friction does.
+    # A slip so fast that in the law it goes on whatever friction does.
     fast = 2.0 * (2.0 * np.linalg.norm(free, axis=1) + np.linalg.norm(now, axis=1) + speed)
     on = (fast / speed)[:, None] * begin
     b[turned, 1:] = free + on
@@ -66,15 +67,15 @@ def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: So
 
 
 def endings(kin: ContactKinematics, problem: FC3D, solution: Solution) -> NDArray[np.int8] | None:
-    """How the slip of rows that slide ends; None where all go on.
+    """Classify how the slip of rows that slide ends; None where all go on.
 
-    0 for as it was, 1 in a stop, 2 turned round, or held by friction along the slip.
+    0 if the slip goes on, 1 if it stops, 2 if it reverses, or is stopped by friction along the slip.
     """
     local, slid = kin.begun, NONE
     if kin.joints is not None:
         last = kin.r_last.reshape(-1, 3)[kin.frame.shape[0] :]
         dry = (kin.joints.mu > 0.0) & ~kin.joints.actuated
-        # Of what is new it is taken to slide as it moves.
+        # New rows are taken to slide as they move.
         slid = dry & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
     out = np.empty(kin.mu.size, np.int8)
     shown = solution.r, solution.u, problem.q

@@ -1,4 +1,4 @@
-"""The problem of a move, and its solution: that along whose friction ball joints slip."""
+"""The contact problem of a move, and its solution; ball joints slip along their friction in it."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def solve(
     shares: bool,
     off: Bools | None,
 ) -> tuple[ContactKinematics, FC3D, Solution]:
-    """What is met, its problem, and the impulses, where the contacts `sliding` (nc,) slide through.
+    """Solve the contact problem of a move in which the contacts `sliding` (nc,) slide through.
 
-    The `last` solution is of the same move with other contacts, or rough; where it has not converged no more is asked
-    for than `Graded.loosely` gives, and where there is none, and effort is bounded, than `Graded.roughly` does. The
-    solution differs from it in the islands alone of which rows are `off` (rows,). With `shares` those of the friction
-    of ball joints are sought, by more solves.
+    Return the kinematics, the problem and the solution. The `last` solution is of the same move with other contacts, or
+    rough. If it has not converged, the accuracy of `Graded.loosely` is enough; if there is none, and `effort` is
+    bounded, that of `Graded.roughly`. The solution differs from the last one only in islands with a row that is `off`
+    (rows,). With `shares`, the split of the friction of ball joints is found, by further solves.
     """
 
     def once(kin: ContactKinematics, last: Solution | None, off: Bools | None) -> tuple[FC3D, Solution]:
-        """The same with the shares that there are."""
+        """Solve the problem with the present split of ball-joint friction."""
         problem = FC3D.from_blocks(kin.rows.blocks, kin.offsets(sliding, gap_rule), kin.mu)
         solution = again(solver, last, problem, kin.r_last, kin.u_begin, effort)
         if last is not None and off is not None:
@@ -67,9 +67,10 @@ def solve(
 def update_sliding(
     kin: ContactKinematics, problem: FC3D, solution: Solution, sliding: Bools, back: bool, off: Bools | None
 ) -> Bools:
-    """Contacts (nc,) that slip otherwise than as they `slide` through; then they do as the solution shows.
+    """Mark contacts (nc,) that slip otherwise than `sliding` says, and correct `sliding` by the solution.
 
-    Only those that stop, if it is only looked `back`, and only in islands of which a row is `off` (rows,).
+    With `back`, only contacts that stop are changed. With `off`, only contacts in islands with a row that is off
+    (rows,) are changed.
     """
     out, some = np.empty(sliding.size, np.bool_), ALL if off is None else off
     shown = solution.r, solution.u, problem.q, kin.mu
@@ -78,7 +79,7 @@ def update_sliding(
 
 
 def _held(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution) -> Solution:
-    """The solution with the impulses that clutches have, beyond any tolerance."""
+    """Return the solution with exactly the impulses that clutches have, beyond any tolerance."""
     r = kin.rows.held(solution.r)
     if r is solution.r:
         return solution
@@ -88,12 +89,12 @@ def _held(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solut
 
 @cache
 def is_graded(kind: type) -> bool:
-    """Whether solvers of a kind are `Graded`, which takes as long to ask of one as a small problem to solve."""
+    """Return whether solvers of a kind are `Graded`: to find out takes as long as to solve a small problem."""
     return all(hasattr(kind, name) for name in ("balanced", "loosely", "roughly"))
 
 
 def again(solver: Solver, last: Solution | None, problem: FC3D, r: Array, before: Array, effort: float) -> Solution:
-    """Solve a problem that follows on a loose or rough solution as loosely, one of a collision with bounded effort."""
+    """Solve a problem: loosely after a loose or rough solution, with bounded effort where it is of a collision."""
     if not is_graded(type(solver)):
         return solver(problem, r)
     graded = cast(Graded, solver)

@@ -1,4 +1,4 @@
-"""What a move did: where it ends without overlap, works, and energies."""
+"""The result of a move: its end without overlap, its works, and the energies of trees."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OPEN = np.int8(0)
 
 
 class StepResult(NamedTuple):
-    """A move, or moves and impacts one after the other.
+    """The result of a move, or of moves and impacts one after the other.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class StepResult(NamedTuple):
         Whether the end is without overlap.
     done : list of Impulses
     path : sequence of Placement
-        Where the frames were on their way: between two of them bodies go straight, turning at constant rates.
+        Placements of the frames on their way. Between two of them bodies move straight and turn at constant rates.
     """
 
     end: SceneState
@@ -46,7 +46,7 @@ class StepResult(NamedTuple):
 
 
 def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) -> StepResult:
-    """The move to a position without overlap, and what was done on its way; of the nodes `left`, if not of all."""
+    """Project the end of a move to a position without overlap, and book the move; only the nodes `left`, if given."""
     d, mid = s.dynamics, a.mid
     end, clear = project(s, a.moved, mid.forces)
     v = mid.state.v
@@ -54,7 +54,7 @@ def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) 
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
     impulses, warm = book(s, a.kin, velocities, (a.problem, a.solution), mid.h, a.impact, a.couple, mass)
     impulses, own = impulses._replace(wrench=mid.wrench(left)), mid.booked(impulses.works, *velocities[1:], left)
-    # What has just closed its gap approaches: where it would become deep in the next move it strikes before.
+    # A contact that has just closed its gap approaches. If it would become deep in the next move, it strikes first.
     sinks = s.dt / mid.ahead * a.kin.end_gap[: warm.status.size] > s.penetration_tol(a.kin.contacts)
     arrived = sinks & ~a.kin.stays[: sinks.size]
     if arrived.any():
@@ -90,27 +90,28 @@ def tree_works(
     own: Works,
     left: Bools | None = None,
 ) -> tuple[Works, Energies]:
-    """Works of the trees and `own` ones, of contacts and joint rows, and their energies where they are lifted to, J.
+    """Return `own` works of contacts and joint rows plus those of trees, and energies of trees after the projection, J.
 
     Parameters
     ----------
     s : System
     before : tuple of (float, float)
-        Their energies where the move begins.
+        Energies of the trees where the move begins.
     mid : Midpoint
     v : ndarray, shape (n,)
-        What the forces leave, with the impulses.
+        Velocity after the forces and the impulses.
     ends : tuple of Flow
     impulse : ndarray, shape (n,)
         H r of contacts and joint rows.
     lifted : Position
+        Position after the projection.
     acted : (ndarray, ndarray)
-        (joints, links), as of `Impulses`. The impulses of actuation, of external wrenches and the most that actuators
+        (joints, links), as in `Impulses`. The impulses of actuation, of external wrenches and the most that actuators
         may give go into rows 0, 3 and 5 of the joints, the change of velocity of driven joints into row 6, the wrenches
         into the links.
     own : Works
     left : ndarray of bool, optional
-        Nodes; trees that are not among them are passed over.
+        Nodes to book; trees that are not among them are passed over.
     """
     works, energies, (joints, links), link = [own], [], acted, 0
     of_trees = zip(s.dynamics.trees, mid.state.trees, mid.forces.trees, ends, lifted.trees, before, strict=True)
@@ -131,7 +132,10 @@ def tree_works(
 
 
 def _struck(s: System, a: Attempt, impact: Impact) -> Works:
-    """What the rows that work on the trees in two parts do, at two mean velocities, and not at that of the forces."""
+    """Return the work of rows on trees beyond the booked works, if impacts and other impulses act one after the other.
+
+    The two parts are booked at two mean velocities, not at the mean velocity of the forces.
+    """
     full, v, struck = a.kin.rows.full, a.mid.state.v, a.mid.state.v + a.kick
     first, second = full.momentum(impact.r), full.momentum(a.solution.r)
     booked = 0.5 * (first * (v + struck) + second * (struck + a.v))

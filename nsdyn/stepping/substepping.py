@@ -1,4 +1,4 @@
-"""The way of an island through a step: moves and impacts one after the other, in pieces where bodies would sink."""
+"""The step of an island: moves and impacts one after the other, in pieces where bodies would sink into each other."""
 
 from __future__ import annotations
 
@@ -44,30 +44,31 @@ NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
 class Budget:
-    """What an island may still spend in a step, in contacts of moves."""
+    """The effort that an island may still spend in a step, counted in contacts of moves."""
 
     def __init__(self) -> None:
         self.left = OPTIONS.work
 
     def affords(self, begin: SceneState, moves: int) -> bool:
-        """Whether it may try so many moves from an instant."""
+        """Return whether the island may try so many moves from an instant."""
         return moves * _contacts(begin) <= self.left
 
     def spend(self, begin: SceneState) -> None:
-        """Try a move from an instant."""
+        """Subtract the cost of one move from an instant."""
         self.left -= _contacts(begin)
 
 
 def _contacts(begin: SceneState) -> int:
-    """What a move from an instant costs."""
+    """Return the cost of a move from an instant: its number of contacts, at least 1."""
     return max(1, begin.contacts.gap.size)
 
 
 def integrate(system: System, state: State, loads: Loads, begun: Known = None, meets: bool = False) -> StepResult:
-    """Moves and impacts of a step: every move to its end or the first event, in halves where that is too rejected.
+    """Take a step in moves and impacts: each move ends at the first event, or at the end of the step.
 
-    What the user has to say at a time [s] is asked of `loads` as `nsdyn.stepping.midpoint` does. `begun` is what is known
-    of the step in one move, `meets` whether that is known to meet an event.
+    A move that is rejected is repeated in halves. `loads` gives the callbacks for a time [s], as in
+    `nsdyn.stepping.midpoint`. `begun` is the known part of the step as one move; `meets` says whether the step as one
+    move is known to meet an event.
     """
     now, rate, clear, at, cut = state.instant, state.rate, True, 0.0, False
     s = system.during(state.next_t - state.dt, state.dt, now.position)
@@ -76,7 +77,7 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
     path = [now.placement]
     while pieces:
         end, halvings = pieces[-1]
-        # In halves bodies run less far into each other before they are stopped.
+        # In halves, bodies are stopped at a smaller penetration.
         own, span = (
             s._replace(depth=OPTIONS.depth_located * OPTIONS.refine**halvings),
             (state.next_t - (s.dt - at), end - at),
@@ -106,9 +107,10 @@ def _substep(
     begun: Known,
     meets: bool,
 ) -> tuple[StepResult, float, bool]:
-    """What strikes at once, and a move to the first event on its way; its length, s, and whether it is too rejected.
+    """Apply the impacts at the beginning, then move to the first event.
 
-    What strikes where no event is located is struck first only if it would become deeper than what a move catches.
+    Return the result, the length of the move, s, and whether the move is rejected. Where no event is located, a contact
+    strikes at the beginning only if it would otherwise penetrate deeper than a move captures.
 
     Parameters
     ----------
@@ -116,16 +118,16 @@ def _substep(
     loads : callable
     begin : SceneState
     span : (float, float)
-        When it begins and how long it lasts at most, s.
+        When the move begins and how long it lasts at most, s.
     rate : ndarray, shape (n,)
         Free acceleration at the beginning, m/s² and rad/s².
     effort : Budget
     cut : bool
-        Whether the move before ended at an event.
+        Whether the previous move ended at an event.
     begun : Midpoint or Attempt, optional
-        As of `integrate`, of a move all the way.
+        As in `integrate`, for a move over the whole span.
     meets : bool
-        As of `integrate`.
+        As in `integrate`.
     """
     (t, h), locates, now, done = span, effort.affords(begin, OPTIONS.event), begin, []
     meets = meets or (not locates and s.striking_speed(begin) < -s.least_penetration / h)
@@ -143,23 +145,26 @@ def _substep(
 
 
 def _gains_energy(s: System, begin: SceneState, m: StepResult, h: float) -> bool:
-    """Whether bodies that touch turn far in a move of h s, or what persists in it, or is lifted, adds energy."""
+    """Return whether a move of h s adds energy, or bodies in contact turn far in it.
+
+    The energy is that of persistent contacts, of the projection, and of contacts that could only take energy.
+    """
     d, works = s.dynamics, [a.works for a in m.done]
     if any(turns_far(s, h, a, begin, m.end).any() for a in m.done):
         return True
     gained = sum(w.integration for w in works)
-    if not any(d.surfaces.carry(a.contacts).any() for a in m.done):  # of what is driven the work is its own
+    if not any(d.surfaces.carry(a.contacts).any() for a in m.done):  # driven bodies do work of their own
         gained += sum(w.projection for w in works)
         if not any((a.contacts.restitution > 0.0).any() for a in m.done):  # contacts then only take energy
             gained += sum(max(0.0, w.normal + w.friction) for w in works)
-    if gained <= 0.0 or d.trees:  # which keep their own errors small
+    if gained <= 0.0 or d.trees:  # trees keep their own errors small
         return False
-    # Where all is at rest, what gravity gives in a move is the scale.
+    # For bodies at rest, the scale is the energy that gravity gives in a move.
     return gained > OPTIONS.gain * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
 
 
 def turns_far(s: System, h: float, acted: Impulses, begin: SceneState, end: SceneState) -> Bools:
-    """Contacts (nc,) that touch, of bodies that turn so far in half a move of h s that its law does not foresee it."""
+    """Mark the contacts (nc,) that touch and whose bodies turn too far in half a move of h s for the contact law."""
     c, out = acted.contacts, np.empty(acted.status.size, np.bool_)
     spins = begin.twists[1], end.twists[1]
     _touching.turns_far(c[:3], acted.status, s.gap_tol, spins, OPTIONS.turn / (s.theta * h), out)
@@ -167,12 +172,12 @@ def turns_far(s: System, h: float, acted: Impulses, begin: SceneState, end: Scen
 
 
 def _jammed(solution: Solution) -> bool:
-    """Whether bodies are where no velocity opens their contacts: there nothing is gained by looking closer."""
+    """Return whether no velocity opens the contacts: locating events more closely then gains nothing."""
     return solution.status is Status.NO_SLATER_POINT
 
 
 def _later(acted: Impulses, begun: float) -> Impulses:
-    """What acted in a part that began so many seconds after the whole."""
+    """Return the impulses of a part that began `begun` s after the whole, with times counted from the whole."""
     return acted._replace(begin=begun + acted.begin) if begun > 0.0 else acted
 
 
@@ -188,9 +193,10 @@ def _to_event(
     meets: bool = False,
     cut: bool = False,
 ) -> tuple[float, Attempt]:
-    """A move of at most h seconds to the first impact on its way, and its length; all the way if that takes too long.
+    """Move to the first impact or reversal of slip, for at most h seconds; return the length and the move.
 
-    Or to where a slip turns round. Too long take so many moves as would be too much to try.
+    If locating the event would take more moves than the budget allows, the move goes all the way and captures the
+    event.
 
     Parameters
     ----------
@@ -198,22 +204,22 @@ def _to_event(
     loads : callable
     begin : SceneState
     t, h : float
-        Where it begins and how long it lasts at most, s.
+        When the move begins and how long it lasts at most, s.
     soon : float
-        Before this, s, slip that turns round is not located.
+        Reversals of slip before this time, s, are not located.
     effort : Budget
     begun : Midpoint or Attempt, optional
-        Of the move of h seconds.
+        Known part of the move of h seconds.
     meets : bool
-        Whether it is known to meet an event, or anything has just struck, and may be in a row of impacts.
+        Whether the move is known to meet an event, or an impact has just occurred, which may be one of a row.
     cut : bool
-        Whether it ends where slip was to turn round.
+        Whether the move ends where slip was to reverse.
     """
 
     def capture(begun: Known) -> tuple[float, Attempt]:
         return h, try_move(s.capturing, loads, begin, t, h, None, begun)
 
-    # The first move is tried however many contacts it has: most meet no event.
+    # The first move is tried however many contacts it has: most first moves meet no event.
     if not (affords := effort.affords(begin, OPTIONS.event)) and (meets or effort.left < OPTIONS.work):
         return capture(begun)
     effort.spend(begin)
@@ -231,7 +237,7 @@ def _to_event(
     located = np.unique(m.hits)
     if (found := _locate(s, loads, begin, t, {h: m}, located, m.limit, effort)) is not None:
         return found
-    # What this move caught on its way may have driven it into what it hit.
+    # A contact captured in this move may have driven the bodies into those they hit.
     effort.spend(begin)
     m = try_move(s, loads, begin, t, h, located, begun)
     return capture(begun) if m.hits.size or begun.fast else (h, m)
@@ -247,17 +253,17 @@ def _locate(
     limit: float,
     effort: Budget,
 ) -> tuple[float, Attempt] | None:
-    """The move that ends where it first touches what is barred, and its length; None if none is found.
+    """Return the length of the move that ends at the first touch of a located contact, and the move; None if not found.
 
-    It begins at the time t, s. One of the `moves`, by its length, s, has run into what is `located`, codes as of
-    `Attempt`, which may run into each other by `limit`, m.
+    The move begins at the time t, s. `moves` holds one move by its length, s. That move has run into the contacts and
+    joint limits `located`, given by codes as in `Attempt`. Their penetration may be `limit`, m.
     """
     (h,) = moves
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
     wide = float(far.max(initial=s.gap_tol))
     aims: dict[float, float] = {}
     gaps: dict[float, float] = {}
-    # Of what rebounds the energy tells where it struck.
+    # Contacts that rebound are located more closely: their energy depends on where they strike.
     none = (1e-3 if limit <= s.gap_tol else 0.5) * s.gap_tol
 
     def gap(time: float) -> float:
@@ -271,7 +277,7 @@ def _locate(
     low, high, length, last, misses, gains = 0.0, h, h, h, 0, True
     nearest = abs(gap(h))
     for _ in range(LOOKS):
-        # Newton's method as long as it gains, else halves: in free flight it is exact.
+        # Newton's method, exact in free flight, as long as it gains; bisection otherwise.
         time = _next([*aims.items()][-2:])
         if len(aims) == 1 and not low < time < high:
             time = _foreseen(s, begin, located, t)
@@ -284,15 +290,15 @@ def _locate(
         if abs(found) <= nearest:
             length, nearest = time, abs(found)
         last = time
-        # Beyond what the solver leaves of velocities nothing is gained. A gap that jumps, where another feature is the
-        # first to touch, has no root.
+        # Below the solver's error in velocities nothing is gained. A gap that jumps, where another feature is the first
+        # to touch, has no root.
         if nearest <= none or high - low <= JUMP * h or (misses > 1 and -limit <= gap(length) <= s.gap_tol):
             break
     return (length, moves[length]) if -limit <= gap(length) <= s.gap_tol else None
 
 
 def _foreseen(s: System, begin: SceneState, located: Index, t: float) -> float:
-    """When contacts that are barred close at the speeds that they have at the time t, where a move begins, s."""
+    """Return how long located contacts take to close at their velocities at the time t, where the move begins, s."""
     c, d = begin.contacts, s.dynamics
     u = normal_velocities(d, c, begin.placement, begin.v, begin.position.driven_x, d.surfaces.twists(t))
     approach = among(s.detector.codes(c), located) & (c.gap > s.gap_tol) & (u < 0.0)
@@ -300,10 +306,10 @@ def _foreseen(s: System, begin: SceneState, located: Index, t: float) -> float:
 
 
 def _next(aims: list[tuple[float, float]]) -> float:
-    """Where to look after one or two times at which Newton's method aims at others.
+    """Return the next time to try, from one or two pairs (time tried, time at which Newton's method aims).
 
-    It aims by slopes of free motion. Where impulses change with the time it only comes nearer by a constant share a
-    step: there the secant of aim - time tells the root.
+    Newton's method uses the slopes of free motion. Where impulses change with the time, each of its steps comes nearer
+    to the root only by a constant ratio. There the secant of aim - time gives the root.
     """
     (before, last), (time, aim) = aims[0], aims[-1]
     far = aim - time
@@ -314,11 +320,12 @@ def _next(aims: list[tuple[float, float]]) -> float:
 
 
 def _first_touch(s: System, begin: SceneState, m: Attempt, located: Index, wide: float) -> tuple[float, float]:
-    """When a move first touches what is barred, s, and its least gap there, `wide` where nothing of it is near.
+    """Return when a move first touches a located contact, s, and the least gap of located contacts (or `wide`).
 
-    By parabolas of gaps that end as it does. They accelerate as they did on the way, whatever else pressed there; under
-    the free forces where they were not seen at the beginning. The time may be past the end of the move; infinite where
-    nothing tells. What is closed without approaching, as where it has just begun to part, does not touch.
+    The gap is `wide` if no located contact is near. The time follows from parabolas through the gaps at the end of the
+    move. A gap accelerates as it did on the way, whatever other contacts pressed. A contact not found at the beginning
+    accelerates under the free forces. The time may lie past the end of the move; it is infinite where no gap gives one.
+    A closed contact that does not approach, as one that has just begun to separate, does not touch.
     """
     d, moved, c, before = s.dynamics, m.moved, m.moved.contacts, begin.contacts
     there, joints, surfaces = moved.placement, d.joints, m.mid.surfaces
