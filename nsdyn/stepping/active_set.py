@@ -42,11 +42,12 @@ __all__ = [
 NO_CODES = np.empty(0, np.int64)
 
 PAST = 0.05
-"""Fraction of the smaller inscribed radius by which bodies get into each other where a fast move is cut short, which is
-where they would by more than twice that: a shorter move touches at another time."""
+"""Penetration, over the smaller inscribed radius, at which a fast move is shortened, if it would become more than twice
+that: in a shorter move the bodies touch at another time."""
 
 TURN = 1.0
-"""Turn in half a move, rad, to which what turns by more than half a turn is cut: it is followed at a constant rate."""
+"""Largest turn in half a move, rad, of a body that turns by more than half a revolution: it is followed at a constant
+rate."""
 
 
 def captured(s: System, contacts: ContactSet, begin: SceneState, mid: Midpoint, located: Index) -> ContactSet:

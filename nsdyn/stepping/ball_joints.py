@@ -21,19 +21,20 @@ from nsdyn.tools.arrays import Array, Bools
 __all__ = ["SHARES", "Search", "angles", "unbalanced"]
 
 SHARES = 40
-"""Most solves more for the shares of a move: secants need one to four for one joint, eight for five in a chain."""
+"""Most further solves for the directions of friction in a move: the secant method needs one to four for one joint,
+eight for five joints in a chain."""
 
 ALIKE = 1e-9
-"""rad: the direction of friction is right up to this, and its size to the last bit."""
+"""Tolerance of the direction of friction, rad; its size is exact."""
 
 SLANT = 1e-3
-"""Least change of what is off along a secant, of its length: flatter ones say nothing."""
+"""Least change of the residual along a secant, over the length of the secant: flatter secants carry no information."""
 
 AWAY = 2.0
-"""How much more may be off after a secant than before it."""
+"""Largest growth factor of the residual in a secant step."""
 
 STICKS = 1.0 - 1e-9
-"""Fraction of what it is pressed with below which a part sticks."""
+"""Share of its largest friction below which a part of the joint sticks."""
 
 
 def angles(axes: Array) -> Array:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 __all__ = ["GapRule", "ContactKinematics", "predict_sliding"]
 
 STOPPED = 1e-13
-"""Of the change of a velocity by impacts, what is left of it in some hundred of them."""
+"""Share of a velocity change by impacts that is round-off after some hundred impacts."""
 
 NOTHING, NEVER, UNKNOWN = np.empty(0), np.empty(0, np.bool_), np.empty(0, np.int8)
 NO_TRANSPORT = np.empty((2, 0))

@@ -22,11 +22,12 @@ from nsdyn.tools.displacements import integrate
 __all__ = ["Prescribed"]
 
 MOST = 1e4
-"""Parts of a step, which a body of a millimetre passes in on five metres."""
+"""Most parts into which a step is divided: with so many, a body of a millimetre is not missed on a way of five
+metres."""
 
 
 Way = tuple[float, Callable[[float, Array, Array], None]]
-"""A length, m, and what puts the frames that are moved where they are after a part of it into x and R."""
+"""A length, m, and a function that writes the poses of the moved frames after a part of that length into x and R."""
 
 STAYS: Way = 0.0, lambda part, x, R: None
 
@@ -35,8 +36,8 @@ class Prescribed:
     """Bodies, links and joints of a scene that only prescribed motion moves, and the fixed bodies that they may hit.
 
     Shapes reach `arm` (frames,) from the origins of their frames, m. The deepest `overlap` that is accepted is a
-    fraction of the inscribed radius of the smaller body, for joint limits a fraction of `Options.joint`. ValueError, as in
-    `check`, if the initial poses contradict each other.
+    fraction of the inscribed radius of the smaller body, for joint limits a fraction of `Options.joint`. ValueError, as
+    in `check`, if the initial poses contradict each other.
     """
 
     def __init__(self, scene: Scene, dynamics: Dynamics, arm: Array, overlap: float) -> None:

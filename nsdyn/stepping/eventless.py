@@ -34,10 +34,10 @@ NOTHING_TRIED = None, None, None
 Certify = Callable[[FC3D, Array, Array, SlaterDirection | None], tuple[Certificate, SlaterDirection | None]]
 
 PAUSE = 16
-"""Most steps that are made by stages after some that were not quiet, before the kernel is asked again."""
+"""Most steps made by the stages in Python after steps with events, before the kernel is tried again."""
 
 ASKS = 50
-"""Steps after which it is asked again whether the kernel of quiet steps is compiled."""
+"""Steps between two checks whether the kernel of eventless steps has been compiled."""
 
 
 class EventlessSteps:

@@ -21,14 +21,14 @@ from nsdyn.tools.naming import choice
 __all__ = ["Failures", "worst"]
 
 WORST = 1e-3
-"""Error above which an answer is none."""
+"""Error above which the result of a solve is not used."""
 
 ON_FAIL = "warn", "raise", "dump", "ignore"
 DUMPS = "failed-steps"
 """Folder of the problems of failing steps where none is given."""
 
 NAMED = 3
-"""Most pairs of bodies that a message names."""
+"""Most pairs of bodies named in a message."""
 
 
 class Failures:

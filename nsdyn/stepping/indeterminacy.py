@@ -22,7 +22,7 @@ STICK, JAM = 1, 3
 """States of a contact that sticks or jams, beside 0 open, 2 slip."""
 
 FEW = 8
-"""Most contacts of a problem in which another velocity is looked for, so that a step costs hardly more."""
+"""Most contacts of a problem in which a second velocity is searched for, so that a step costs hardly more."""
 
 
 class Paradoxes:

@@ -20,7 +20,7 @@ from nsdyn.tools.arrays import Array
 __all__ = ["begin"]
 
 ROUNDING = 1e-9
-"""rad or m, of the numbers of a user."""
+"""Rounding error expected in numbers given by a user, rad or m."""
 
 
 def begin(

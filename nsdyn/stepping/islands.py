@@ -37,10 +37,11 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["Islands"]
 
 KEPT = 512
-"""Most parts of a scene that are kept for when they are asked for again."""
+"""Most subsystems that are kept for reuse."""
 
 BENT = 0.25
-"""Of what a link of a tree moves between two configurations, how far it may be from the straight way there."""
+"""Bound on the deviation of a tree's link from a straight path between two configurations, over the length of that
+path."""
 
 
 class Islands:

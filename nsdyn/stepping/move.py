@@ -44,11 +44,11 @@ Needs = tuple[ContactSet, JointRows | None]
 """Contacts and joint rows that the second half of a move may need."""
 
 UPDATES = 4
-"""Most times that the impulses of a move are looked for, with the contacts that its motion has shown."""
+"""Most updates of the active set of a captured move."""
 
 EFFORT = 8.0
-"""What the first look at a collision may cost beyond a rough solution, as a multiple: mostly its motion shows no
-other contacts, and that is all. Without those that it shows else the problem may be far harder."""
+"""Effort of the first solve of a collision, as a multiple of that for a rough solution. Mostly the motion then shows no
+other contacts, and this solution is final. Without the contacts that the motion shows the problem may be far harder."""
 
 
 def try_move(

@@ -126,7 +126,7 @@ class MoveKernel:
                 if motion is not None:
                     self._load(motion, work[0])
                 stage, ready, head = _contacts.DONE, False, work[1]
-            code = _eventless.quiet(
+            code = _eventless.eventless_step(
                 self._arrays,
                 detector.searches,
                 old,
@@ -236,7 +236,9 @@ class MoveKernel:
         found, detector = begun[:2], self._detector
         given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
         work = self._rooms(False, False)[2]
-        MoveKernel.ready = is_ready(_eventless.quiet, *given, work, (_contacts.DONE, False, detector.asks, False))
+        MoveKernel.ready = is_ready(
+            _eventless.eventless_step, *given, work, (_contacts.DONE, False, detector.asks, False)
+        )
         return MoveKernel.ready
 
     def _rooms(self, moves: bool, step: bool) -> tuple[Acted, Rooms, tuple[Array, Index, Bools]]:

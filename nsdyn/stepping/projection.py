@@ -17,16 +17,16 @@ from nsdyn.tools.arrays import Array
 __all__ = ["found", "project"]
 
 PASSES = 20
-"""Most projections in a row; each leaves what is of second order in it, so that two or three do."""
+"""Most projections in a row. Each leaves an overlap of second order in the last one, so that two or three suffice."""
 
 COARSE = 1e-4
-"""Fraction of the deepest overlap that one projection may leave to the next, which is about what turning leaves anyway.
-Coarser ones are not even on both sides of what is symmetric: at 0.01 a row of dominoes left its plane."""
+"""Overlap that one projection may leave to the next, over the deepest one: about as much as the rotations leave anyway.
+Coarser projections break symmetry: at 0.01 a row of dominoes left its plane."""
 
 
 FAR = 10.0
-"""Gaps of so many times the deepest overlap are left to the next projection, should this one close them. They are most
-where bodies move fast, and numbers so much larger than those that matter cost the methods for hard problems digits."""
+"""Gaps wider than this multiple of the deepest overlap are left to the next projection, should the present one close
+them. They occur where bodies move fast, and numbers so much larger cost the methods for hard problems digits."""
 
 
 def found(s: System, at: SceneState, detected_at: DetectionPose) -> SceneState:

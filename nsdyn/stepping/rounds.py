@@ -14,7 +14,8 @@ from nsdyn.tools.arrays import Array
 __all__ = ["Impact", "strike"]
 
 ROUNDS = 60
-"""Most rounds. The last is of all closed contacts at once and by `Dissipative`, after which none approaches."""
+"""Most rounds of impacts at one instant. The last round takes all closed contacts at once, by `Dissipative`; after it
+no contact approaches."""
 
 
 class Impact(NamedTuple):

@@ -112,7 +112,7 @@ class System(NamedTuple):
         together: ContactSet | None = None,
         foreseen: Array | None = None,
     ) -> Touches:
-        """Return `Detector.touches` of pairs so fast (`Options.unseen`) that their end does not tell which sides met."""
+        """`Detector.touches` of pairs so fast (`Options.unseen`) that their end does not tell which sides met."""
         return self.detector.touches(begin, end, memory, known, OPTIONS.unseen * self.inscribed, together, foreseen)
 
     def detection_pose(self, last: DetectionPose, now: Poses, reach: Array) -> DetectionPose | None:

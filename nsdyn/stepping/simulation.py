@@ -29,7 +29,7 @@ from nsdyn.tools.options import is_number
 __all__ = ["Options", "RunOptions", "command", "simulate"]
 
 MOST_STEPS = 2**53
-"""Up to which times k dt can be told apart."""
+"""Number of steps up to which the times k dt are distinct."""
 
 command: ContextVar[str] = ContextVar("command", default="")
 """The `nsdyn` command that simulates, as it was typed, for its recording."""

@@ -23,7 +23,7 @@ __all__ = ["endings", "reversal"]
 NONE = np.empty(0, np.bool_)
 
 SLIPS = 1.0 - 1e-9
-"""Fraction of the friction that it may have with which a dry joint slides."""
+"""Share of its largest friction from which on a dry joint counts as sliding."""
 
 
 def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution, cut: bool = False) -> float:

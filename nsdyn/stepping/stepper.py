@@ -171,7 +171,7 @@ class Stepper:
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
         self._islands = Islands(self.system)
-        self._eventless = self._quietest(polish)
+        self._eventless = self._eventless_steps(polish)
         self._names, self._begin = Names(scene, geoms), partial(begin, self.system, geoms, float(overlap), lift)
         self.reset()
 
@@ -303,7 +303,7 @@ class Stepper:
             raise ValueError(f"{where} is not possible: {failure}{hint}") from failure
 
     def _advance(self) -> Step:
-        if self._eventless is not None and (step := self._quietly(self._eventless)) is not None:
+        if self._eventless is not None and (step := self._advance_eventless(self._eventless)) is not None:
             return step
         s = self._now = self.get_state()
         begun = None if self._eventless is None else self._eventless.begun(s)
@@ -338,16 +338,16 @@ class Stepper:
             self._now = self._now._replace(last=step)
         return step
 
-    def _quietest(self, polish: bool) -> EventlessSteps | None:
+    def _eventless_steps(self, polish: bool) -> EventlessSteps | None:
         """The kernel's eventless steps of the scene; None if only the general step can treat it."""
         s, functions = self.system, self.functions
         if s.mover is None or functions.take_last:
             return None
         return EventlessSteps(s, s.mover, polish, lambda t: functions.at(t, None), self._paradoxes)
 
-    def _quietly(self, quiet: EventlessSteps) -> Step | None:
+    def _advance_eventless(self, kernel: EventlessSteps) -> Step | None:
         """Return an eventless step by the kernel; None if the general step is needed."""
-        if (found := quiet.step(self._now, self._certificate)) is None:
+        if (found := kernel.step(self._now, self._certificate)) is None:
             return None
         before, after = found
         if self._prescribed is not None:

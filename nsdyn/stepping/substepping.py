@@ -25,20 +25,21 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["integrate", "turns_far"]
 
 SOON, AGAIN = 1e-6, 0.1
-"""Fractions of a move in which slip that turns round is not located: where it begins and ends, as nothing but
-round-off, and where slip has just been cut, which is located to second order, what is left of it."""
+"""Shares of a move at its beginning in which a reversal of slip is not located. The first is round-off, also at its
+end. The second holds after a move that ended at a reversal, which is located to second order: the rest of that
+reversal."""
 
 LOOKS = 30
-"""Most moves by which an impact is located."""
+"""Most moves for locating one impact."""
 
 LINEAR = 0.1
-"""Share of its last step that the next one of Newton's method has at most where it doubles its digits."""
+"""Newton's method converges quadratically if its next step is at most this share of the last one; else the secant is used."""
 
 JUMP = 1e-9
-"""Fraction of a move in which a gap changes its sign so abruptly that it jumps."""
+"""Share of a move within which a gap that changes sign is a jump: another feature is the first to touch there."""
 
 LEAST = 1e-12
-"""Fraction of a step that is no time."""
+"""Share of a step that counts as no time."""
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
@@ -72,7 +73,7 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
     """
     now, rate, clear, at, cut = state.instant, state.rate, True, 0.0, False
     s = system.during(state.next_t - state.dt, state.dt, now.position)
-    effort, pieces = Budget(), [(s.dt, 0)]
+    budget, pieces = Budget(), [(s.dt, 0)]
     done: list[Impulses] = []
     path = [now.placement]
     while pieces:
@@ -82,7 +83,7 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
             s._replace(depth=OPTIONS.depth_located * OPTIONS.refine**halvings),
             (state.next_t - (s.dt - at), end - at),
         )
-        move, length, rejected = _substep(own, loads, now, span, rate, effort, cut, begun, meets)
+        move, length, rejected = _substep(own, loads, now, span, rate, budget, cut, begun, meets)
         begun, meets = None, False
         if rejected and _contacts(now) << halvings <= OPTIONS.work:
             pieces[-1:] = [(end, halvings + 1), (at + 0.5 * length, halvings + 1)]
@@ -102,7 +103,7 @@ def _substep(
     begin: SceneState,
     span: tuple[float, float],
     rate: Array,
-    effort: Budget,
+    budget: Budget,
     cut: bool,
     begun: Known,
     meets: bool,
@@ -121,7 +122,7 @@ def _substep(
         When the move begins and how long it lasts at most, s.
     rate : ndarray, shape (n,)
         Free acceleration at the beginning, m/s² and rad/s².
-    effort : Budget
+    budget : Budget
     cut : bool
         Whether the previous move ended at an event.
     begun : Midpoint or Attempt, optional
@@ -129,12 +130,12 @@ def _substep(
     meets : bool
         As in `integrate`.
     """
-    (t, h), locates, now, done = span, effort.affords(begin, OPTIONS.event), begin, []
+    (t, h), locates, now, done = span, budget.affords(begin, OPTIONS.event), begin, []
     meets = meets or (not locates and s.striking_speed(begin) < -s.least_penetration / h)
     if (struck := collide(s if locates else s.capturing, begin, t, h, rate)) is not None:
         now, begun, done = struck[0], None, [struck[1]]
     soon = h * (AGAIN if cut and struck is None else SOON)
-    length, tried = _to_event(s, loads, now, t, h, soon, effort, begun, meets or struck is not None)
+    length, tried = _to_event(s, loads, now, t, h, soon, budget, begun, meets or struck is not None)
     m, moved = finish(s, now, tried), tried.moved
     path = [tried.mid.state.placement, moved.placement, m.end.placement]
     m = m._replace(done=done + m.done, path=path)
@@ -188,7 +189,7 @@ def _to_event(
     t: float,
     h: float,
     soon: float,
-    effort: Budget,
+    budget: Budget,
     begun: Known = None,
     meets: bool = False,
     cut: bool = False,
@@ -207,7 +208,7 @@ def _to_event(
         When the move begins and how long it lasts at most, s.
     soon : float
         Reversals of slip before this time, s, are not located.
-    effort : Budget
+    budget : Budget
     begun : Midpoint or Attempt, optional
         Known part of the move of h seconds.
     meets : bool
@@ -220,25 +221,25 @@ def _to_event(
         return h, try_move(s.capturing, loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most first moves meet no event.
-    if not (affords := effort.affords(begin, OPTIONS.event)) and (meets or effort.left < OPTIONS.work):
+    if not (affords := budget.affords(begin, OPTIONS.event)) and (meets or budget.left < OPTIONS.work):
         return capture(begun)
-    effort.spend(begin)
+    budget.spend(begin)
     m = try_move(s, loads, begin, t, h, NONE, begun)
     begun, kin = m.mid, bool(m.hits.size)
     if _jammed(m.solution) or (not affords and (kin or m.touch_time < h or not m.solution.accepted)):
         return capture(begun)
     if m.touch_time < h:
-        return _to_event(s, loads, begin, t, m.touch_time, soon, effort)
+        return _to_event(s, loads, begin, t, m.touch_time, soon, budget)
     turned = h * reversal(m.kin, s.solver, m.problem, m.solution, cut) if affords else h
     if soon < turned < (1.0 - SOON) * h:
-        return _to_event(s, loads, begin, t, turned, soon, effort, cut=True)
+        return _to_event(s, loads, begin, t, turned, soon, budget, cut=True)
     if not kin:
         return h, m
     located = np.unique(m.hits)
-    if (found := _locate(s, loads, begin, t, {h: m}, located, m.limit, effort)) is not None:
+    if (found := _locate(s, loads, begin, t, {h: m}, located, m.limit, budget)) is not None:
         return found
     # A contact captured in this move may have driven the bodies into those they hit.
-    effort.spend(begin)
+    budget.spend(begin)
     m = try_move(s, loads, begin, t, h, located, begun)
     return capture(begun) if m.hits.size or begun.fast else (h, m)
 
@@ -251,7 +252,7 @@ def _locate(
     moves: dict[float, Attempt],
     located: Index,
     limit: float,
-    effort: Budget,
+    budget: Budget,
 ) -> tuple[float, Attempt] | None:
     """Return the length of the move that ends at the first touch of a located contact, and the move; None if not found.
 
@@ -268,7 +269,7 @@ def _locate(
 
     def gap(time: float) -> float:
         if time not in moves:
-            effort.spend(begin)
+            budget.spend(begin)
             moves[time] = try_move(s, loads, begin, t, time, located)
         if time not in aims:
             aims[time], gaps[time] = _first_touch(s, begin, moves[time], located, wide)

@@ -59,7 +59,7 @@ def made(scene, duration, options, monkeypatch, least=21):
         ("bounce", {}, {"dt": 1e-2}),
     ],
 )
-def test_quiet_steps_are_the_general_ones(name, parameters, options, monkeypatch):
+def test_eventless_steps_are_the_general_ones(name, parameters, options, monkeypatch):
     """What one kernel does in a call ends with the bits of the way that asks what else might happen."""
     made(nd.scenes.load(name)(**parameters), 120 * options["dt"], options, monkeypatch)
 
@@ -75,14 +75,14 @@ def test_moves_of_the_kernel_are_the_general_ones(name, steps, monkeypatch):
     "name",
     [pytest.param("quadruped", marks=pytest.mark.slow), "arm_pushes_box", "double_pendulum", "bricard", "four_bar"],
 )
-def test_quiet_steps_of_trees_are_the_general_ones(name, monkeypatch):
+def test_eventless_steps_of_trees_are_the_general_ones(name, monkeypatch):
     """The same of robots under control, in contact and not, beside free bodies and alone, and of closed loops."""
     setup = nd.scenes.setup(name)
     made(setup.scene, (300 if name == "quadruped" else 120) * setup.dt, setup.options(), monkeypatch)
 
 
 @pytest.mark.parametrize("beside", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_quiet_steps_of_driven_joints_are_the_general_ones(beside, monkeypatch):
+def test_eventless_steps_of_driven_joints_are_the_general_ones(beside, monkeypatch):
     """Two windows of four bars, whose first rod turns as prescribed, alone and beside a box that slides."""
     model, loops, v = four_bars(2)
     scene = nd.scenes.load("slide")() if beside else nd.Scene()
@@ -92,7 +92,7 @@ def test_quiet_steps_of_driven_joints_are_the_general_ones(beside, monkeypatch):
     made(scene, 120 * 2e-3, {"dt": 2e-3}, monkeypatch, least=0 if beside else 100)
 
 
-def test_quiet_steps_under_forces_of_the_velocity_are_the_general_ones(monkeypatch):
+def test_eventless_steps_under_forces_of_the_velocity_are_the_general_ones(monkeypatch):
     """Drag on a standing robot and on boxes that slide and rest beside it, every fourth step recorded."""
     module = nd.scenes.module("quadruped")
     scene = module.scene(count=2)
@@ -113,7 +113,7 @@ def test_quiet_steps_under_forces_of_the_velocity_are_the_general_ones(monkeypat
     ("name", "parameters", "dt"),
     [("slide", {}, 5e-3), ("rolling", {"balls": 2}, 2e-3), ("bounce", {}, 1e-2), ("tumble", {}, 5e-3)],
 )
-def test_quiet_steps_of_bodies_that_are_pushed_are_the_general_ones(name, parameters, dt, monkeypatch):
+def test_eventless_steps_of_bodies_that_are_pushed_are_the_general_ones(name, parameters, dt, monkeypatch):
     """A wind that turns with the time, drag of the velocity, and a torque of the spin, on bodies that touch and fly."""
     scene = nd.scenes.load(name)(**parameters)
 

@@ -10,7 +10,7 @@ from test_convergence import arm
 
 import nsdyn as nd
 from nsdyn._kernels.stepping import columns
-from nsdyn._kernels.stepping import eventless as quiet_kernels
+from nsdyn._kernels.stepping import eventless as eventless_kernels
 from nsdyn._kernels.stepping import persistence as kernels
 from nsdyn._kernels.stepping.eventless_contacts import DONE
 from nsdyn.solvers import Auto
@@ -44,8 +44,8 @@ class Pair:
     def couple(self, h, sticks=True, surface_velocity=(), exact=1e-13, slip=1.0):
         """(couple, change of v, whether there is any other than none) in a move of h s, of bodies of 1 m.
 
-        Surfaces that move add `surface_velocity` to the relative velocity, of which a solver leaves `exact` m/s. The contact
-        slips with `slip` m/s, should it be on its cone.
+        Surfaces that move add `surface_velocity` to the relative velocity, of which a solver leaves `exact` m/s. The
+        contact slips with `slip` m/s, should it be on its cone.
         """
         yes = np.array([True])
         couple, dv = np.zeros((1, 3)), np.empty(12)
@@ -360,35 +360,35 @@ def heap(e, n=8):
 )
 def test_what_bounces_on_free_bodies_comes_to_rest(make, dt, steps, monkeypatch):
     """At no more than three times the solves of what does not bounce."""
-    calls, solve, quiet = [0], Auto.__call__, quiet_kernels.quiet
+    calls, solve, step = [0], Auto.__call__, eventless_kernels.eventless_step
 
     def counted(self, *args):
         calls[-1] += 1
         return solve(self, *args)
 
-    def counted_quietly(*args):
+    def counted_eventless(*args):
         """What the kernel of a step solves itself, whether or not the step is then one of these."""
         results, stage = args[4][0], args[10][0]
         if stage == DONE:
             results[columns.TIME] = 0.0
-        before, out = results[columns.TIME], quiet(*args)
+        before, out = results[columns.TIME], step(*args)
         calls[-1] += results[columns.TIME] > before
         return out
 
     monkeypatch.setattr(Auto, "__call__", counted)
-    monkeypatch.setattr(quiet_kernels, "quiet", counted_quietly)
-    excess_speed = {}
+    monkeypatch.setattr(eventless_kernels, "eventless_step", counted_eventless)
+    late = {}
     for e in (0.0, 0.3, 0.5):
         stepper = nd.Stepper(make(e), dt=dt)
         for k in range(steps):
             if k == steps - 20:
                 calls[-1] = 0
             step = stepper.step()
-        excess_speed[e] = calls[-1]
+        late[e] = calls[-1]
         mass, slow = sum(body.mass for body in stepper.scene.free_bodies), stepper.gap_tol / dt
         assert step.ledger.kinetic <= 0.5 * mass * slow**2  # in a step they go no farther than what counts as closed
         assert step.gap.min() >= -stepper.gap_tol
-    assert max(excess_speed.values()) <= 3 * excess_speed[0.0]
+    assert max(late.values()) <= 3 * late[0.0]
 
 
 @pytest.mark.parametrize("drop", [1e-3, 1e-4])

@@ -226,7 +226,7 @@ def coulomb(W, q0, q1, q2, mu):
     if q0 >= 0.0:
         return 0.0, 0.0, 0.0
     tau, rn, singular = 0.5 * (W[1, 1] + W[2, 2]), -q0 / W[0, 0], _singular(W)
-    if mu == 0.0 or tau == 0.0 or singular and _stops(W, q0, q1, q2, rn):
+    if mu == 0.0 or tau == 0.0 or (singular and _stops(W, q0, q1, q2, rn)):
         return rn, 0.0, 0.0
     rn, r1, r2 = _slip(W, q0, q1, q2, 1e-14 * tau if singular else 0.0)
     if math.sqrt(r1 * r1 + r2 * r2) <= mu * rn:

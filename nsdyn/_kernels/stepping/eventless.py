@@ -275,7 +275,7 @@ def told(s, rows, contacts, begun, flags, status, head, room):
 
 
 @no_alloc
-def quiet(system, detection, old, begun, new, rooms, next_key, direction, located, work, call):
+def eventless_step(system, detection, old, begun, new, rooms, next_key, direction, located, work, call):
     """Compute a move, or an eventless step, up to the next work that only Python can do.
 
     Parameters

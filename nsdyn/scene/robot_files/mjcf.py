@@ -181,7 +181,7 @@ def _write_out_defaults(root: Element) -> None:
 
 
 def _over(inherited: dict[str, str], own: dict[str, str]) -> dict[str, str]:
-    """Attributes with those inherited; an orientation of its own replaces any other, in whatever form both are given."""
+    """Inherited and own attributes; an own orientation replaces an inherited one, in whatever form both are given."""
     if ORIENTATIONS & own.keys():
         inherited = {name: value for name, value in inherited.items() if name not in ORIENTATIONS}
     return inherited | own
