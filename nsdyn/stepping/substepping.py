@@ -33,7 +33,7 @@ LOOKS = 30
 """Most moves for locating one impact."""
 
 LINEAR = 0.1
-"""Newton's method converges quadratically if its next step is at most this share of the last one; else the secant is used."""
+"""Newton's method converges quadratically if its step is at most this share of the last; else the secant is used."""
 
 JUMP = 1e-9
 """Share of a move within which a gap that changes sign is a jump: another feature is the first to touch there."""
