@@ -438,3 +438,14 @@ def test_many_true_recordings_pass(audits, monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert not [line for line in lines if line.endswith(":")]
     assert sum(int(line.split()[0]) for line in lines if "passed" in line) >= 70
+
+
+@pytest.mark.parametrize("friction", [1e-3, 5.0])
+def test_a_joint_that_friction_holds_at_the_origin_passes(friction):
+    """Its placement and its centre of mass are 0: the size of its energy is that of its inertia."""
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "j")
+    model.appendBodyToJoint(1, pin.Inertia(3.7, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    scene = nd.Scene()
+    scene.add_model("r", model, q=[0.0], friction=np.array([3.7 * 9.81 + friction]))
+    assert nd.check(nd.simulate(scene, 0.2, dt=5e-3)).passed

@@ -430,6 +430,7 @@ def test_profile(run, problem, tmp_path):
     assert figures["runs"][0]["error"] > 1e-30
     code, _, err = run("profile", ".", "--min-contacts", "20")
     assert code == 2 and "no problem in . has 20 contacts" in err
+    assert run("profile", ".", "--min-contacts", "-1")[0] == 2
 
 
 @pytest.mark.slow

@@ -197,3 +197,24 @@ def test_other_velocities_are_of_the_same_contacts():
 def test_empty_problem_is_solved():
     problem = nd.FC3D(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
     assert nd.solve(problem).converged
+
+
+def test_a_problem_keeps_its_own_numbers():
+    """What it was made from may change afterwards, without a word to it."""
+    W, q, mu = sp.bsr_array(np.diag([2.0, 1.0, 1.0]), blocksize=(3, 3)), np.array([-1.0, 3.0, 0.0]), np.array([0.5])
+    problem = nd.FC3D(W, q, mu)
+    before = nd.solve(problem)
+    W.data *= 1e3
+    q *= 1e-9
+    mu -= 1.0
+    after = nd.solve(problem)
+    np.testing.assert_array_equal(after.r, before.r)
+    assert problem.error(np.zeros(3)) > 0.2
+
+
+def test_blocks_that_are_given_twice_add_up():
+    twice = np.stack([np.diag([1.0, 2.0, 1.0]), np.eye(3)])
+    W = sp.bsr_array((twice, np.zeros(2, int), np.array([0, 2])), shape=(3, 3))
+    problem = nd.FC3D(W, [-1.0, 3.0, 0.0], [0.5])
+    np.testing.assert_array_equal(problem.W.toarray(), np.diag([2.0, 3.0, 2.0]))
+    assert W.nnz == 18  # as it was given

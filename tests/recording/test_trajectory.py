@@ -619,3 +619,24 @@ def test_refused_simulation_leaves_an_existing_recording(tmp_path):
     with pytest.raises(ValueError, match="theta"):
         nd.simulate(sliding_box(), duration=0.1, theta=2.0, record=path)
     assert path.read_text() == "precious"
+
+
+def test_a_recording_has_one_run(tmp_path):
+    """Another run is refused while one records, and the first says where its file was taken away."""
+    path = tmp_path / "run.h5"
+    first, steps = rows(4)
+    with Recorder(path, META, scene_dict(), first) as recorder:
+        recorder.append(steps[0])
+        recorder.flush()
+        before = path.read_bytes()
+        with pytest.raises(ValueError, match=r"run\.h5 is being recorded by another run"):
+            Recorder(path, META, scene_dict(), first)
+        assert path.read_bytes() == before
+        recorder.append(steps[1])
+    assert Trajectory.load(path).steps == 2
+    with (
+        pytest.raises(ValueError, match=r"run\.h5 was replaced or removed"),
+        Recorder(path, META, scene_dict(), first) as it,
+    ):
+        path.unlink()
+        it.append(steps[0])

@@ -140,3 +140,21 @@ def test_meshes_of_vertices(tmp_path):
     text = mjcf("mesh", 0, more='mesh="c"')
     corners = '<asset><mesh name="c" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
     assert fixed(tmp_path, text.replace("<worldbody>", f"{corners}<worldbody>")).shape.volume == pytest.approx(1 / 6)
+
+
+@pytest.mark.parametrize(
+    "own", ["axisangle='0 0 1 90'", "xyaxes='0 1 0 -1 0 0'", "quat='1 0 0 1'", "euler='0 0 90'", ""]
+)
+def test_an_orientation_replaces_that_of_the_class(own, tmp_path):
+    """In whatever form either is given, as in MuJoCo."""
+    path = tmp_path / "turned.xml"
+    path.write_text(
+        "<mujoco><compiler angle='degree'/><default><geom euler='90 0 0'/></default><worldbody><body name='b'>"
+        f"<joint name='j'/><geom name='g' type='box' size='.5 .1 .02' mass='1' {own}/></body></worldbody></mujoco>"
+    )
+    scene = nd.Scene()
+    articulation = scene.add_mjcf("r", path)
+    turned = [[0, -1, 0], [1, 0, 0], [0, 0, 1]] if own else [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    found = scene.articulations["r"].links[0].placement.rotation
+    np.testing.assert_allclose(found, turned, rtol=0, atol=1e-15)
+    del articulation

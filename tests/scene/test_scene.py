@@ -1,6 +1,8 @@
 """What a scene accepts, and the words with which it refuses the rest."""
 
+import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -286,3 +288,11 @@ def test_penetration_is_no_negative_zero():
     run = nd.simulate(nd.scenes.load("slide")(), 0.02, dt=0.01)
     run.columns["contacts/gap"][:] = 0.0
     assert str(run.worst()["penetration"]) == "0.0"
+
+
+def test_a_scene_can_be_copied_after_a_run():
+    """Coal does not read half-spaces back once it knows their infinite boxes."""
+    scene = nd.scenes.load("slide")()
+    run = nd.simulate(scene, 0.05, dt=1e-2)
+    for made in (copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+        np.testing.assert_array_equal(nd.simulate(made, 0.05, dt=1e-2).q, run.q)

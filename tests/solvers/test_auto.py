@@ -342,3 +342,14 @@ def test_few_contacts_by_w_alone_take_one_kernel_call(seed, monkeypatch):
     W = H.T @ np.diag([1.0, 1.0, 1.0, 30.0, 30.0, 30.0]) @ H
     monkeypatch.setattr(auto, "Search", None)
     assert nd.solve(nd.FC3D(W, H.T @ rng.normal(size=6), np.full(nc, 0.5))).converged
+
+
+@pytest.mark.parametrize("solver", ["auto", "pgs"])
+def test_a_contact_of_a_mechanism_of_one_coordinate(solver):
+    """W = h hᵀ: the impulse that stops the contact is not unique, and none of its components is round-off's."""
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        h, mu = rng.normal(size=3), float(rng.choice([0.1, 0.5, 1.0, 3.0, 10.0]))
+        problem = nd.FC3D(np.outer(h, h), -np.sign(h[0]) * abs(rng.normal()) * h, [mu])
+        solution = nd.solve(problem, solver=solver)
+        assert solution.converged and np.abs(solution.r).max() <= 2.0 * np.abs(problem.q / h**2).max()

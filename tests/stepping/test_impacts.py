@@ -5,11 +5,13 @@ import math
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
 from nsdyn.problem.blocks import DelassusFactors
+from nsdyn.scene import shapes
 from nsdyn.stepping.impacts import LAWS, Round
 from nsdyn.stepping.rounds import strike
 
@@ -402,3 +404,34 @@ def test_a_law_is_an_object():
     run = nd.simulate(nd.scenes.load("bounce")(), 0.01, dt=1e-3, impact=nd.impacts.Poisson())
     assert run.meta["impact"] == "Poisson()" and nd.impacts.Poisson() == LAWS["poisson"]()
     assert nd.simulate(nd.scenes.load("bounce")(), 0.01, dt=1e-3).meta["impact"] == "Dissipative()"
+
+
+def rail(e, elevation, azimuth, mu):
+    """A ball on a prismatic joint that runs down into the floor: W of its contact has rank one."""
+    model = pin.Model()
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    along = np.cos(elevation) * level - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    origin = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.2]))
+    model.addJoint(0, pin.JointModelPrismaticUnaligned(along), origin, "slide")
+    model.appendBodyToJoint(1, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.addBodyFrame("tip", 1, pin.SE3.Identity(), 0)
+    scene, material = nd.Scene(), nd.Material(mu=mu, restitution=e)
+    scene.add_halfspace("ground", material=material)
+    scene.add_model("r", model, v=[1.0], collisions={"tip": [shapes.sphere(0.1)]}, material=material)
+    return scene
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_what_friction_jams_on_a_rail_comes_to_rest(e):
+    """Where the rail is flat no velocity rebounds: friction is as strong as the impact, and no restitution is left."""
+    for elevation, azimuth, mu in (
+        (0.3, 0.7, 3.0),
+        (0.26, 0.0, 3.0),
+        (1.2, 2.0, 0.5),
+        (0.5, 4.0, 1.0),
+        (0.9, 1.0, 1.0),
+    ):
+        run = nd.simulate(rail(e, elevation, azimuth, mu), 0.4, dt=5e-3, on_fail="raise")
+        assert set(run.solver.status_names) == {"CONVERGED"}
+        assert nd.check(run).passed and run.energy.normal.max() <= 0.0
+        assert abs(run.body("r/tip").position[-1, 2] - 0.1) <= (1e-9 if e == 0.0 else 0.02)

@@ -360,7 +360,7 @@ def heap(e, n=8):
 )
 def test_what_bounces_on_free_bodies_comes_to_rest(make, dt, steps, monkeypatch):
     """At no more than three times the solves of what does not bounce."""
-    calls, solve, step = [0], Auto.__call__, eventless_kernels.eventless_step
+    calls, solve, made = [0], Auto.__call__, eventless_kernels.eventless_step
 
     def counted(self, *args):
         calls[-1] += 1
@@ -371,7 +371,7 @@ def test_what_bounces_on_free_bodies_comes_to_rest(make, dt, steps, monkeypatch)
         results, stage = args[4][0], args[10][0]
         if stage == DONE:
             results[columns.TIME] = 0.0
-        before, out = results[columns.TIME], step(*args)
+        before, out = results[columns.TIME], made(*args)
         calls[-1] += results[columns.TIME] > before
         return out
 
