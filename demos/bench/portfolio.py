@@ -1,6 +1,6 @@
 """What `auto` solves and costs, on problems from files and on a wall that a ball hits.
 
-    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [--set newton=4] [--ablation] [FOLDER ...]
+    python demos/bench/portfolio.py [--tol 1e-8] [--steps 200] [--set warm_steps=4] [--ablation] [FOLDER ...]
 
 Processor time. For every folder of FCLIB files: problems solved, the geometric mean, the mean and the longest solve
 from nothing, by their factors if the file has them and by W alone. For the wall: the mean and longest time of a step
@@ -88,7 +88,7 @@ def others() -> Iterator[tuple[str, list[tuple[Any, str, Any]]]]:
     newton = auto.Search.newton
 
     def polishing(search: auto.Search, most: float, tol: float) -> None:
-        if most == auto.TUNING.newton:
+        if most == auto.TUNING.warm_steps:
             newton(search, most, tol)
 
     yield "without sweeps", [(auto.Search, "sweep", lambda *_: None)]

@@ -27,18 +27,18 @@ class Tuning:
     The measure of an impulse is the larger of `FC3D.error` and `FC3D.residual`.
     """
 
-    cost: int = 64
+    sweeps_per_factorisation: int = 64
     """Sweeps that count as one factorisation, as measured in a wall."""
 
-    length: int = 8
+    round_length: int = 8
     """Factorisations of Newton's method in the first round, and their growth factor from each round to the next."""
 
-    path: int = 256
+    path_length: int = 256
     """Factorisations of one smoothing path in a round, from the second round on. Beginning a new path is better than
     following one for longer."""
 
-    wide: tuple[float, float] = (1e6, 1e2)
-    """Initial smoothing `wide` of the first path, see `Following`, and its growth factor from each path to the next.
+    smoothing: tuple[float, float] = (1e6, 1e2)
+    """Initial smoothing of the first path, see `Following`, and its growth factor from each path to the next.
     From the best impulse most paths are short, and some are short only if they begin farther off, with more
     smoothing."""
 
@@ -53,13 +53,13 @@ class Tuning:
     """Sweeps without gain that end the sweeps of a round after the first, if the round begins with a measure of at most
     `polish`. From farther off sweeps may gain late, and no other method reaches a loose tolerance as soon."""
 
-    newton: int = 4
+    warm_steps: int = 4
     """Newton steps of one run from a warm start. Runs are repeated as long as they gain."""
 
-    gain: float = 0.1
-    """Largest ratio of the measures after and before a run of `newton` steps at which another run follows."""
+    warm_gain: float = 0.1
+    """Largest ratio of the measures after and before a run of `warm_steps` at which another run follows."""
 
-    free: int = 200
+    loose_limit: int = 200
     """Factorisations allowed in all if the start already meets the loose tolerance."""
 
     small: tuple[float, int] = (1e2, 60)
@@ -73,7 +73,7 @@ class Tuning:
     which accumulates in a long simulation. (A problem given by W alone is not polished, since no simulation gives W
     alone.)"""
 
-    hopeless: float = 100.0
+    rough: float = 100.0
     """Multiple of the loose tolerance that suffices for a problem solved only to find out which contacts it lacks, see
     `Auto.roughly`."""
 
@@ -88,7 +88,7 @@ UNKNOWN = np.empty(0)
 LIMITS = (DENSE, *TUNING.small)
 """Limits passed to `_start.by_factors`: most coordinates, penalty, most Newton steps."""
 
-IN_TURN = TUNING.cost * TUNING.sweeps[0], TUNING.length, TUNING.small[0]
+IN_TURN = TUNING.sweeps_per_factorisation * TUNING.sweeps[0], TUNING.round_length, TUNING.small[0]
 """Limits passed to `_start.by_matrix`: most sweeps, Newton steps of the first run, penalty."""
 
 CONVERGED = Status.CONVERGED  # a global, since looking up the attribute takes 70 ns
@@ -141,7 +141,7 @@ class Search:
             if x is not None:
                 self.r[:] = x
         if self.best <= self.loose < before:
-            self.limit = (1.0 + self._effort) * self.spent or TUNING.free
+            self.limit = (1.0 + self._effort) * self.spent or TUNING.loose_limit
 
     def _most(self, wanted: float) -> float:
         """Return the `wanted` factorisations, or as many as the limit still allows."""
@@ -163,10 +163,10 @@ class Search:
         for tol in sorted({max(self.loose, self.tol), self.tol}, reverse=True):
             if self.best > tol:
                 wanted = TUNING.sweeps[tol >= MARGIN * TUNING.polish]
-                before, most = self._sweeps.count, int(TUNING.cost * self._most(wanted))
+                before, most = self._sweeps.count, int(TUNING.sweeps_per_factorisation * self._most(wanted))
                 self._sweeps.run(tol, before + most, patience)
                 used = self._sweeps.count - before
-                self._note(self._sweeps.best, used, used / TUNING.cost, self._x)
+                self._note(self._sweeps.best, used, used / TUNING.sweeps_per_factorisation, self._x)
 
     def settle(self) -> None:
         """Replace the best impulse by the result of one more sweep, unless a sweep produced it.
@@ -194,15 +194,15 @@ class Search:
     def follow(self, wide: float) -> None:
         """Follow a smoothing path from the best impulse, with the initial smoothing `wide` of `Following`."""
         path = Following(self.problem, self.W, self.tol, self.r, wide)
-        path.run(int(np.ceil(self._most(TUNING.path))))
+        path.run(int(np.ceil(self._most(TUNING.path_length))))
         self._note(path.best, path.count, path.count, path.r)
 
     def converge(self, tol: float) -> None:
         """Run Newton's method to the sharp tolerance, a few steps at a time, until `tol` is met or gains cease."""
         before = np.inf
-        while self.best > tol and self.best <= TUNING.gain * before:
+        while self.best > tol and self.best <= TUNING.warm_gain * before:
             before = self.best
-            self.newton(TUNING.newton, self.sharp)
+            self.newton(TUNING.warm_steps, self.sharp)
 
     def run(self, warm: bool) -> None:
         """Run Newton's method from a warm start, then rounds of all methods, then Newton's method to the last digits.
@@ -212,16 +212,16 @@ class Search:
         loose impulse is replaced by the result of one sweep: sliding contacts then have all the friction they can have,
         and no impulse is outside its cone.
         """
-        if warm and self.sharp < self.tol and self.best <= TUNING.hopeless * self.loose:
+        if warm and self.sharp < self.tol and self.best <= TUNING.rough * self.loose:
             self.converge(self.tol)
-        first, wider = TUNING.wide
+        first, wider = TUNING.smoothing
         for k in range(TUNING.rounds):
             if self.over:
                 break
             if k > 0 or self.problem.blocks is not None:  # a problem given by W alone has had its first sweeps
                 late = k > 0 and self.best <= TUNING.polish
-                self.sweep(TUNING.patience if late else TUNING.cost * sum(TUNING.sweeps))
-            means = [partial(self.newton, TUNING.length ** (k + 1), self.tol)]
+                self.sweep(TUNING.patience if late else TUNING.sweeps_per_factorisation * sum(TUNING.sweeps))
+            means = [partial(self.newton, TUNING.round_length ** (k + 1), self.tol)]
             near = self.best <= max(self.loose, TUNING.polish)
             if k > near:
                 means.insert(near, partial(self.follow, first * wider ** (k - 1)))
@@ -269,8 +269,8 @@ class Auto(Options):
         Tolerance that is acceptable where `tol` costs too much. If `tol` is looser it replaces `loose`, and every
         problem gets all methods.
     effort : float
-        Bound on the effort beyond `loose`, as a multiple of the effort that met `loose`; `Tuning.free` where the start
-        meets `loose`.
+        Bound on the effort beyond `loose`, as a multiple of the effort that met `loose`; `Tuning.loose_limit` where
+        the start meets `loose`.
     """
 
     tol: Positive = 1e-8
@@ -304,14 +304,14 @@ class Auto(Options):
         return self._explained(problem, self._solved(problem, r0, max(self.tol, self.loose)))
 
     def roughly(self, problem: FC3D, r0: Array, effort: float) -> Solution | None:
-        """Solve large islands to `Tuning.hopeless` loose tolerances; None if r0 is 0 or its residual is as small.
+        """Solve large islands to `Tuning.rough` loose tolerances; None if r0 is 0 or its residual is as small.
 
         Meant for a problem that is posed again with the contacts its motion shows. A start that misses by more than
         this many tolerances belongs to a collision. `effort` bounds the further effort towards the loose tolerance, as
         a multiple of the effort so far.
         """
         loose = max(self.tol, self.loose)
-        enough = TUNING.hopeless * loose
+        enough = TUNING.rough * loose
         if not r0.any() or problem.solved(r0, self.tol)[2] <= enough:
             return None
         return self._solved(problem, r0, loose if effort else enough, (enough, effort))

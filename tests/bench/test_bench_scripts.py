@@ -18,7 +18,7 @@ SCRIPTS = {
     "collision.py": (["--boxes", "20"], r"18 pairs that touch, 72 contacts(.*\n)+nsdyn: batches"),
     "scaling.py": (["--only", "boxes", "2"], r'{"time": [\d.e-]+, "memory": [\d.]+}'),
     "at_rest.py": (["slide", "--rounds", "1"], r"slide +[\d.]+"),
-    "portfolio.py": (["--steps", "2", "--set", "newton=4"], r"mean [\d.]+ ms"),
+    "portfolio.py": (["--steps", "2", "--set", "warm_steps=4"], r"mean [\d.]+ ms"),
     "regimes.py": (["{folder}", "--solver", "auto", "--bodies", "12"], r"collision, 1e-08\nsolver .*\nauto +4/4 "),
     "truth.py": (["slow_ball", "--quick"], r"slow_ball +speed +[\d.e+-]+ +1e-09"),
     "fuzz.py": (["urdf", "--count", "20"], r"urdf +20 cases.*\n0 failures"),

@@ -175,7 +175,7 @@ def test_inconsistent_walls_are_reported(form, mu):
 
 def test_what_is_only_not_solved_is_not_called_unsolvable(monkeypatch):
     """A portfolio of a few steps misses a kicked column, but that can be lifted."""
-    monkeypatch.setattr(auto, "TUNING", replace(auto.TUNING, length=1, rounds=1, sweeps=(1, 1)))
+    monkeypatch.setattr(auto, "TUNING", replace(auto.TUNING, round_length=1, rounds=1, sweeps=(1, 1)))
     assert nd.solve(kicked_stack(height=40)).status is nd.Status.MAX_ITERATIONS
 
 
