@@ -57,6 +57,9 @@ TOLD = Status.CONVERGED, Status.SEVERAL, Status.JAM
 
 ACCEPTED = *TOLD, Status.LOOSE
 
+WORST = 1e-3
+"""Error above which the result of a solve is not used."""
+
 
 class Solution(NamedTuple):
     """Result of a solver, measured by the problem itself.
@@ -108,6 +111,11 @@ class Solution(NamedTuple):
     def accepted(self) -> bool:
         """Whether a simulation continues with it: converged, or within a loose tolerance where one was given."""
         return self.status in ACCEPTED
+
+    @property
+    def usable(self) -> bool:
+        """Whether a simulation can continue with it at all: a solution exists, and the error is at most `WORST`."""
+        return self.status is not Status.NO_SLATER_POINT and self.error <= WORST
 
     @staticmethod
     def judge(

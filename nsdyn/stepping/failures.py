@@ -20,9 +20,6 @@ from nsdyn.tools.naming import choice
 
 __all__ = ["Failures", "worst"]
 
-WORST = 1e-3
-"""Error above which the result of a solve is not used."""
-
 ON_FAIL = "warn", "raise", "dump", "ignore"
 DUMPS = "failed-steps"
 """Folder of the problems of failing steps where none is given."""
@@ -65,7 +62,7 @@ class Failures:
             guesses = [solution.r] if np.isfinite(solution.r).all() else []
             fclib.write(path, problem, guesses=guesses, description=message, overwrite=True)
             message += f"; its problem is in {path}"
-        none = _is_none(solution)
+        none = not solution.usable
         if self.on_fail == "raise" or (self.on_fail in ("warn", "dump") and none):
             if none and solution.status is not Status.NO_SLATER_POINT:  # whose message says what to look for
                 message += "; no answer is near: try a smaller dt"
@@ -107,17 +104,12 @@ class Failures:
         return ", ".join(f"{a!r} and {b!r}" for a, b in list(dict.fromkeys(order))[:NAMED])
 
 
-def _is_none(solution: Solution) -> bool:
-    """Whether a simulation cannot continue with this solution."""
-    return solution.status is Status.NO_SLATER_POINT or not solution.error <= WORST
-
-
 def worst(solved: list[tuple[FC3D, Solution]]) -> int:
     """Index of the problem that represents a step: the last, or the furthest from its tolerance if any missed it."""
 
     def badness(k: int) -> tuple[bool, bool, float]:
         solution = solved[k][1]
-        return not solution.accepted, _is_none(solution), solution.error
+        return not solution.accepted, not solution.usable, solution.error
 
     if len(solved) == 1:
         return 0

@@ -147,7 +147,7 @@ class Dissipative(Newton):
         r, solved = super().__call__(impact)
         label = impact.islands()
         created = impact.created(r, label, impact.solver.tol)
-        jammed = not solved[0][1].accepted
+        jammed = not solved[0][1].usable
         if not (jammed or created.any()):
             return r, solved
         if jammed and created.size > 1:  # other islands still rebound
