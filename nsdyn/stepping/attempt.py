@@ -81,7 +81,7 @@ class Attempt(NamedTuple):
 
 
 Known = Midpoint | Attempt | None
-"""What is known of a move before it is made: its first half, or all with nothing barred but what it runs into."""
+"""Known part of a move: its midpoint, or the whole attempt with no pair to be located, but without its hits."""
 
 
 def parted(known: Known) -> tuple[Midpoint | None, Attempt | None]:

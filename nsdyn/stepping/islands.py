@@ -74,29 +74,31 @@ class Islands:
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
         callbacks, (mid, made) = loads(t + (1.0 - s.theta) * h), parted(begun)
         mid = mid or midpoint(s, begin, t, h, callbacks)
-        label, count = self._foreseen(begin, mid)
+        label, count = self._labels_ahead(begin, mid)
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
-        opened[label[self._struck(begin, mid)]] = True
+        opened[label[self._striking_nodes(begin, mid)]] = True
         large = OPTIONS.event * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > OPTIONS.work
         if made is None and (unseen := large & ~opened).any():
             # A rough move first shows whether an island whose events are not located meets any.
-            meets |= self._hit(try_islands(s, begin, mid, None, label, ~unseen[label], rough=True), label, unseen)
+            meets |= self._islands_hit(
+                try_islands(s, begin, mid, None, label, ~unseen[label], rough=True), label, unseen
+            )
             opened |= meets
         if count < 2:
             return integrate(self.whole, state, loads, made or mid, meets=bool(meets[0]))
         if not (skipped := opened.copy()).all():
             tried = try_islands(s, begin, mid, callbacks, label, opened[label], made)
-            self._open(begin, tried, label, opened, large)
-            meets |= self._hit(tried, label, ~skipped)
+            self._open_events(begin, tried, label, opened, large)
+            meets |= self._islands_hit(tried, label, ~skipped)
             opened |= meets
             if not opened.any():
                 done = finish(s, begin, tried)
-                self._gaining(begin, done, tried, label, opened)
+                self._open_gaining(begin, done, tried, label, opened)
                 if not opened.any():
                     return done
-        return self._together(state, loads, mid, label, opened, tried, meets[label])
+        return self._island_by_island(state, loads, mid, label, opened, tried, meets[label])
 
-    def _together(
+    def _island_by_island(
         self,
         state: State,
         loads: Loads,
@@ -111,9 +113,9 @@ class Islands:
         `meets` (nodes,) marks nodes whose island is known to meet an event.
         """
         s, begin, d = self.whole, state.instant, self.whole.dynamics
-        boxes = self._swept(s, [begin.placement])
+        boxes = self._swept_boxes(s, [begin.placement])
         if tried is not None:
-            boxes = self._swept(s, [begin.placement, mid.state.placement, tried.moved.placement])
+            boxes = self._swept_boxes(s, [begin.placement, mid.state.placement, tried.moved.placement])
         done: dict[tuple[int, ...], tuple[Subsystem, StepResult]] = {}
         key = (begin if tried is None else tried.moved).memory.next_key
         while True:
@@ -125,7 +127,7 @@ class Islands:
                 own_state, own_loads = part.state(state, key), part.loads(loads, begin)
                 passage = integrate(part.system, own_state, own_loads, meets=bool(meets[nodes].any()))
                 done[name], key = (part, passage), passage.end.memory.next_key
-                own = self._swept(part.system, passage.path)
+                own = self._swept_boxes(part.system, passage.path)
                 moves = part.system.detector.frame >= 0
                 for box, mine in zip(boxes, own, strict=True):
                     box[part.geoms[moves]] = mine[moves]
@@ -142,11 +144,11 @@ class Islands:
         left = ~opened[label]
         out = StepResult(begin, mid.rate.copy(), True, [])
         if tried is not None and left.any():
-            kept = self._kept(tried, left, key)
+            kept = self._of_nodes(tried, left, key)
             move, count = finish(s, begin, kept, left), opened.sum()
-            self._gaining(begin, move, kept, label, opened)
+            self._open_gaining(begin, move, kept, label, opened)
             if opened.sum() > count:
-                return self._together(state, loads, mid, label, opened, tried, meets)
+                return self._island_by_island(state, loads, mid, label, opened, tried, meets)
             out = move
             out.done[0] = out.done[0]._replace(moves=np.repeat(left[d.free :], np.diff(d.offset[d.free :])))
         for part, p in made:
@@ -165,7 +167,7 @@ class Islands:
 
     # -- islands -----------------------------------------------------------------------------------------------
 
-    def _foreseen(self, begin: SceneState, mid: Midpoint) -> tuple[Index, int]:
+    def _labels_ahead(self, begin: SceneState, mid: Midpoint) -> tuple[Index, int]:
         """Predict the islands of bodies that may touch, for a motion without contact impulses.
 
         Return the island of each node, (nodes,), and the number of islands.
@@ -188,7 +190,7 @@ class Islands:
             first, second = np.concatenate((first, least[before])), np.concatenate((second, np.arange(self.count)))
         return int(_islands.islands(*boxes, self._node, first, second, label))
 
-    def _swept(self, s: System, path: Sequence[Placement]) -> tuple[Array, Array]:
+    def _swept_boxes(self, s: System, path: Sequence[Placement]) -> tuple[Array, Array]:
         """Return the lower and upper corners of boxes that contain the geoms along a path, (geoms, 3) each, m."""
         frame, free = s.detector.frame, s.dynamics.free
         lower, upper = s.detector.boxes(*path[0][:2])
@@ -200,7 +202,7 @@ class Islands:
 
     # -- events ------------------------------------------------------------------------------------------------
 
-    def _struck(self, begin: SceneState, mid: Midpoint) -> Index:
+    def _striking_nodes(self, begin: SceneState, mid: Midpoint) -> Index:
         """Return nodes of closed contacts and joint limits that approach fast enough for an impact at the beginning."""
         s, d, c = self.whole, self.whole.dynamics, begin.contacts
         out = [d.joints.block[limits_struck(s, begin, mid.h)]]
@@ -226,7 +228,7 @@ class Islands:
             out.append(self.whole.dynamics.joints.block[kin.joints.slot[which[nc:]]])
         return out
 
-    def _hit(self, tried: Attempt, label: Index, of: Bools) -> Bools:
+    def _islands_hit(self, tried: Attempt, label: Index, of: Bools) -> Bools:
         """Mark the islands, among those in `of` (islands,), that run into contacts or limits left out of the move."""
         out, hit, joints = np.zeros_like(of), tried.hits, self.whole.dynamics.joints
         if hit.size:
@@ -234,7 +236,7 @@ class Islands:
             out[label[nodes[nodes >= 0]]] = out[label[joints.block[joints.limits[-1 - hit[hit < 0]]]]] = True
         return out & of
 
-    def _open(self, begin: SceneState, a: Attempt, label: Index, opened: Bools, large: Bools) -> None:
+    def _open_events(self, begin: SceneState, a: Attempt, label: Index, opened: Bools, large: Bools) -> None:
         """Mark in `opened` the islands for which an attempt does not hold: they meet an event or need another solve.
 
         In `large` islands (islands,) reversals of slip are not located.
@@ -272,7 +274,7 @@ class Islands:
                 (kin,) = self._nodes(touches.contacts, np.ones(touches.fraction.size, np.bool_))
                 opened[label[np.concatenate((kin, nodes[nodes >= 0]))]] = True
 
-    def _gaining(self, begin: SceneState, made: StepResult, tried: Attempt, label: Index, opened: Bools) -> None:
+    def _open_gaining(self, begin: SceneState, made: StepResult, tried: Attempt, label: Index, opened: Bools) -> None:
         """Mark in `opened` the islands whose contacts add energy in the move `made`, or whose bodies turn far.
 
         Moved by themselves, these islands take the step in smaller pieces.
@@ -298,7 +300,7 @@ class Islands:
                 energies.append(np.bincount(label[: d.free], 0.5 * of_bodies, count))
             opened |= gained > OPTIONS.gain * np.maximum(*energies)
 
-    def _kept(self, a: Attempt, left: Bools, next_key: int) -> Attempt:
+    def _of_nodes(self, a: Attempt, left: Bools, next_key: int) -> Attempt:
         """Return the part of an attempt that concerns the nodes `left`; new contacts get keys from `next_key` on."""
         s, d = self.whole, self.whole.dynamics
         # A distant contact between two islands belongs to neither.

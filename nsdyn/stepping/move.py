@@ -82,18 +82,18 @@ def try_move(
     elif made is None and s.mover is not None:
         made = s.mover.respond(s, begin, t, h, located, mid)
     if made is None:
-        made = _moved(s, begin, mid or midpoint(s, begin, t, h, callbacks), located)
+        made = _by_stages(s, begin, mid or midpoint(s, begin, t, h, callbacks), located)
     if located is not None:
-        made = _whole(s, begin, made, located)
+        made = _with_missed(s, begin, made, located)
     if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
         return try_move(s, lambda _: None, begin, t, h, located, again)
-    return _met(s, begin, made, located)
+    return _with_hits(s, begin, made, located)
 
 
-def _moved(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> Attempt:
+def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> Attempt:
     """Compute the move from its first half, in stages; update the active set where all contacts are captured."""
-    there, needs = _reachable(s, begin, mid, located)
-    m = _respond(s, begin, mid, there, needs, located, None)
+    there, needs = _detect_at_midpoint(s, begin, mid, located)
+    m = _response(s, begin, mid, there, needs, located, None)
     kept = NO_SLOTS
     for update in range(1, UPDATES if located is None else 0):
         mid, r = m.mid, m.solution.r
@@ -101,11 +101,11 @@ def _moved(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -
         if real is m.kin.contacts and (m.solution.accepted or update > 1):
             break
         there, needs = there._replace(memory=memory), (real, needs[1])
-        m = _respond(s, begin, mid, there, needs, located, m)
+        m = _response(s, begin, mid, there, needs, located, m)
     return m
 
 
-def _whole(s: System, begin: SceneState, m: Attempt, located: Index, label: Index | None = None) -> Attempt:
+def _with_missed(s: System, begin: SceneState, m: Attempt, located: Index, label: Index | None = None) -> Attempt:
     """Return the move with the contacts added that its motion shows to be missed.
 
     The added contacts stay among those found as long as nothing moves.
@@ -116,15 +116,15 @@ def _whole(s: System, begin: SceneState, m: Attempt, located: Index, label: Inde
         if late is None:
             break
         if there is None:
-            there, (_, joints) = _reachable(s, begin, m.mid, located)
+            there, (_, joints) = _detect_at_midpoint(s, begin, m.mid, located)
         apart = take(there.contacts, ~among(there.contacts.key, late.key))  # a late one may be found already
         contacts, memory = united((apart, late)), there.memory.joined(m.moved.memory, late.key)
         there, kin = there._replace(contacts=contacts, memory=memory), united((m.kin.contacts, late))
-        m = _respond(s, begin, m.mid, there, (kin, joints), located, m, label=label)
+        m = _response(s, begin, m.mid, there, (kin, joints), located, m, label=label)
     return m
 
 
-def _met(s: System, begin: SceneState, m: Attempt, located: Index | None) -> Attempt:
+def _with_hits(s: System, begin: SceneState, m: Attempt, located: Index | None) -> Attempt:
     """Return the move with the contacts and joint limits that it runs into, and with its time of touch."""
     if located is None:
         return m
@@ -169,18 +169,18 @@ def try_islands(
     elif made is None and s.mover is not None and not rough:
         made = s.mover.respond(s, begin, mid.end - mid.h, mid.h, NO_SLOTS, mid)
     if made is None:
-        there, (contacts, joints) = _reachable(s, begin, mid, NO_SLOTS)
+        there, (contacts, joints) = _detect_at_midpoint(s, begin, mid, NO_SLOTS)
         if skip.any():
             contacts = take(contacts, ~skip[s.nodes(contacts)])
-        made = _respond(s, begin, mid, there, (contacts, joints), NO_SLOTS, None, rough, label)
+        made = _response(s, begin, mid, there, (contacts, joints), NO_SLOTS, None, rough, label)
     if not rough:
-        made = _whole(s, begin, made, NO_SLOTS, label)
+        made = _with_missed(s, begin, made, NO_SLOTS, label)
     if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
         return try_islands(s, begin, again, None, label, skip, None, rough)
     return _run_into(s, made, made.moved.limits)
 
 
-def _reachable(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> tuple[SceneState, Needs]:
+def _detect_at_midpoint(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> tuple[SceneState, Needs]:
     """Return the beginning of a move with the contacts found at its midpoint, and the contacts and rows it needs.
 
     The second half needs all contacts and joint rows but those that the move leaves out.
@@ -201,7 +201,7 @@ def _reachable(s: System, begin: SceneState, mid: Midpoint, located: Index | Non
     return there, (contacts, joints)
 
 
-def _respond(
+def _response(
     s: System,
     begin: SceneState,
     mid: Midpoint,
@@ -238,11 +238,11 @@ def _respond(
     label : ndarray of int, shape (nodes,), optional
     """
     d, forces = s.dynamics, mid.forces
-    kin, impact = _encounter(s, begin, mid, there.detected_at, needs, label)
+    kin, impact = _kinematics(s, begin, mid, there.detected_at, needs, label)
     kick = None if impact is None else kin.rows.velocity_change(impact.r)
     sliding = predict_sliding(kin, begin.warm)
     if last is not None:
-        _resume(kin, sliding, last)
+        _start_from(kin, sliding, last)
     gap_rule = s.gap_rule(mid.h, located is None)
     known = None if last is None else last.solution
     near = 2.0 * mid.reach if located is not None and located.size else d.nowhere
@@ -256,7 +256,7 @@ def _respond(
         v = v if kick is None else v + kick
         impulse, v = kin.rows.response(solution.r, v)
         if label is None and (limited := d.within_limits(mid.state, forces, v)) is not forces:
-            return _respond(s, begin, replace(mid, forces=limited), there, needs, located, last, rough)
+            return _response(s, begin, replace(mid, forces=limited), there, needs, located, last, rough)
         if impact is not None:
             impulse = kin.rows.full.momentum(solution.r + impact.r)
         passes = passes if solution.accepted else 0
@@ -266,9 +266,9 @@ def _respond(
         turn = turned(s, kin, mid, solution, v, sliding, couple, left) if passes and lasts else None
         off = np.zeros(alone.end_gap.size, np.bool_)
         if located is not None or not passes or (turn is None and not slips.any()):
-            trees, moved = _arrive(s, mid, there, v, impulse, near)
+            trees, moved = _second_half(s, mid, there, v, impulse, near)
             if passes and lasts and located is not None:
-                alone, off = _ending(s, mid, alone, solution, moved)
+                alone, off = _end_gaps(s, mid, alone, solution, moved)
         if turn is not None:
             couple, other = turn
             slips |= other
@@ -282,7 +282,7 @@ def _respond(
     return Attempt(mid, kin, impact, *solved, v, impulse, trees, moved)
 
 
-def _arrive(
+def _second_half(
     s: System, mid: Midpoint, at: SceneState, v: Array, impulse: Array, near: Array
 ) -> tuple[tuple[Flow, ...], SceneState]:
     """Compute the second half of a move: the flows of the trees, and the end with the contacts found there.
@@ -300,7 +300,7 @@ def _arrive(
     return trees, found_at(s, moved, detected_at)
 
 
-def _encounter(
+def _kinematics(
     s: System, begin: SceneState, mid: Midpoint, detected_at: DetectionPose, needs: Needs, label: Index | None
 ) -> tuple[ContactKinematics, Impact | None]:
     """Return the contacts and joint rows of the second half of a move, and the impacts captured at its midpoint."""
@@ -314,7 +314,7 @@ def _encounter(
     return kin.lasting(s, begin, limits, mid.h, impact is not None), impact
 
 
-def _ending(
+def _end_gaps(
     s: System, mid: Midpoint, kin: ContactKinematics, solution: Solution, moved: SceneState
 ) -> tuple[ContactKinematics, Bools]:
     """Return the rows with their gaps at the end of the move, and mark rows that end otherwise than predicted."""
@@ -338,7 +338,7 @@ def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:
     return np.where(joints.mu > 0.0, np.inf, gaps)
 
 
-def _resume(kin: ContactKinematics, sliding: Bools, last: Attempt) -> None:
+def _start_from(kin: ContactKinematics, sliding: Bools, last: Attempt) -> None:
     """Start from the last attempt: impulses and slip of contacts that are still active, and impulses of joint rows."""
     key, r, rows = last.kin.contacts.key, last.solution.r.reshape(-1, 3), last.kin.joints
     nc = kin.contacts.gap.size

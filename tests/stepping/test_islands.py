@@ -245,7 +245,7 @@ def test_what_pressed_before_strikes_nothing(monkeypatch):
     """Dominoes that fall over each other turn: their contacts approach a little where a step begins."""
     scene = nd.scenes.setup("domino")
     stepper, approaches, struck = nd.Stepper(scene.scene, **scene.options()), [], []
-    found = Islands._struck
+    found = Islands._striking_nodes
 
     def seen(self, begin, mid):
         s, c = self.whole, begin.contacts
@@ -257,7 +257,7 @@ def test_what_pressed_before_strikes_nothing(monkeypatch):
         struck.append((set(nodes.tolist()), (fast & ~pressed).any()))
         return nodes
 
-    monkeypatch.setattr(Islands, "_struck", seen)
+    monkeypatch.setattr(Islands, "_striking_nodes", seen)
     monkeypatch.setattr(stepper, "_eventless", None)  # which would make most of the steps
     for _ in range(100):
         stepper.step()

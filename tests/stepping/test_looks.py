@@ -16,7 +16,7 @@ def counts():
     """How many solves moves of loose solutions took that catch nothing, and how many looks those that catch all."""
     solves, looks, solved = Counter(), Counter(), []
     with pytest.MonkeyPatch.context() as patch:
-        solve, respond, moved = move.solve, move._respond, move._moved
+        solve, respond, moved = move.solve, move._response, move._by_stages
 
         def counted(*given):
             solved.append(1)
@@ -39,8 +39,8 @@ def counts():
             return m
 
         patch.setattr(move, "solve", counted)
-        patch.setattr(move, "_respond", responded)
-        patch.setattr(move, "_moved", watched)
+        patch.setattr(move, "_response", responded)
+        patch.setattr(move, "_by_stages", watched)
         scene = nd.scenes.load("wall")()
         scene.add_sphere("ball", 0.15, 16.0, position=(1.013, -0.6, 0.507), linear_velocity=(0.0, 15.0, 0.0))
         stepper = nd.Stepper(scene, dt=6.25e-4, on_fail="ignore")

@@ -24,7 +24,7 @@ from nsdyn._kernels.stepping.eventless_contacts import (
     MOVE,
     OTHERWISE,
     SOLVE,
-    catch,
+    capture,
     detect,
     gap_rule_of,
     strikes,
@@ -111,7 +111,7 @@ def meet(s, contacts, warm, rooms, flags, located, room):
     kept = flags[col.OFF, :nc]
     if num[col.ELASTIC] == 0.0 and touching.known(found[0][4], first[0][4], first[2][0], num[col.GAP_TOL], kept):
         return DONE
-    head[col.ACTIVE] = catch(scene, (movers_begun, movers, inscribed), contacts, warm, b_old, w, located, kept)
+    head[col.ACTIVE] = capture(scene, (movers_begun, movers, inscribed), contacts, warm, b_old, w, located, kept)
     if head[col.ACTIVE] < nc:
         if wide * head[col.ACTIVE] > into[0].size:
             return MORE

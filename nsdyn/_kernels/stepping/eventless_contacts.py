@@ -43,7 +43,7 @@ def detect(detection, ready, detected_at, begun, into, head, which, room):
 
 
 @kernel
-def catch(scene, bodies, contacts, last, old, w, located, out):
+def capture(scene, bodies, contacts, last, old, w, located, out):
     """Active set of the found contacts, into out (nc,), as in `nsdyn.stepping.active_set.captured`; returns its size.
 
     scene = (numbers, size), bodies = (movers at the beginning, movers at the midpoint, radii of balls inside the
