@@ -125,9 +125,9 @@ class Islands:
                     continue
                 part = self._part(name, nodes)
                 own_state, own_loads = part.state(state, key), part.loads(loads, begin)
-                passage = integrate(part.system, own_state, own_loads, meets=bool(meets[nodes].any()))
-                done[name], key = (part, passage), passage.end.memory.next_key
-                own = self._swept_boxes(part.system, passage.path)
+                result = integrate(part.system, own_state, own_loads, meets=bool(meets[nodes].any()))
+                done[name], key = (part, result), result.end.memory.next_key
+                own = self._swept_boxes(part.system, result.path)
                 moves = part.system.detector.frame >= 0
                 for box, mine in zip(boxes, own, strict=True):
                     box[part.geoms[moves]] = mine[moves]
