@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels.dynamics import joints as _joints
 from nsdyn.dynamics.trees import Tree
 from nsdyn.problem.blocks import DelassusFactors
+from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["NO_CLUTCHES", "JointLaws", "JointRows", "ContactJacobian"]
@@ -232,6 +233,7 @@ class ContactJacobian:
         ball: Bools,
     ) -> None:
         self.full = self.blocks = full
+        self._problem: FC3D | None = None
         self.joint_load, self._pressed, self._impulse, self._plane = NOTHING, pressed, clutch[0], plane
         self.balls = pressed
         if not bases and not pressed.size:
@@ -276,6 +278,13 @@ class ContactJacobian:
         less = np.minimum(1.0, most / np.maximum(np.hypot(first, second), TINY))
         out[3 * rows], out[3 * rows + 1], out[3 * rows + 2] = most, less * first, less * second
         return out
+
+    def problem(self, b: Array, mu: Array) -> FC3D:
+        """Contact problem of the rows with the free relative velocity b (3 nc,); μ (nc,) is the same at every call."""
+        if self._problem is None:
+            self._problem = FC3D.from_blocks(self.blocks, b, mu)
+            return self._problem
+        return self._problem.with_velocity(b)
 
     def velocity_change(self, r: Array) -> Array:
         """Change of v by the impulses r, shape (n,)."""

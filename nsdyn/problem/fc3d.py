@@ -117,7 +117,7 @@ class FC3D:
     def with_velocity(self, q: Any, mu: Any = None) -> FC3D:
         """Return the problem of the same contacts with another q (and μ), without checking W again."""
         problem = FC3D.__new__(FC3D)
-        problem.__dict__.update(self.__dict__)
+        problem.__dict__.update(self.__dict__, kept=self.kept if mu is None else {})
         problem._set(q, self.mu if mu is None else mu)
         if problem.nc != self.nc:
             raise ValueError(f"q must have {3 * self.nc} entries, 3 per contact of W, got {problem.q.size}")
@@ -151,6 +151,11 @@ class FC3D:
             f"W must have a non-zero positive diagonal block at every contact, not at {bad[:5]}, "
             f"and none below {_blocks.SMALLEST:g} or above {_blocks.LARGEST:g}"
         )
+
+    @cached_property
+    def kept(self) -> dict[Any, Any]:
+        """Quantities that solvers derive from W and μ alone. The problems of `with_velocity` share them."""
+        return {}
 
     @cached_property
     def W(self) -> sp.bsr_array:

@@ -37,7 +37,9 @@ class Sweeps:
         self._free = blocks is not None and bool((np.diff(blocks.offset) == 6).all())
         if blocks is not None and self._free:
             best_r = r.reshape(-1, 3)
-            self._given, y, v, self.best = _kernels.begin(blocks.arrays, q.reshape(-1, 3), mu, scales, q_norm, best_r)
+            if (prepared := problem.kept.get(Sweeps)) is None:
+                prepared = problem.kept[Sweeps] = _kernels.prepare(blocks.arrays, mu)
+            self._given, y, v, self.best = _kernels.begin(prepared, q.reshape(-1, 3), mu, scales, q_norm, best_r)
             self._state: tuple[Any, ...] = (best_r, y, y.copy(), v, np.ones(mu.size))
         else:
             W = problem.csr

@@ -113,12 +113,20 @@ def newton(problem: FC3D, W: Operator, r: Array, tol: float, penalty: float, mos
 
 def part(problem: FC3D, label: Index, k: int) -> tuple[Any, FC3D]:
     """Return the rows of island k in vectors of 3 nc entries, and the island as a problem of its own."""
+    if (found := problem.kept.get((part, k))) is None:
+        found = problem.kept[part, k] = _part(problem, label, k)
+    i, own = found
+    return (i, problem) if own is None else (i, own.with_velocity(problem.q[i]))
+
+
+def _part(problem: FC3D, label: Index, k: int) -> tuple[Any, FC3D | None]:
+    """Return the rows of island k, and the island as a problem of its own; None if it is the whole problem."""
     blocks = problem.blocks
     whole = not label.any() and (
         blocks is None or np.unique(blocks.block[blocks.block >= 0]).size == blocks.offset.size - 1
     )
     if whole:
-        return slice(None), problem
+        return slice(None), None
     contacts = np.flatnonzero(label == k)
     i = (3 * contacts[:, None] + np.arange(3)).ravel()
     q, mu = problem.q[i], problem.mu[contacts]

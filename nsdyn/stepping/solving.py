@@ -41,7 +41,7 @@ def solve(
 
     def once(kin: ContactKinematics, last: Solution | None, off: Bools | None) -> tuple[FC3D, Solution]:
         """Solve the problem with the present split of ball-joint friction."""
-        problem = FC3D.from_blocks(kin.rows.blocks, kin.offsets(sliding, gap_rule), kin.mu)
+        problem = kin.rows.problem(kin.offsets(sliding, gap_rule), kin.mu)
         solution = again(solver, last, problem, kin.r_last, kin.u_begin, effort)
         if last is not None and off is not None:
             r, u = solution.r.copy(), solution.u.copy()

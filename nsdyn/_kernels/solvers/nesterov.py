@@ -176,18 +176,24 @@ def solve(given, state, so_far, limits):
 
 
 @kernel
-def begin(blocks, q, mu, scales, q_norm, r):
-    """Prepare sweeps from r (nc, 3) in the contact order of `independent`; tangents of r without friction become 0.
+def prepare(blocks, mu):
+    """Prepare sweeps on W: (order of `independent`, (rows, bodies, steps) in that order, size of v̂)."""
+    order = independent(blocks)
+    rows, body, v = unit_rows(blocks, factors(blocks), mu, order)
+    return order, (rows, body, local_steps(rows, mu[order])), v.size
+
+
+@kernel
+def begin(prepared, q, mu, scales, q_norm, r):
+    """Begin sweeps from r (nc, 3) on a W as `prepare` gives it; tangents of r without friction become 0.
 
     Returns (order, (rows, bodies, steps), (q, mu, scales, q_norm)), then impulses, v̂ = Ĥ r, and the measure of r.
     """
-    order = independent(blocks)
-    rows, body, v = unit_rows(blocks, factors(blocks), mu, order)
+    order, own, size = prepared
     for c in range(mu.size):
         if mu[c] == 0.0:
             r[c, 1] = r[c, 2] = 0.0
-    given, y = (q[order], mu[order], scales[order], q_norm), r[order]
-    own = rows, body, local_steps(rows, given[1])
+    given, y, v = (q[order], mu[order], scales[order], q_norm), r[order], np.zeros(size)
     refresh(own, y, v)
     best = measure(own, given, y, v, np.empty((mu.size, 3)))
     return (order, own, given), y, v, best
