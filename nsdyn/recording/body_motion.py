@@ -69,7 +69,7 @@ def body(trajectory: Trajectory, name: str) -> BodyMotion:
 
 
 def _velocities(trajectory: Trajectory, frame: int, position: Array, quaternion: Array) -> tuple[Array, Array]:
-    """Return linear and angular velocity of a point fixed to a frame, from joint velocities or as slope of its poses."""
+    """Return linear and angular velocity of a pose on a frame, from its joints' velocities or else as slope of it."""
     twist = trajectory.twists.get(frame)
     if twist is not None:
         return twist[:, :3] + np.cross(twist[:, 3:], position), twist[:, 3:]

@@ -50,7 +50,7 @@ def factors(M: Any, H: Any) -> DelassusFactors | None:
     """Return factors in blocks of coordinates, permuted to be contiguous, or None if M and H have no such blocks.
 
     Coordinates coupled by M are in one block. If M is so close to diagonal that a contact touches more than two blocks,
-    neighbouring coordinates are joined: 6 of a body, or 3 of a node of a mesh.
+    neighbouring coordinates are joined: 6 of a body, or 3 of a node.
     """
     n, nc = M.shape[0], H.shape[1] // 3
     if not n or not nc or not is_symmetric(M):

@@ -149,7 +149,7 @@ def _array(group: Any, name: str, kind: Any = np.float64, size: int | None = Non
 
 
 def _matrix(group: Any, name: str) -> Any:
-    """Return a sparse matrix as CSR. In the file nz = -1 means compressed columns, -2 compressed rows, else triplets."""
+    """Return a sparse matrix as CSR; nz = -1 means compressed columns, -2 compressed rows, else nz triplets."""
     where = f"{group.name}/{name}".lstrip("/")
     m, n, nz = (int(_array(group, f"{name}/{key}", np.int64, 1)[0]) for key in ("m", "n", "nz"))
     p, i = (_array(group, f"{name}/{key}", np.int64) for key in ("p", "i"))
