@@ -139,10 +139,10 @@ def _doubt(apart: Array, speed: float, parts: int) -> Array:
 def _in_parts(
     m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: Array | float, parts: int
 ) -> tuple[Array, Array, Array, float, Array]:
-    """Return (q, v, mean velocity, work of driven joints, errors of the midpoint rule) by the classical Runge-Kutta rule.
+    """Return (q, v, mean velocity, work of driven joints, errors of the midpoint rule) by the classical Runge-Kutta.
 
-    It integrates the displacement in each part, v and the work. The errors, (2, nv), are the differences between the
-    midpoint rule and this rule in displacement and v, summed over the parts.
+    The method integrates the displacement in each part, v and the work. The errors, (2, nv), are the differences
+    between the midpoint rule and this method in displacement and v, summed over the parts.
     """
     model, force = (m.light, m.zero) if tau is None else (m.model, tau)
     mean, work, h, apart = np.zeros(m.nv), 0.0, h / parts, np.zeros((2, m.nv))
