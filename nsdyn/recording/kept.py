@@ -12,7 +12,7 @@ from nsdyn.recording.columns import RAGGED, Columns
 __all__ = ["Kept", "Part"]
 
 Part = tuple[Columns, tuple[int, ...] | None]
-"""Arrays by columns, and the shape of the axes of their rows, to which they are broadcast; None for one axis of rows."""
+"""Arrays by columns, and the shape of the axes of rows to which they are broadcast; None for one axis of rows."""
 
 MOST = 16
 """Largest factor by which memory grows at once: a run may end long before the expected number of steps."""

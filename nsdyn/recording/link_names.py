@@ -1,4 +1,4 @@
-"""Links of a recording's articulations, one per joint and in the order of the joints, and impulses of contacts on them."""
+"""Links of a recording's articulations, one per joint and in the order of joints, and impulses of contacts on links."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ RANK = 1e-10
 
 
 def _moved(place: Array, wrench: Array) -> Array:
-    """Transform forces and moments from local axes, poses (..., 4, 4), to wrenches about the world's origin, (..., 6)."""
+    """Return wrenches about the world's origin, (..., 6), of forces and moments in axes of the poses (..., 4, 4)."""
     force, moment = (np.einsum("...ij,...j->...i", place[..., :3, :3], wrench[..., k : k + 3]) for k in (0, 3))
     return np.concatenate((force, moment + np.cross(place[..., :3, 3], force)), axis=-1)
 
@@ -175,7 +175,7 @@ class Mechanism:
     # -- at a configuration ------------------------------------------------------------------------------------
 
     def angle(self, q: Array) -> Array:
-        """Return joint coordinates, rad or m, (nv,); 0 for velocities without a scalar coordinate."""
+        """Return joint coordinates, rad or m, (nv,); 0 for joints without scalar coordinates."""
         out = np.zeros(self.nv)
         out[self.linear] = q[self._linear_q]
         for j, k in self.round:
@@ -183,7 +183,7 @@ class Mechanism:
         return out
 
     def stretch(self, q: Array) -> Array:
-        """Return the deflections of the joint springs, rad or m, the short way round for angles without limits."""
+        """Return the deflections of the joint springs, rad or m, the short way round for unbounded angles."""
         out: Array = self.angle(q) - self.rest
         for j, _ in self.round:
             out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
@@ -239,7 +239,7 @@ class Mechanism:
         return _moved(place, np.concatenate((linear, spin), axis=2))
 
     def twists(self, q: Array, v: Array) -> Array:
-        """Return linear velocity at the world's origin and angular velocity of every link, (n, links, 6), m/s, rad/s."""
+        """Return linear velocity at the world's origin and angular velocity of each link, (n, links, 6), m/s, rad/s."""
         place, twist = self._links(q, v)
         return np.roll(_moved(place, np.roll(twist, 3, axis=2)), 3, axis=2)
 
@@ -273,7 +273,7 @@ class Mechanism:
         return out
 
     def along(self, q: Array, passed: Array) -> Array:
-        """Return the components along the joints' coordinates of the wrenches about the world's origin that they pass."""
+        """Return the components along joint coordinates of the wrenches `passed` about the world's origin, N·m or N."""
         self.place(q)
         J, owner = self.data.J.reshape(6, -1, order="A"), np.repeat(range(len(passed)), self.model.nvs.tolist()[1:])
         out: Array = (J * passed[owner].T).sum(axis=0)
