@@ -1,4 +1,4 @@
-"""Motion of an articulation in every recorded step, recomputed from its state at the beginning and the recorded impulses.
+"""Motion of an articulation in each recorded step, recomputed from the state at its beginning and recorded impulses.
 
 A step, or each of its pieces (substeps), is a motion without forces for the fraction 1 - θ, then all impulses at one
 configuration, then a motion without forces for the rest. The recorded impulses are used unchanged. With the length h of
