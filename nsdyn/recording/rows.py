@@ -62,9 +62,7 @@ def begin(state: Any) -> Columns:
 
 
 def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
-    """Return all columns of steps, without rows; with those of impulses on `links`, and of wrenches on free bodies if
-    `pushed`.
-    """
+    """Return all columns of steps without rows; impulses on links and wrenches on free bodies only if they are recorded."""
     kinds = dict.fromkeys([f"energy/{name}" for name in WORKS], "f8") | {n: c.kind for n, c in STEP.items()}
     out = {name: np.empty(0, kind) for name, kind in kinds.items()}
     for name, c in CONTACT.items():

@@ -1,7 +1,7 @@
 """Checks of the contents of a recording, so that reading detects files of another kind and damaged files.
 
-`jsonschema` is not used: for the scene of a wall (106 shapes) it takes 167 ms instead of 26, its table is longer, and it
-accepts NaN as a number. References to other parts (frames, corners, meshes) would need the checks of this module anyway.
+`jsonschema` is not used: for the scene of a wall (106 shapes) it takes 167 ms instead of 26, its table is longer, and
+it accepts NaN as a number. References to other parts (frames, corners, meshes) would need the checks below anyway.
 """
 
 from __future__ import annotations

@@ -45,8 +45,8 @@ STEPS, HALVINGS = 40, 20
 more. If the solution without cones lies inside all cones, no step is made."""
 
 HAIR, DAMPING = 1e-14, 1e-4
-"""Terms added to the diagonal of the Jacobian, which may be singular, as fractions of its size: HAIR always, and DAMPING
-times the residual (K. Levenberg; D. W. Marquardt). Without DAMPING 22 of the 3000 problems did not converge."""
+"""Terms added to the diagonal of the Jacobian, which may be singular, as fractions of its size: HAIR always, and
+DAMPING times the residual (K. Levenberg; D. W. Marquardt). Without DAMPING 22 of the 3000 problems did not converge."""
 
 TOGETHER = 1 << 14
 """Number of contacts treated at once, about 10 MB."""
@@ -124,7 +124,7 @@ class _Pairs(NamedTuple):
 
     @classmethod
     def of(cls, c: Mapping[str, NDArray[Any]], sign: Array, member: Index) -> _Pairs:
-        """Make it from the columns, the sign of each contact (1 or -1, by the order of its bodies) and its pair number."""
+        """Make pairs from columns, the sign of each contact (1 or -1, by the order of its bodies) and its pair, sorted."""
         start = np.flatnonzero(np.diff(member, prepend=-1))
         count = np.bincount(member)[:, None]
         arm = c["point"] - (np.add.reduceat(c["point"], start) / count)[member]

@@ -7,8 +7,8 @@ Layout, for k = 0 and 1::
     /state/k/numbers    (.,)  all arrays of kind "f", one after the other
     /state/k/whole      (.,)  all arrays of kind "i"
 
-A single slot is not enough. Of 300 runs killed while h5py in SWMR mode wrote 32 kB (320 kB), 2 (8) left a state that was
-half old. With two slots no kill did. The second slot costs 2 ms more per half second.
+A single slot is not enough. Of 300 runs killed while h5py in SWMR mode wrote 32 kB (320 kB), 2 (8) left a state that
+was half old. With two slots none of the same kills did. The second slot costs 2 ms more per half second.
 
 Datasets only grow, since none may shrink while a reader has the file open. Values beyond the sizes in the head are old.
 """

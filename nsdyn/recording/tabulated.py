@@ -25,7 +25,7 @@ FORCES = "force_x", "force_y", "force_z"
 
 def tabulated(trajectory: Trajectory, kind: str, pattern: str, step: int | None = None) -> Table:
     """Return a table of a recording, or its rows of one step; see `nsdyn.Trajectory.table`."""
-    if choice(kind, KINDS, "kind of table") == "joints":  # only one step, since reactions take time
+    if choice(kind, KINDS, "kind of table") == "joints":  # only the rows of `step`, since reactions take time
         columns, units = joint_tables.joint_columns(trajectory, pattern, step)
     else:
         columns, units = _MADE_BY[kind](trajectory, pattern)
