@@ -124,7 +124,7 @@ class _Pairs(NamedTuple):
 
     @classmethod
     def of(cls, c: Mapping[str, NDArray[Any]], sign: Array, member: Index) -> _Pairs:
-        """Make pairs from columns, the sign of each contact (1 or -1, by the order of its bodies) and its pair, sorted."""
+        """Make pairs from columns, the sign of each contact (1 or -1, by the order of its bodies), and sorted pairs."""
         start = np.flatnonzero(np.diff(member, prepend=-1))
         count = np.bincount(member)[:, None]
         arm = c["point"] - (np.add.reduceat(c["point"], start) / count)[member]

@@ -172,7 +172,7 @@ def compare(a: Trajectory, b: Trajectory) -> Comparison:
 
 
 def _touching(a: Trajectory, b: Trajectory, d: Differences) -> tuple[float, str, str] | None:
-    """Return the first time and pair that pushes in one recording only; None unless both have contacts at equal times."""
+    """Return first time and pair that pushes in one recording only; None unless both have contacts at equal times."""
     if not (a.has_contacts and b.has_contacts and np.array_equal(d.rows[0], d.rows[1]) and a.every == b.every):
         return None
     for k, t in zip(d.rows[0][1:], d.t[1:], strict=True):

@@ -27,7 +27,7 @@ FOUND = {
 
 
 def draw_refinement(found: Refinement, figure: Any) -> Any:
-    """Draw the errors of a refinement over dt on a matplotlib figure; labels give the last known order of each error."""
+    """Draw the errors of a refinement over dt on a matplotlib figure; labels give the last known order of each."""
     rows, curves = found.rows[:-1], []
     for k, (name, unit) in enumerate(found.as_dict()["units"].items()):
         orders = [p for row in rows if not math.isnan(p := row.orders.get(name, math.nan))]

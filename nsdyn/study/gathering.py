@@ -1,4 +1,4 @@
-"""Many calls of one function: in this process, in others, or by an executor; a task whose worker dies is tried again."""
+"""Many calls of one function: here, in other processes, or by an executor. A task whose worker dies is tried again."""
 
 from __future__ import annotations
 

@@ -124,7 +124,8 @@ def refine(
     Parameters
     ----------
     scene : str or callable
-        Name or file of a scene, which is run with its own controller and options, or a function that returns a Scene.
+        Name or file of a scene, which is run with its controller and external forces, or a function that returns a
+        Scene.
     dts : sequence of float
         At least two time steps, s; the duration must be a whole multiple of each.
     duration : float

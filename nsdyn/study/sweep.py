@@ -62,7 +62,7 @@ def sweep(
     Parameters
     ----------
     scene : str or callable
-        Name or file of a scene, which is run with its own controller and options, or a function
+        Name or file of a scene, which is run with its controller and external forces, or a function
         ``scene(**parameters) -> Scene``, which the executor must be able to send.
     parameters : mapping of str to sequence
         Values of each parameter; the last parameter varies fastest in the result.
