@@ -1,4 +1,4 @@
-"""Writing of files: complete or not at all, never over a file of another kind; links are followed, devices supported."""
+"""Writing of files: complete or not at all, never over a file of another kind; to links and devices, too."""
 
 from __future__ import annotations
 

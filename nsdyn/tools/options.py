@@ -32,7 +32,7 @@ class Options:
     """Base of frozen dataclasses that refuse values that their annotations do not allow.
 
     The annotation of a field is a Literal, or Annotated with the type of number and `Allowed`, and may include None.
-    Only the fields of the first class below this base are checked; classes derived from it check their own fields.
+    Only the fields of the class directly below this base are checked, not fields that classes derived from it add.
     Numbers of NumPy become those of Python, so that a kernel is compiled for one type of them only.
 
     Raises
@@ -59,7 +59,7 @@ class Options:
 
 @cache
 def _annotations(made: type) -> dict[str, Any]:
-    """Return the annotations of the first class below `Options` from which a class derives; evaluated once per class."""
+    """Return the annotations of the class directly below `Options` that a class is or derives from; evaluated once."""
     line = made.__mro__
     out = get_type_hints(line[line.index(Options) - 1], include_extras=True)
     for name, annotation in out.items():

@@ -78,7 +78,7 @@ class Table:
         return _needed("pandas").DataFrame(dict(zip(self.headers, self.columns.values(), strict=True)))
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write an Apache Parquet file; ValueError if pyarrow is not installed or, naming the path, if writing fails."""
+        """Write an Apache Parquet file; ValueError if pyarrow is not installed, or naming the path if writing fails."""
         arrow, parquet = _needed("pyarrow"), _needed("pyarrow.parquet")
         with files.writing(path, files.PARQUET) as part:
             parquet.write_table(arrow.table(dict(zip(self.headers, self.columns.values(), strict=True))), part)
@@ -91,7 +91,7 @@ class Table:
             sink.writerows(zip(*(map(_blank, values.tolist()) for values in self.columns.values()), strict=True))
 
     def text(self, width: float = inf) -> str:
-        """Return the first rows, right-aligned; middle columns are left out if lines would exceed `width` characters."""
+        """Return the first rows, right-aligned; middle columns are left out of lines of more than `width` characters."""
         lines = self._fitting([list(self.headers), *self._cells(SHOWN)], width)
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         out = ["  ".join(map(str.rjust, line, widths)) for line in lines]
