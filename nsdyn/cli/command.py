@@ -69,7 +69,7 @@ TABLES = {
 }
 
 OPTIONS = {"duration": "--time", "dts": "--dt", "package_dirs": "--package-dir"}
-"""Options of the command by names of Python arguments; an error that begins with such a name gets the option instead."""
+"""Options of the command by names of Python arguments; an error that begins with the name shows the option instead."""
 
 AGAIN = 0.05
 """Time after which an interrupt that Python has dropped is repeated, s."""
@@ -106,7 +106,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _tell(dropped: Any) -> None:
-    """Report an exception that Python drops, for instance while it frees an object; repeat a dropped interrupt later."""
+    """Report an exception that Python drops, for instance while freeing an object; repeat a dropped interrupt later."""
     if issubclass(dropped.exc_type, KeyboardInterrupt):
         later = threading.Timer(AGAIN, _thread.interrupt_main)  # here it would be dropped as well
         later.daemon = True

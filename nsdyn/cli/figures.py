@@ -32,7 +32,7 @@ LEAST = 40.0
 """Smallest side of a picture, mm: smaller pictures have room for labels only."""
 
 SMALL = 89.0
-"""Width of a column of a journal, mm. If the smaller side of each plot is at most this, letters have 8 points, not 10."""
+"""Width of a column of a journal, mm. If the smaller side of a plot is at most this, letters have 8 points, not 10."""
 
 
 def add_plot(parser: argparse.ArgumentParser) -> None:

@@ -242,7 +242,7 @@ def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], d
 
 
 def _fit_label(ax: Any) -> bool:
-    """Shrink the letters of an axis label until it is no longer than the axis; return whether they are still legible."""
+    """Shrink the letters of an axis label until it is no longer than the axis; return whether they stay legible."""
     label = ax.yaxis.label
     part = min(1.0, float(ax.bbox.height / (label.get_window_extent().height or 1.0)))
     label.set_fontsize(part * label.get_fontsize())

@@ -126,7 +126,7 @@ def add_check(parser: argparse.ArgumentParser) -> None:
 
 
 def check_anything(arguments: argparse.Namespace) -> int:
-    """Run ``nsdyn check``; return its exit code, 0 only if all checks pass."""
+    """Run ``nsdyn check``; return its exit code, which is 0 only if all is well."""
     import nsdyn
     from nsdyn.audit import checking, inspection
     from nsdyn.scene import settings

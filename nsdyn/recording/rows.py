@@ -62,7 +62,7 @@ def begin(state: Any) -> Columns:
 
 
 def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
-    """Return all columns of steps, without rows; with impulses on `links`, wrenches on free bodies (`pushed`), if so."""
+    """Return all columns of steps, without rows; `links`: with impulses on links, `pushed`: on free bodies."""
     kinds = dict.fromkeys([f"energy/{name}" for name in WORKS], "f8") | {n: c.kind for n, c in STEP.items()}
     out = {name: np.empty(0, kind) for name, kind in kinds.items()}
     for name, c in CONTACT.items():

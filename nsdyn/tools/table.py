@@ -91,7 +91,7 @@ class Table:
             sink.writerows(zip(*(map(_blank, values.tolist()) for values in self.columns.values()), strict=True))
 
     def text(self, width: float = inf) -> str:
-        """Return the first rows, right-aligned; middle columns are left out of lines of more than `width` characters."""
+        """Return the first rows, right-aligned; middle columns are left out of lines longer than `width` characters."""
         lines = self._fitting([list(self.headers), *self._cells(SHOWN)], width)
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         out = ["  ".join(map(str.rjust, line, widths)) for line in lines]
