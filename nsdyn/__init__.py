@@ -2,16 +2,17 @@
 
     import nsdyn as nd
 
-    nd.Scene, nd.Material, nd.scenes            describe a scene, or take a named one
-    nd.simulate, nd.Stepper, nd.impacts         run it, step by step if need be, with a law of impact
-    nd.PD, nd.Actuation                         control of joints, and of the actuators of MJCF files
+    nd.Scene, nd.Material, nd.scenes            describe a scene, or load a named one
+    nd.simulate, nd.Stepper, nd.impacts         run a scene, at once or step by step, with a law of impact
+    nd.PD, nd.Actuation                         control joints, and the actuators of MJCF files
     nd.Trajectory, nd.Table                     the recording: states, energies, contacts, forces, certificates, pages
     nd.Live                                     a window that follows a stepper
     nd.check, nd.compare, nd.plots              audit a motion or a model, compare two runs, draw a recording
-    nd.sweep, nd.refine                         many parameters, several time steps
-    nd.FC3D, nd.solve, nd.solvers, nd.fclib     contact problems alone
+    nd.sweep, nd.refine                         run a scene with many parameters, or with several time steps
+    nd.FC3D, nd.solve, nd.solvers, nd.fclib     contact problems without a scene
 
-Each has its own help, with an example; ``nsdyn --help`` lists the commands. SI units, world axes, quaternions xyzw.
+Each name has its own help, with an example. ``nsdyn --help`` lists the commands. SI units, world axes, quaternions
+xyzw.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name at its first use: ``nsdyn --help`` need not wait 0.7 s for numba and Pinocchio."""
+    """Import a public name at its first use, so that ``nsdyn --help`` does not wait 0.7 s for numba and Pinocchio."""
     if name in _MODULES:
         return import_module(f"nsdyn.{_MODULES[name]}")
     for module, names in _HOME.items():
@@ -121,5 +122,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names, which `dir` and completion then show before they are imported."""
+    """Return the public names, so that `dir` and completion show them before they are imported."""
     return sorted([*__all__, "__version__", "__doc__"])

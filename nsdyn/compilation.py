@@ -1,4 +1,4 @@
-"""What named scenes call, compiled before it is needed."""
+"""Compilation, ahead of use, of the kernels that named scenes call."""
 
 import warnings
 
@@ -11,11 +11,11 @@ __all__ = ["compile_all", "run"]
 
 NAMES = "stack slide arm_pushes_box bounce bricard bullet euler_disk gripper quadruped rattleback rocking rolling"
 SCENES = *((name, {}) for name in (*NAMES.split(), "slider_crank")), *(("woodpecker", {"impact": law}) for law in LAWS)
-"""Scenes, and options: they call what all do."""
+"""Scenes with options of the stepper. Together they call all kernels that the named scenes call."""
 
 
 def run() -> None:
-    """Three steps of each."""
+    """Run three steps of each scene."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for name, options in SCENES:
@@ -26,7 +26,7 @@ def run() -> None:
 
 
 def compile_all() -> None:
-    """Compile what these steps call, the first first beside the process that does the last."""
+    """Compile the kernels that these steps call: here from the first on, while another process begins with the last."""
     from tqdm import tqdm
 
     run()

@@ -1,8 +1,8 @@
 """The `nsdyn` command.
 
-Figures go to stdout, as text or with ``--json``; progress and messages go to stderr. The exit code is 0 for
-success, 1 for a simulation that did not converge, a failed audit or self-check, 2 for bad input, which is told in
-one line before anything is written.
+Results go to stdout, as text or with ``--json``; progress and messages go to stderr. The exit code is 0 for success, 1
+for a simulation that did not converge, a failed audit or a failed self-check, and 2 for bad input. Bad input is
+reported in one line before any file is written.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from nsdyn.tools.files import FRAME, PAGE, PICTURE, PROBLEM, RECORDING, TABLE
 __all__ = ["EXAMPLES", "main", "parser"]
 
 Command = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
-"""Adds a command of a name, a function and a summary."""
+"""Function that adds a command, given its name, its function and a summary."""
 
 EXAMPLES = {
     "scenes": "nsdyn scenes",
@@ -59,7 +59,7 @@ EXAMPLES = {
     "plot": "nsdyn plot run.h5 --kind speed --kind force -o run.pdf",
     "compare": "nsdyn compare run.h5 other.h5",
 }
-"""One of each command, which the help shows."""
+"""Example of each command, which the help shows."""
 
 TABLES = {
     "bodies": "Print or export the motion of bodies: positions, velocities, contact forces.",
@@ -69,10 +69,10 @@ TABLES = {
 }
 
 OPTIONS = {"duration": "--time", "dts": "--dt", "package_dirs": "--package-dir"}
-"""Arguments in Python that errors begin with, and the options that they have come from."""
+"""Options of the command by names of Python arguments; an error that begins with the name shows the option instead."""
 
 AGAIN = 0.05
-"""When an interrupt that Python has dropped comes once more, s."""
+"""Time after which an interrupt that Python has dropped is repeated, s."""
 
 SCENE = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn new' begins"
 
@@ -86,14 +86,14 @@ def main(argv: list[str] | None = None) -> int:
         before, warnings.showwarning, sys.unraisablehook = sys.unraisablehook, _show_warning, _tell
         try:
             return int(arguments.run(arguments))
-        except BrokenPipeError:  # the reader of our output is gone
+        except BrokenPipeError:  # the reader of the output has ended
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1
         except Exception as error:
             theirs = callbacks.below(error) is not None
             if not theirs and not isinstance(error, (ValueError, OSError)):
                 raise
-            # Of ours, which name the file in their words, the words alone.
+            # Errors raised by nsdyn name the file in their message: only the message is shown.
             ours = isinstance(error, OSError) and error.filename is None and error.strerror
             word, space, rest = one_line(callbacks.text(error) if theirs else ours or error).partition(" ")
             print(f"nsdyn: error: {word if theirs else OPTIONS.get(word, word)}{space}{rest}", file=sys.stderr)
@@ -106,7 +106,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _tell(dropped: Any) -> None:
-    """Tell what is raised where Python drops it, as where an object is freed; an interrupt comes once more, later."""
+    """Report an exception that Python drops, for instance while freeing an object; repeat a dropped interrupt later."""
     if issubclass(dropped.exc_type, KeyboardInterrupt):
         later = threading.Timer(AGAIN, _thread.interrupt_main)  # here it would be dropped as well
         later.daemon = True
@@ -127,7 +127,7 @@ def _show_warning(
 
 
 class _Parser(argparse.ArgumentParser):
-    """Tells a mistake in one line, as everything else here does."""
+    """Parser that reports a mistake in one line, like all other errors of the command."""
 
     def error(self, message: str) -> NoReturn:
         from nsdyn.tools.naming import unknown
@@ -139,7 +139,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parser() -> _Parser:
-    """What reads the command line."""
+    """Return the parser of the command line."""
     top = _Parser(
         prog="nsdyn",
         description="Rigid multibody dynamics with hard contact and exact Coulomb friction.",
@@ -168,13 +168,13 @@ def parser() -> _Parser:
 
 
 def _help(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn`` without a command."""
+    """Run ``nsdyn`` without a command; return its exit code."""
     parser.print_help()
     return 0
 
 
 def _add_simulations(command: Command) -> None:
-    """Commands that make and run scenes."""
+    """Add the commands that make and run scenes."""
     p = command("scenes", list_scenes, "List the named scenes and their parameters.")
     add_json(p)
 
@@ -227,7 +227,7 @@ def _add_simulations(command: Command) -> None:
 
 
 def _add_problems(command: Command) -> None:
-    """Commands for contact problems, solvers and engines."""
+    """Add the commands for contact problems, solvers and engines."""
     p = command("solve", solve_file, "Solve a frictional contact problem in an FCLIB file.")
     add_input(p, "problem", metavar="PROBLEM.hdf5")
     p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
@@ -272,7 +272,7 @@ def _add_problems(command: Command) -> None:
 
 
 def _add_results(command: Command) -> None:
-    """Commands that read recordings."""
+    """Add the commands that read recordings."""
     p = command("energy", show_energy, "Print, plot or export the energy ledger of a recording.")
     add_input(p, "recording", metavar="RUN.h5")
     add_output(p, "--plot", kind=PICTURE, metavar="E.png", help="picture of energies and works (png, pdf or svg)")

@@ -1,4 +1,4 @@
-"""`nsdyn doctor`: what is installed, where, and whether it works."""
+"""`nsdyn doctor`: installed packages, their places, and checks that they work."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PACKAGES = {
 
 
 def version_of(distribution: str) -> str | None:
-    """Version of an installed distribution; of nsdyn also in a source tree."""
+    """Return the version of an installed distribution; for nsdyn also in a source tree."""
     if distribution == "nsdyn":
         from nsdyn import __version__
 
@@ -44,7 +44,7 @@ def version_of(distribution: str) -> str | None:
 
 
 def wrong_packages() -> list[str]:
-    """What is missing, older or newer than nsdyn needs, or mixed from several places, a line each."""
+    """Return a line per package that is missing, older or newer than nsdyn needs, or mixed from several places."""
     out = []
     for distribution, module in PACKAGES.items():
         spec = importlib.util.find_spec(module)
@@ -74,14 +74,14 @@ def wrong_packages() -> list[str]:
 
 
 def _within(version: str, bound: str) -> bool:
-    """Whether a version is within a bound as ``>=1.26``, ``>=0.1.7.post1`` or ``<5``."""
+    """Return whether a version is within a bound such as ``>=1.26``, ``>=0.1.7.post1`` or ``<5``."""
     sign, limit = re.match(r"\s*([<>=!~]+)\s*(.*)", bound).groups()  # type: ignore[union-attr]
     have, want = ([int(part) for part in re.findall(r"\d+", text)[:4]] for text in (version, limit))
     return {">=": have >= want, ">": have > want, "<": have < want, "<=": have <= want}.get(sign, True)
 
 
 def diagnose(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn doctor``."""
+    """Run ``nsdyn doctor``; return its exit code."""
     from nsdyn.view import browser
 
     wrong = wrong_packages()
@@ -121,16 +121,16 @@ def diagnose(arguments: argparse.Namespace) -> int:
 
 
 def _cache() -> tuple[Path | None, str]:
-    """Folder of the compiled kernels, or None and why there is none."""
+    """Return the folder of the compiled kernels, or None, and the reason if there is none."""
     try:
         from nsdyn._kernels import compiled
-    except Exception as error:  # of numba or of what it needs
+    except Exception as error:  # from numba or from a package that it needs
         return None, f"not known: {type(error).__name__}: {one_line(error)}"
     return compiled.folder(), f"none can be written: every start compiles unless {compiled.FOLDER} names a folder"
 
 
 def _outcome(name: str) -> str:
-    """What comes of a check in a process of its own, which compiled code of a broken installation may kill."""
+    """Run a check in a process of its own, which a broken installation may kill, and return its result in words."""
     code = f"import sys; sys.path[:] = {sys.path}; from nsdyn.cli import doctor; doctor.tell({name!r})"
     done = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
     if done.returncode < 0:
@@ -139,15 +139,15 @@ def _outcome(name: str) -> str:
 
 
 def tell(name: str) -> None:
-    """Print in a line what comes of a check."""
+    """Run a check and print its result in a line."""
     try:
         print("ok" if CHECKS[name]() else "WRONG RESULT")
-    except Exception as error:  # whatever a broken installation raises is the finding
+    except Exception as error:  # any exception of a broken installation is a result
         print(f"{type(error).__name__}: {one_line(error)}")
 
 
 def _check_coal() -> bool:
-    import numpy as np  # first: without it the import of coal ends the process by a signal
+    import numpy as np  # before coal, whose import otherwise ends the process by a signal
 
     import coal  # isort: skip
 
@@ -155,7 +155,7 @@ def _check_coal() -> bool:
     there.setTranslation(np.array([3.0, 0.0, 0.0]))
     result = coal.DistanceResult()
     distance = coal.distance(ball, coal.Transform3s(), ball, there, coal.DistanceRequest(), result)
-    return bool(abs(distance - 1.0) < 1e-6)  # Coal's own tolerance of an iterative distance
+    return bool(abs(distance - 1.0) < 1e-6)  # Coal's own tolerance for an iterative distance
 
 
 def _check_qdldl() -> bool:
@@ -172,7 +172,7 @@ def _check_contact() -> bool:
 
     import nsdyn
 
-    # One kilogram that slides: r_N stops it, friction is at its limit mu r_N.
+    # A sliding mass of one kilogram: r_N stops its approach, and friction is at its limit mu r_N.
     solution = nsdyn.solve(nsdyn.FC3D(np.eye(3), np.array([-1.0, 2.0, 0.0]), np.array([0.5])))
     return bool(np.allclose(solution.r, [1.0, -0.5, 0.0], rtol=0.0, atol=1e-7))
 

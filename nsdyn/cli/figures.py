@@ -1,4 +1,4 @@
-"""`nsdyn plot` and what all commands that draw share: pictures with matplotlib."""
+"""`nsdyn plot`: pictures with matplotlib."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ KINDS = (
     "certificate",
     "penetration",
 )
-"""Of `nsdyn.view.plots`, which to ask for help need not load."""
+"""Kinds of plots of `nsdyn.view.plots`, repeated here so that the help does not load that module."""
 
 LEAST = 40.0
-"""mm: smaller pictures are all labels."""
+"""Smallest side of a picture, mm: smaller pictures have room for labels only."""
 
 SMALL = 89.0
-"""mm, a column of a journal: where no kind has more, in height or width, the letters have 8 points, not 10."""
+"""Width of a column of a journal, mm. If the smaller side of a plot is at most this, letters have 8 points, not 10."""
 
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
-    """The options of ``nsdyn plot``."""
+    """Add the options of ``nsdyn plot``."""
     add_input(parser, "recording", metavar="RUN.h5")
     add_output(
         parser,
@@ -64,7 +64,7 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
 
 
 def draw(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn plot``."""
+    """Run ``nsdyn plot``; return its exit code."""
     from matplotlib import style
 
     from nsdyn.recording.trajectory import Trajectory

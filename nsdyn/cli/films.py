@@ -1,4 +1,4 @@
-"""`nsdyn film`: recordings as a film, beside each other, with their curves."""
+"""`nsdyn film`: a film of recordings, beside each other, with their curves."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from nsdyn.tools.files import FILM
 __all__ = ["add_film", "make_film"]
 
 CURVES = ("energy", "power", "motion", "checks", "none")
-"""Of the page, which to ask for help need not load."""
+"""Curves of the HTML page, repeated here so that the help does not load its module."""
 
 
 def add_film(parser: argparse.ArgumentParser) -> None:
-    """The options of ``nsdyn film``."""
+    """Add the options of ``nsdyn film``."""
     add_input(parser, "recording", metavar="RUN.h5")
     add_input(parser, "beside", metavar="OTHER.h5", nargs="*", help="shown beside it, on the same clock")
     add_output(
@@ -43,7 +43,7 @@ def add_film(parser: argparse.ArgumentParser) -> None:
 
 
 def make_film(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn film``."""
+    """Run ``nsdyn film``; return its exit code."""
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.view import pictures, viewer
 

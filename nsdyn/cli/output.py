@@ -1,4 +1,4 @@
-"""What all commands print and write: text or JSON, and checks of what is to be written."""
+"""Output of all commands: printing of text or JSON, writing of tables and pictures, and checks of files beforehand."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ __all__ = [
 
 
 def one_line(message: object) -> str:
-    """A message without its line breaks."""
+    """Return a message without its line breaks."""
     return " ".join(str(message).split())
 
 
 Number = TypeVar("Number", int, float)
 
 PICTURE_SIZE = 5.5, 3.5
-"""Of one picture, in inches."""
+"""Width and height of one picture, inches."""
 
 OUTPUTS = (
     "Output files that exist are overwritten once the new ones are complete, but none of another kind. Links are "
@@ -59,12 +59,12 @@ OUTPUTS = (
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """The option ``--json``."""
+    """Add the option ``--json``."""
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
 
 
 def say(arguments: argparse.Namespace, text: object) -> None:
-    """Print figures; where an output takes stdout they go to stderr."""
+    """Print results to stdout, or to stderr if an output file is stdout."""
     from nsdyn.tools import files
 
     taken = files.STDOUT in vars(arguments).values()
@@ -72,12 +72,12 @@ def say(arguments: argparse.Namespace, text: object) -> None:
 
 
 def say_json(arguments: argparse.Namespace, figures: Any) -> None:
-    """Print figures as JSON."""
+    """Print results as JSON."""
     say(arguments, json.dumps(plain(figures), indent=2))
 
 
 def say_found(arguments: argparse.Namespace, found: Any) -> None:
-    """Print what a study found, as JSON where that is asked for."""
+    """Print the result of a study, as JSON with ``--json``."""
     if arguments.json:
         say_json(arguments, found.as_dict())
     else:
@@ -85,7 +85,7 @@ def say_found(arguments: argparse.Namespace, found: Any) -> None:
 
 
 def seconds(time: float) -> str:
-    """A time in s, in the unit that suits it."""
+    """Return the text of a time given in s, in a suitable unit."""
     for factor, unit in ((1e6, "µs"), (1e3, "ms")):
         if factor * time < 999.5:
             return f"{factor * time:.3g} {unit}"
@@ -93,7 +93,7 @@ def seconds(time: float) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Value in JSON's terms: lists for arrays, text for paths, null for what is not finite."""
+    """Return a value as JSON has it: lists for arrays, text for paths, null for numbers that are not finite."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
@@ -106,7 +106,7 @@ def plain(value: Any) -> Any:
 
 
 def sides(size: str, number: type[Number], what: str) -> tuple[Number, Number]:
-    """Width and height of ``--size``, ``WIDTHxHEIGHT``; ValueError that says `what` they are."""
+    """Return width and height of ``--size``, ``WIDTHxHEIGHT``; else a ValueError says that they must be `what`."""
     try:
         width, height = map(number, size.split("x"))
     except ValueError:
@@ -115,19 +115,19 @@ def sides(size: str, number: type[Number], what: str) -> tuple[Number, Number]:
 
 
 def add_input(parser: argparse.ArgumentParser, name: str, **options: Any) -> None:
-    """An argument that is the path of a file to read."""
+    """Add an argument for the path of a file to read."""
     read = parser.add_argument(name, type=Path, **options).dest
     parser.set_defaults(inputs=(*(parser.get_default("inputs") or ()), read))
 
 
 def add_output(parser: argparse._ActionsContainer, *names: str, kind: Kind, **options: Any) -> None:
-    """An option that is the path of a file to write, of a kind."""
+    """Add an option for the path of a file to write, of a given kind."""
     written = parser.add_argument(*names, type=Path, **options).dest
     parser.set_defaults(outputs={**(parser.get_default("outputs") or {}), written: kind})
 
 
 def check_files(arguments: argparse.Namespace) -> None:
-    """Refuse, before any work is done, files to read that are not there, and to write that cannot all be written."""
+    """Raise a ValueError, before any work, for missing files to read and for files that cannot all be written."""
     from nsdyn.tools import files
 
     given = vars(arguments)
@@ -149,7 +149,7 @@ def check_files(arguments: argparse.Namespace) -> None:
 
 
 def plot_to(path: Path, *draw: Callable[[Any], Any]) -> None:
-    """Picture of what each `draw` draws on matplotlib axes, side by side."""
+    """Write a picture of matplotlib axes side by side, on each of which one `draw` draws."""
 
     def panels(figure: Any) -> None:
         for axes, panel in zip(figure.subplots(1, len(draw), squeeze=False)[0], draw, strict=True):
@@ -164,14 +164,14 @@ def write_columns(trajectory: Trajectory, series: Mapping[str, Array], path: Pat
 
     columns = {"t [s]": trajectory.t}
     for name, values in series.items():
-        # A work belongs to the step that ends at t; none ends at the first time.
+        # A work belongs to the step that ends at t; no step ends at the first time.
         columns[f"{name} [J]"] = values if values.size == trajectory.t.size else np.concatenate([[0.0], values])
     table = np.column_stack(list(columns.values()))
     np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
 
 
 def ledger(trajectory: Trajectory) -> dict[str, Any]:
-    """The energy ledger of a recording and its worst figures, as JSON has them."""
+    """Return the energy ledger of a recording and its worst figures as JSON values."""
     shares = {
         name: {"total": total, "most": most, "share": most / trajectory.at_play if most else 0.0}
         for name, (total, most) in trajectory.shares().items()
@@ -186,12 +186,12 @@ def ledger(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def header(name: str, units: Mapping[str, str]) -> str:
-    """Head of a column, with its unit if it has one."""
+    """Return the header of a column, with its unit if it has one."""
     return f"{name} [{units[name]}]" if name in units else name
 
 
 def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: Path) -> None:
-    """Write rows as a CSV file; what a row lacks is empty."""
+    """Write rows as a CSV file; missing values are empty."""
     import csv
 
     from nsdyn.tools import files
@@ -203,7 +203,7 @@ def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: 
 
 
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
-    """Text table of some columns; what a row lacks is a dash."""
+    """Return a text table of some columns; missing values are dashes."""
     cells = [[_cell(row.get(name)) for name in columns] for row in rows]
     widths = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
     return "\n".join("  ".join(map(str.rjust, line, widths)) for line in [columns, *cells])
@@ -218,11 +218,11 @@ def _cell(value: Any) -> str:
 
 
 SMALLEST = 0.7
-"""Of the size of a label, to make room."""
+"""Smallest factor by which letters of a label may shrink to make room."""
 
 
 def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], dpi: int = 200) -> None:
-    """Picture of what `draw` draws on a matplotlib figure of `size` in inches; ValueError where it has no room."""
+    """Write a picture that `draw` draws on a matplotlib figure of `size` in inches; ValueError if it lacks room."""
     from matplotlib.figure import Figure  # needs no display, unlike pyplot
 
     from nsdyn.tools import files
@@ -242,7 +242,7 @@ def picture(path: Path, draw: Callable[[Any], Any], size: tuple[float, float], d
 
 
 def _fit_label(ax: Any) -> bool:
-    """Make the label of an axis no longer than the axis, by smaller letters; whether they can still be read."""
+    """Shrink the letters of an axis label until it is no longer than the axis; return whether they stay legible."""
     label = ax.yaxis.label
     part = min(1.0, float(ax.bbox.height / (label.get_window_extent().height or 1.0)))
     label.set_fontsize(part * label.get_fontsize())

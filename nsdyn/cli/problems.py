@@ -11,7 +11,7 @@ __all__ = ["bench_engines", "profile_solvers", "solve_file"]
 
 
 def solve_file(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn solve``."""
+    """Run ``nsdyn solve``; return its exit code."""
     from nsdyn import solvers
     from nsdyn.recording import fclib
 
@@ -47,7 +47,7 @@ def solve_file(arguments: argparse.Namespace) -> int:
 
 
 def profile_solvers(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn profile``."""
+    """Run ``nsdyn profile``; return its exit code."""
     from dataclasses import asdict
     from functools import partial
 
@@ -77,7 +77,7 @@ def profile_solvers(arguments: argparse.Namespace) -> int:
 
 
 def bench_engines(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn bench``."""
+    """Run ``nsdyn bench``; return its exit code."""
     from dataclasses import asdict
 
     from nsdyn.bench import engines

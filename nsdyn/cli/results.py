@@ -1,4 +1,4 @@
-"""`nsdyn energy`, `nsdyn view` and the commands that print tables: what recordings show."""
+"""`nsdyn energy`, `nsdyn view` and the commands that print tables of recordings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["add_table", "show_energy", "show_table", "write_page"]
 
 
 def show_energy(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn energy``."""
+    """Run ``nsdyn energy``; return its exit code."""
     from nsdyn.recording.trajectory import Trajectory
 
     check_files(arguments)
@@ -49,7 +49,7 @@ def show_energy(arguments: argparse.Namespace) -> int:
 
 
 def _energy_by(arguments: argparse.Namespace, trajectory: Trajectory) -> int:
-    """Works by pair of bodies, or energies by body."""
+    """Print works by pair of bodies, or energies by body; return the exit code."""
     from nsdyn.recording import breakdown
     from nsdyn.tools import files
 
@@ -90,11 +90,11 @@ SHOWN = {
     "pairs": ("body1", "body2", "state", "gap", "slip", "normal_force", "friction_force"),
     "contacts": ("body1", "body2", "state", "gap", "u_N", "u_T", "impulse_N", "impulse_T", "mu"),
 }
-"""Columns of the tables that are printed."""
+"""Columns that are printed, by kind of table."""
 
 
 def add_table(parser: argparse.ArgumentParser) -> None:
-    """The options of the commands that show a table."""
+    """Add the options of the commands that show a table."""
     add_input(parser, "recording", metavar="RUN.h5")
     parser.add_argument(
         "--name", metavar="PATTERN", default="*", help="which, by name, or as 'robot/*knee*' (default: all)"
@@ -105,7 +105,7 @@ def add_table(parser: argparse.ArgumentParser) -> None:
 
 
 def show_table(kind: str, arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn bodies``, ``joints``, ``pairs`` and ``contacts``."""
+    """Run ``nsdyn bodies``, ``joints``, ``pairs`` and ``contacts``; return its exit code."""
     from nsdyn.recording.tabulated import tabulated
     from nsdyn.recording.trajectory import Trajectory
 
@@ -127,7 +127,7 @@ def show_table(kind: str, arguments: argparse.Namespace) -> int:
 
 
 def write_page(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn view``."""
+    """Run ``nsdyn view``; return its exit code."""
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.view import pictures, viewer
 

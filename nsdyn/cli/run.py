@@ -16,11 +16,11 @@ from nsdyn.tools.naming import counted
 __all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "chosen_steps", "list_scenes", "run_scene"]
 
 COARSEST = 1.0
-"""m/s: a tolerance beyond it is an exponent without its sign."""
+"""Largest tolerance, m/s: a larger one probably comes from an exponent without its sign."""
 
 
 def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
-    """Options of a simulation: its time, its step, and those of `add_solver`."""
+    """Add the options of a simulation: its duration, its time step, and those of `add_solver`."""
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     parser.add_argument("--dt", type=float, metavar="H", help="time step in s (default: the scene's own)")
     parser.add_argument(
@@ -32,7 +32,7 @@ def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
 
 
 def add_solver(parser: argparse.ArgumentParser, *on_fail: str) -> None:
-    """Options of the scheme and of the solver of a simulation, and what else than warn it may do `on_fail`."""
+    """Add the options of scheme and solver of a simulation; `on_fail` are its choices besides a warning."""
     written = ", write its problem" if "dump" in on_fail else ""
     parser.add_argument("--theta", type=float, default=0.5, help="theta of the scheme, 0.5 to 1 (default: %(default)s)")
     parser.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
@@ -53,7 +53,7 @@ def add_solver(parser: argparse.ArgumentParser, *on_fail: str) -> None:
 
 
 def list_scenes(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn scenes``."""
+    """Run ``nsdyn scenes``; return its exit code."""
     from nsdyn.scene import named as scenes
     from nsdyn.scene import settings
 
@@ -71,7 +71,7 @@ def list_scenes(arguments: argparse.Namespace) -> int:
 
 
 def begin_scene(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn new``."""
+    """Run ``nsdyn new``; return its exit code."""
     from nsdyn.scene import named as scenes
     from nsdyn.tools import files
 
@@ -87,7 +87,7 @@ def begin_scene(arguments: argparse.Namespace) -> int:
 
 
 def chosen_solver(arguments: argparse.Namespace) -> Any:
-    """The solver of a simulation, with a loose tolerance where it takes one."""
+    """Return the solver of a simulation, with a loose tolerance if it has one."""
     import nsdyn
 
     for option in ("tol", "loose"):
@@ -107,7 +107,7 @@ def chosen_solver(arguments: argparse.Namespace) -> Any:
 
 
 def chosen_steps(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What is simulated, in keywords of `nsdyn.simulate`: the scene's own duration and dt unless others are given."""
+    """Return keywords for `nsdyn.simulate`: the scene's own duration and dt unless the command gives others."""
     from nsdyn.scene.named import seconds
 
     return {
@@ -120,7 +120,7 @@ def chosen_steps(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _met(trajectory: Any, solver: Any) -> str:
-    """How many steps, or groups of them that are recorded as one, met which tolerance, in words."""
+    """Say how many steps, or groups of steps recorded as one, met which tolerance."""
     import numpy as np
 
     from nsdyn import Status
@@ -147,7 +147,7 @@ def _met(trajectory: Any, solver: Any) -> str:
 
 
 def run_scene(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn run``."""
+    """Run ``nsdyn run``; return its exit code."""
     import nsdyn
     from nsdyn.scene import settings
     from nsdyn.tools import files
@@ -200,7 +200,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
 
 
 def _simulated(arguments: argparse.Namespace, setup: Any, **options: Any) -> Any:
-    """The motion that is asked for; its recording keeps the command."""
+    """Simulate the scene of the command; its recording contains the command."""
     import nsdyn
     from nsdyn.stepping.simulation import command
 
@@ -221,22 +221,22 @@ def _simulated(arguments: argparse.Namespace, setup: Any, **options: Any) -> Any
 
 
 def _times(trajectory: Any, wall: float, resumed: bool) -> dict[str, float | None]:
-    """What a run took, in s: in all, before its steps, and a step. Of one that is resumed the start is not known."""
+    """Return the total, start-up and median step time of a run, s; the start-up time of a resumed run is not known."""
     import numpy as np
 
     median = float(np.median(trajectory.wall_time / trajectory.every))
-    # The first step loads or compiles what it needs, beyond what is done before it.
+    # The first step still loads or compiles kernels: its time beyond the median counts as start-up.
     start = wall - float(trajectory.wall_time.sum()) + max(0.0, float(trajectory.wall_time[0]) - median)
     return {"wall_time": wall, "start_up_time": None if resumed else start, "median_step_time": median}
 
 
 def _contacts(trajectory: Any) -> float | None:
-    """Contacts in a step, on average; None where they are not recorded."""
+    """Return the mean number of contacts in a step; None if contacts are not recorded."""
     return len(trajectory.columns["contacts/gap"]) / trajectory.steps if trajectory.has_contacts else None
 
 
 def _summary(trajectory: Any, solver: Any, took: dict[str, float | None]) -> str:
-    """How a run went, in words."""
+    """Return a summary of a run in words."""
     worst, start, wall, median = trajectory.worst(), took["start_up_time"], took["wall_time"], took["median_step_time"]
     after = "since it was resumed" if start is None else f"after {start:.2f} s of start-up"
     contacts, penetration = "contacts not recorded", ""

@@ -1,4 +1,4 @@
-"""`nsdyn study`, `nsdyn compare` and `nsdyn check`: runs beside each other, what models and recordings are worth."""
+"""`nsdyn study`, `nsdyn compare` and `nsdyn check`: comparison of runs, and audits of models and recordings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["add_check", "add_compare", "add_study", "check_anything", "compare_r
 
 
 def add_study(parser: argparse.ArgumentParser) -> None:
-    """The options of ``nsdyn study`` besides its scene."""
+    """Add the options of ``nsdyn study`` besides its scene."""
     parser.add_argument(
         "--dt",
         required=True,
@@ -43,7 +43,7 @@ def add_study(parser: argparse.ArgumentParser) -> None:
 
 
 def study_steps(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn study``."""
+    """Run ``nsdyn study``; return its exit code."""
     import nsdyn
     from nsdyn.scene import settings
 
@@ -82,14 +82,14 @@ def study_steps(arguments: argparse.Namespace) -> int:
 
 
 def add_compare(parser: argparse.ArgumentParser) -> None:
-    """The options of ``nsdyn compare``."""
+    """Add the options of ``nsdyn compare``."""
     add_input(parser, "first", metavar="A.h5")
     add_input(parser, "second", metavar="B.h5")
     add_json(parser)
 
 
 def compare_recordings(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn compare``."""
+    """Run ``nsdyn compare``; return its exit code."""
     import nsdyn
 
     check_files(arguments)
@@ -99,7 +99,7 @@ def compare_recordings(arguments: argparse.Namespace) -> int:
 
 
 def add_check(parser: argparse.ArgumentParser) -> None:
-    """The options of ``nsdyn check``."""
+    """Add the options of ``nsdyn check``."""
     parser.add_argument(
         "what",
         metavar="ROBOT|SCENE|RUN.h5",
@@ -126,7 +126,7 @@ def add_check(parser: argparse.ArgumentParser) -> None:
 
 
 def check_anything(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn check``: 0 only if all is well."""
+    """Run ``nsdyn check``; return its exit code, which is 0 only if all is well."""
     import nsdyn
     from nsdyn.audit import checking, inspection
     from nsdyn.scene import settings

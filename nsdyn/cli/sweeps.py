@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 __all__ = ["add_sweep", "sweep_scene"]
 
 ROUND_OFF = 1e-12
-"""Of the largest energy."""
+"""Fraction of the largest energy below which an energy is round-off."""
 
 
 def add_sweep(parser: argparse.ArgumentParser) -> None:
-    """The options of ``nsdyn sweep`` besides its scene."""
+    """Add the options of ``nsdyn sweep`` besides its scene."""
     parser.add_argument(
         "--set",
         metavar="NAME=VALUE,...",
@@ -67,7 +67,7 @@ def add_sweep(parser: argparse.ArgumentParser) -> None:
 
 
 def sweep_scene(arguments: argparse.Namespace) -> int:
-    """Exit code of ``nsdyn sweep``."""
+    """Run ``nsdyn sweep``; return its exit code."""
     from nsdyn.scene import settings
     from nsdyn.study import drawings
     from nsdyn.study import sweep as ensemble
@@ -111,7 +111,10 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
 
 
 def _quiet(row: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
-    """A run's figures with 0 for energies that are round-off beside the largest; the defect is that by itself."""
+    """Return the figures of a run with 0 for energies that are round-off of the largest, except for the defect.
+
+    The defect is round-off by its nature and stays.
+    """
     energies = [name for name in row if units.get(name) == "J" and name != "defect"]
     least = ROUND_OFF * max((abs(row[name]) for name in energies), default=0.0)
     return {name: 0.0 if name in energies and abs(value) < least else value for name, value in row.items()}
@@ -119,7 +122,7 @@ def _quiet(row: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
 
 @contextmanager
 def _executor(arguments: argparse.Namespace) -> Iterator[Executor | int | None]:
-    """What runs the simulations."""
+    """Yield the executor of the simulations."""
     if arguments.dask is not None:
         if importlib.util.find_spec("distributed") is None:
             raise ValueError("--dask needs the extra `cluster`: pip install 'nsdyn[cluster]'")

@@ -1,1 +1,1 @@
-"""What a simulation leaves: the recording, its file, its page, and the audit of it."""
+"""Recordings of simulations: states, energies, contacts and certificates, their files and tables."""

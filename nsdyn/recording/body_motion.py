@@ -1,4 +1,4 @@
-"""How the bodies of a recording move: poses, velocities and energies of free bodies, of links and of driven bodies."""
+"""Motion of the bodies of a recording: poses, velocities and energies of free bodies, links and driven bodies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["Carried", "body", "carried", "energies", "first_carried", "moving", 
 
 
 class Carried(NamedTuple):
-    """What moves with a frame: its mass, kg, its centre, m, and the inertia about that, kg m², in axes of the frame."""
+    """Mass, kg, of all that a frame carries, its centre of mass, m, and inertia about it, kg m², in frame axes."""
 
     mass: float
     centre: Array
@@ -29,7 +29,7 @@ class Carried(NamedTuple):
 
 
 def moving(trajectory: Trajectory) -> list[str]:
-    """Names of all bodies that move: free ones, links (in old recordings their joints), driven ones."""
+    """Return the names of all moving bodies: free bodies, links (in old recordings their joints), driven bodies."""
     scene = trajectory.scene
     frames, free, joints = scene["frames"], scene["free"], set(link_names.joints(scene))
     links = [link["name"] for link in scene.get("links", ()) if link["frame"] >= 0]
@@ -38,13 +38,13 @@ def moving(trajectory: Trajectory) -> list[str]:
 
 
 def first_carried(scene: Mapping[str, Any]) -> dict[str, int]:
-    """Frames by the names of the bodies that move with them, of several links of one joint by the first."""
+    """Return the index of the frame by the name of its body; of several links of one joint, by the first."""
     frames, out = scene["frames"], {link["frame"]: link["name"] for link in reversed(scene.get("links", ()))}
     return {out.get(k, name): k for k, name in enumerate(frames)}
 
 
 def body(trajectory: Trajectory, name: str) -> BodyMotion:
-    """Motion of a body, a link or a joint; see `nsdyn.Trajectory.body`."""
+    """Return the motion of a body, a link or a joint; see `nsdyn.Trajectory.body`."""
     scene, columns = trajectory.scene, trajectory.columns
     frames, links = scene["frames"], {link["name"]: link for link in scene.get("links", ())}
     if name in frames and (k := frames.index(name)) < scene["free"]:
@@ -69,7 +69,7 @@ def body(trajectory: Trajectory, name: str) -> BodyMotion:
 
 
 def _velocities(trajectory: Trajectory, frame: int, position: Array, quaternion: Array) -> tuple[Array, Array]:
-    """Linear and angular velocity of what moves with a frame, by its joints or else as the slope of its poses."""
+    """Return linear and angular velocity of a pose on a frame, from its joints' velocities or else as slope of it."""
     twist = trajectory.twists.get(frame)
     if twist is not None:
         return twist[:, :3] + np.cross(twist[:, 3:], position), twist[:, 3:]
@@ -83,7 +83,7 @@ def _velocities(trajectory: Trajectory, frame: int, position: Array, quaternion:
 
 
 def carried(scene: Mapping[str, Any]) -> dict[int, Carried]:
-    """What moves with each frame: a free body, or all links that a joint carries; none of those in old recordings."""
+    """Return the mass that each frame carries: a free body, or all links of a joint (not in old recordings)."""
     out = {
         k: Carried(mass, np.zeros(3), np.array(inertia))
         for k, (mass, inertia) in enumerate(zip(scene["masses"], scene["inertias"], strict=True))
@@ -97,9 +97,9 @@ def carried(scene: Mapping[str, Any]) -> dict[int, Carried]:
 
 
 def energies(trajectory: Trajectory, rows: Index, turned: Mapping[int, Array]) -> dict[int, tuple[Array, Array]]:
-    """Speed of the centre of mass, m/s, and kinetic energy, J, of what moves with each frame, in some states.
+    """Return speed of the centre of mass, m/s, and kinetic energy, J, of the mass on each frame, in some states.
 
-    `turned` are the `twists` in these. The energies of rotors (armature) are those of no link.
+    `turned` are the `twists` in these states. The energies of rotors (armature) belong to no link and are left out.
     """
     scene, out = trajectory.scene, {}
     for k, (mass, centre, inertia) in carried(scene).items():
@@ -118,13 +118,13 @@ def energies(trajectory: Trajectory, rows: Index, turned: Mapping[int, Array]) -
 
 
 def twists(trajectory: Trajectory, rows: Index) -> dict[int, Array]:
-    """Velocity at the world's origin and angular velocity, (states, 6), of the frames of links; none in old recordings.
+    """Return velocity at the world's origin and angular velocity, (states, 6), of the frames of links.
 
-    They follow from q and v.
+    The twists follow from q and v. Empty for old recordings, which do not describe the articulations.
     """
     if not trajectory.scene["articulations"]:
         return {}
-    from nsdyn.recording.retrace import trees  # Pinocchio, which to read a recording does not need
+    from nsdyn.recording.retrace import trees  # loads Pinocchio, not needed to read a recording
 
     found = trees(trajectory)
     if isinstance(found, str):

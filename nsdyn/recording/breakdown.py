@@ -1,4 +1,4 @@
-"""The ledger of a recording by pairs of bodies and by bodies."""
+"""Energy ledger of a recording, split by pairs of bodies and by bodies."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 __all__ = ["NEGLIGIBLE", "body_energies", "body_table", "pair_table", "pair_works"]
 
 NEGLIGIBLE = 1e-9
-"""Energy that is nothing beside the largest."""
+"""Fraction of the largest energy below which an energy counts as zero."""
 
 
 def pair_works(trajectory: Trajectory) -> dict[tuple[str, str], tuple[Array, Array]]:
-    """Works of contacts by pair of bodies; see `nsdyn.Trajectory.pair_works`."""
+    """Return the works of contacts by pair of bodies; see `nsdyn.Trajectory.pair_works`."""
     if trajectory.every > 1:
         raise ValueError(
             f"works of pairs need every step, the recording has one of every {trajectory.every}: "
@@ -42,7 +42,7 @@ def pair_works(trajectory: Trajectory) -> dict[tuple[str, str], tuple[Array, Arr
 
 
 def body_energies(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
-    """Kinetic and potential energy by body; see `nsdyn.Trajectory.body_energies`."""
+    """Return kinetic and potential energy by body; see `nsdyn.Trajectory.body_energies`."""
     scene, e = trajectory.scene, trajectory.energy
     gravity, out = np.array(scene["gravity"]), {}
     kinetic, potential = e.kinetic.copy(), e.potential.copy()
@@ -58,7 +58,7 @@ def body_energies(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
 
 
 def pair_table(trajectory: Trajectory) -> str:
-    """Text table of the works of the contacts of every pair, and of the rest of the ledger's, J."""
+    """Return a text table of the contact works of every pair, and of the remaining works of the ledger, J."""
     e, found = trajectory.energy, pair_works(trajectory)
     width = max([20, *(len(f"{a} | {b}") for a, b in found)])
     least = NEGLIGIBLE * trajectory.largest_energy
@@ -80,7 +80,7 @@ def pair_table(trajectory: Trajectory) -> str:
 
 
 def body_table(trajectory: Trajectory) -> str:
-    """Text table of the energies of every body at the beginning and at the end, and of their changes, J."""
+    """Return a text table of the energies of every body at the beginning and at the end, and of the changes, J."""
     found = body_energies(trajectory)
     width = max([8, *map(len, found)])
     head = "kinetic", "potential", "kinetic", "potential", "gained"

@@ -1,4 +1,4 @@
-"""Global problems (M, H, f) as local ones: their factors where M falls into blocks, else W = Hᵀ M⁻¹ H."""
+"""Conversion of global problems (M, H, f) to local ones: as factors if M consists of blocks, else as W = Hᵀ M⁻¹ H."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from nsdyn.tools.arrays import Array
 __all__ = ["LARGEST_BLOCK", "condensed", "embedded", "factors", "is_symmetric", "planar", "solver_of"]
 
 LARGEST_BLOCK = 200
-"""Coordinates of one block of M beyond which its dense inverse costs more than condensing the problem to W."""
+"""Largest number of coordinates in a block of M: the dense inverse of a larger one costs more than computing W."""
 
 
 def solver_of(K: Any, where: str) -> Callable[[Array], Array]:
-    """Solve with K by sparse factorisation."""
+    """Return a function that solves with K by sparse factorisation; ValueError naming `where` for a singular K."""
     if K.shape[0] != K.shape[1]:
         raise ValueError(f"{where} must be square, got shape {K.shape}")
     try:
@@ -31,9 +31,9 @@ def solver_of(K: Any, where: str) -> Callable[[Array], Array]:
 
 
 def condensed(B: Any, solve: Callable[[Array], Array], symmetric: bool) -> Any:
-    """W = Bᵀ K⁻¹ B."""
+    """Return W = Bᵀ K⁻¹ B."""
     columns = B.tocsc()
-    step = 256  # dense columns at a time: all of them may not fit into memory
+    step = 256  # number of dense columns at a time: all of them may not fit into memory
     W = np.hstack([B.T @ solve(columns[:, k : k + step].toarray()) for k in range(0, B.shape[1], step)])
     if symmetric:
         W = 0.5 * (W + W.T)
@@ -42,15 +42,15 @@ def condensed(B: Any, solve: Callable[[Array], Array], symmetric: bool) -> Any:
 
 
 def is_symmetric(M: Any) -> bool:
-    """Whether M is symmetric to round-off."""
-    return bool(abs(M - M.T).max() <= 1e-12 * abs(M).max())  # the round-off of assembled matrices
+    """Return whether M is symmetric to round-off."""
+    return bool(abs(M - M.T).max() <= 1e-12 * abs(M).max())  # round-off of assembled matrices
 
 
 def factors(M: Any, H: Any) -> DelassusFactors | None:
-    """Factors in blocks of coordinates, permuted to be contiguous, or None where M and H do not fall into such blocks.
+    """Return factors in blocks of coordinates, permuted to be contiguous, or None if M and H have no such blocks.
 
-    Coordinates that M couples belong together. Where M is so diagonal that a contact touches more than two such groups,
-    neighbours are joined: 6 coordinates of a body, 3 of a node.
+    Coordinates coupled by M are in one block. If M is so close to diagonal that a contact touches more than two blocks,
+    neighbouring coordinates are joined: 6 of a body, or 3 of a node.
     """
     n, nc = M.shape[0], H.shape[1] // 3
     if not n or not nc or not is_symmetric(M):
@@ -72,7 +72,7 @@ def factors(M: Any, H: Any) -> DelassusFactors | None:
         return None
     size = np.bincount(label, minlength=count)
     offset = np.concatenate(([0], np.cumsum(size)))
-    inside = np.empty(n, np.int64)  # place of a coordinate in its block
+    inside = np.empty(n, np.int64)  # index of a coordinate within its block
     inside[np.argsort(label, kind="stable")] = np.arange(n) - np.repeat(offset[:-1], size)
     block, start = np.full((nc, 2), -1), np.zeros((nc, 2), np.int64)
     begin = np.concatenate(([0], np.cumsum(3 * size[touched])))
@@ -96,7 +96,7 @@ def factors(M: Any, H: Any) -> DelassusFactors | None:
 
 
 def embedded(W: Any, q: Array) -> tuple[Any, Array]:
-    """(W, q) of a planar problem in 3D; W_T2 is the mean of W_N and W_T, which leaves the scale of the contact."""
+    """Return (W, q) of a planar problem in 3D; W_T2 is the mean of W_N and W_T, so that a contact keeps its scale."""
     nc = q.size // 2
     rows = planar(nc)
     E = sp.csr_array((np.ones(2 * nc), (rows, np.arange(2 * nc))), shape=(3 * nc, 2 * nc))
@@ -106,5 +106,5 @@ def embedded(W: Any, q: Array) -> tuple[Any, Array]:
 
 
 def planar(nc: int) -> Any:
-    """Rows N and T1 of vectors with 3 entries per contact."""
+    """Return the indices of rows N and T1 in vectors with 3 entries per contact."""
     return np.arange(3 * nc).reshape(nc, 3)[:, :2].ravel()

@@ -1,4 +1,8 @@
-"""How an articulation moves between impulses, by methods of an audit's own, and how far that is in doubt."""
+"""Motion of an articulation between impulses, by methods independent of the step, with its error estimate.
+
+The audit compares a recorded motion with this one. `doubted` bounds the difference that the time integration of the
+step may explain.
+"""
 
 from __future__ import annotations
 
@@ -15,33 +19,33 @@ from nsdyn.tools.displacements import displacement, integrate
 __all__ = ["Course", "close", "move", "respond"]
 
 TURN, PARTS = 0.1, 64
-"""Most that a part of a motion turns, rad, and most parts that it is begun with."""
+"""Largest angle by which a joint turns in a part of a motion, rad, and largest initial number of parts."""
 
 ROUNDING = 1e-9
-"""Of a number of parts."""
+"""Tolerance for round-off of a number of parts."""
 
 FINE, DOUBLINGS, HALVINGS = 1e-11, 7, 12
-"""Error by step doubling at which a motion is fine enough, as a fraction of the velocity, or of what joint forces by
-themselves make of it, for where they carry a weight the velocity is round-off; most doublings to get there; and how
-often a motion that needs more of them is halved, as light links are fast for a short time."""
+"""Error by step doubling at which a motion is fine enough, as a fraction of the velocity, or of the velocity that joint
+forces alone would cause (if they carry a weight, the velocity itself is round-off); largest number of doublings; and
+how often a motion that needs more doublings is halved, since light links may be fast for a short time."""
 
 CONSTANTS = 10.0
-"""How many times more a rule may err than another of its order."""
+"""Factor by which the error of one rule may exceed that of another rule of the same order."""
 
 TURNED = 0.04
-"""rad: the most that a vibration turns in a part of a step, whose error, this to the fifth over 120, is 1e-9."""
+"""Largest angle of a vibration in a part of a step, rad; the error, TURNED⁵/120, is then 1e-9."""
 
 SLOW = 1e-10
-"""Motion, rad or m, in which v changes by so small a fraction that it may be taken as constant."""
+"""Displacement, rad or m, during which v changes so little that it may be taken as constant."""
 
 PASSES = 50
-"""Most passes of the fixed point of a motion on loops; it contracts by the angle of the step a pass."""
+"""Largest number of fixed-point passes for a motion on loops; a pass contracts the error by the angle of the step."""
 
 RESOLVED = 1e-4
-"""Error, as a fraction of the velocity, up to which a motion on loops is surely made in one step."""
+"""Error, as a fraction of the velocity, up to which the step certainly makes a motion on loops in one part."""
 
 ROUND_OFF = 1e-14
-"""Change by a pass, as a fraction of the velocity, below which there is nothing left but roundings."""
+"""Change in a pass, as a fraction of the velocity, below which only round-off remains."""
 
 
 class Course(NamedTuple):
@@ -50,13 +54,13 @@ class Course(NamedTuple):
     Attributes
     ----------
     q, v : ndarray, shapes (nq,), (nv,)
-        Where it ends.
+        Configuration and velocity at the end.
     mean : ndarray, shape (nv,)
         Mean velocity.
     doubted : ndarray, shape (2, nv)
-        How far the displacement and v may differ by the rule of the step.
+        By how much the displacement and v of the step's own integration rule may differ from this motion.
     work : float
-        Of driven joints, J.
+        Work of driven joints, J.
     """
 
     q: Array
@@ -67,9 +71,9 @@ class Course(NamedTuple):
 
 
 def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, drive: Array | float = 0.0) -> Course:
-    """Motion for h seconds without forces, or under gravity and constant joint forces tau; loops stay closed.
+    """Return the motion for h seconds without forces, or under gravity and constant joint forces tau.
 
-    Driven joints accelerate by `drive`; beside loops they keep their speed.
+    Loops stay closed. Driven joints have the acceleration `drive`; in a mechanism with loops they keep their speed.
     """
     if tau is None and h * np.abs(v).max(initial=0.0) <= SLOW:
         return Course(np.array(integrate(m.model, q, h * v)), v, v, np.zeros((2, m.nv)), 0.0)
@@ -79,8 +83,13 @@ def move(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None = None, d
 
 
 def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: Array | float, halvings: int) -> Course:
-    """Without loops: in parts that are doubled, in halves where that many would not do."""
-    # No more than the step may take, or less were in doubt than it errs: what is driven often turns by `TURN` itself.
+    """Return the motion of a mechanism without loops.
+
+    The number of parts is doubled until the motion is fine enough. If `DOUBLINGS` would not suffice, the motion is
+    computed in two halves.
+    """
+    # At most as many parts as the step may take: with more, the doubt would be less than the error of the step. Driven
+    # joints often turn by exactly `TURN`.
     parts = min(PARTS, max(1, math.ceil(h * float(np.max(np.abs(v) * (m.turns > 0.0))) / TURN - ROUNDING)))
     speed = np.abs([v, v if tau is None else h * np.linalg.solve(m.mass(q), tau)]).max()
     coarse = _in_parts(m, q, v, h, tau, drive, parts)
@@ -107,7 +116,7 @@ def _fly(m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: A
 
 
 def _extrapolated(row: list[Array], last: Array) -> list[Array]:
-    """Richardson's next row: what a rule with errors of the powers 4, 5, ... of its parts leads to in half of them."""
+    """Return the next row of Richardson's table, for a rule with errors of powers 4, 5, ... and parts half as long."""
     out = [last]
     for power, coarse in enumerate(row, 4):
         out.append(out[-1] + (out[-1] - coarse) / (2.0**power - 1.0))
@@ -115,11 +124,12 @@ def _extrapolated(row: list[Array], last: Array) -> list[Array]:
 
 
 def _doubt(apart: Array, speed: float, parts: int) -> Array:
-    """How far a rule of fourth order may lead elsewhere, from how far the midpoint rule does so in some parts.
+    """Return the possible error of a rule of fourth order, from the error `apart` of the midpoint rule in some parts.
 
-    For a vibration that turns by z in a part they err by z⁵/120 and z³/6 of it. What is carried round errs by tens of
-    times as much, and how two rules of fourth order do, says next to nothing of a third: that it is two orders better
-    than the midpoint rule says all. Parts that would turn by more than `TURNED` are made of several.
+    For a vibration that turns by z in a part, the two rules err by z⁵/120 and z³/6 of it. Errors of links that are
+    carried round are tens of times as large. The difference of two rules of fourth order says almost nothing about a
+    third one. The estimate therefore only uses that the rule is two orders better than the midpoint rule. Parts that
+    would turn by more than `TURNED` are made of several.
     """
     z = np.cbrt(6.0 * float(apart[1].max(initial=0.0)) / (parts * max(speed, 1e-300)))
     out: Array = CONSTANTS * min(z, TURNED) ** 2 * min(1.0, TURNED / max(z, TURNED)) ** 2 * apart
@@ -129,9 +139,10 @@ def _doubt(apart: Array, speed: float, parts: int) -> Array:
 def _in_parts(
     m: Mechanism, q: Array, v: Array, h: float, tau: Array | None, drive: Array | float, parts: int
 ) -> tuple[Array, Array, Array, float, Array]:
-    """The classical method of Runge and Kutta, on the displacement in each part, v and the work of driven joints.
+    """Return (q, v, mean velocity, work of driven joints, errors of the midpoint rule) by the classical Runge-Kutta.
 
-    Last, (2, nv), how far the midpoint rule leads elsewhere with the displacements and with v, summed over the parts.
+    The method integrates the displacement in each part, v and the work. The errors, (2, nv), are the differences
+    between the midpoint rule and this method in displacement and v, summed over the parts.
     """
     model, force = (m.light, m.zero) if tau is None else (m.model, tau)
     mean, work, h, apart = np.zeros(m.nv), 0.0, h / parts, np.zeros((2, m.nv))
@@ -166,7 +177,7 @@ def _in_parts(
 
 
 def _in_chart(turned: Array, v: Array) -> Array:
-    """Rate of a displacement that moves with v; NaN after a whole turn, where there is none."""
+    """Return the rate of a displacement at velocity v; NaN after a whole turn, where the rate does not exist."""
     try:
         return np.asarray(np.linalg.solve(turned, v), dtype=float)
     except np.linalg.LinAlgError:
@@ -174,9 +185,10 @@ def _in_chart(turned: Array, v: Array) -> Array:
 
 
 def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
-    """On loops and gears, driven joints keeping their speed: one midpoint step, by which that motion is defined.
+    """Return the motion of a mechanism with loops or gears: one midpoint step, which defines this motion.
 
-    Doubted by two of half where it might be made in parts, and where joints are winding.
+    Driven joints keep their speed. The doubt is the difference from two steps of half the length, if the step might
+    have made the motion in parts or if joints are winding (`Mechanism.winding`); otherwise it is 0.
     """
     end, new, mean, work = _midpoint(m, q, v, h)
     there, half, _, _ = _midpoint(m, q, v, 0.5 * h)
@@ -188,10 +200,11 @@ def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
 
 
 def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array, Array, float]:
-    """The implicit midpoint rule: M (v' - v) + h c = Bᵀ λ in the middle, B v' = b - (B' - B) v₁ with B' at the end.
+    """Solve the implicit midpoint rule, M (v' - v) + h c = Bᵀ λ at the middle and B v' = b - (B' - B) v₁.
 
-    The end is where the same rule leads that is linear about v, whose velocity is v₁, and whose own end is that of v.
-    c is of second degree: c(v + d) - c(d) is linear in d.
+    B' is B at the end of the motion. This end, and the velocity v₁, come from a first solve of the same rule, linear
+    about v, which uses the end of a motion at constant v. c is of second degree: c(v + d) - c(d) is linear in d.
+    Return (q, v', mean velocity, work of driven joints).
     """
     middle = close(m, integrate(m.model, q, 0.5 * h * v))
     M, B = m.mass(middle), m.constraints(middle)[1]
@@ -217,13 +230,13 @@ def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array,
 
 
 def respond(M: Array, momentum: Array, B: Array, goal: Array) -> Array:
-    """v with M v = momentum + Bᵀ λ and B v = goal."""
+    """Return v with M v = momentum + Bᵀ λ and B v = goal."""
     free, react = np.linalg.solve(M, momentum), np.linalg.solve(M, B.T)
     return np.asarray(free + react @ np.linalg.lstsq(B @ react, goal - B @ free, rcond=RANK)[0], dtype=float)
 
 
 def close(m: Mechanism, q: Array) -> Array:
-    """A configuration next to q whose loops are closed: Newton's method, closest in the kinetic metric."""
+    """Return the closest configuration to q, in the kinetic metric, with closed loops, by Newton's method."""
     for _ in range(PASSES if m.loops else 0):
         gap, B = m.constraints(q)
         if np.abs(gap).max() <= 1e-13:

@@ -8,8 +8,8 @@ or ``fclib_global``,
 
     M v = H r + G λ + f,   u = Hᵀ v + w,   Gᵀ v + b = 0,
 
-with the bilateral part (V, R, s or G, b) optional, and beside it ``guesses`` and a ``solution``. The layout written
-here is the C library's: integers int32, reals float64, scalars of shape (1,), strings of fixed length that end in NUL.
+with an optional bilateral part (V, R, s or G, b), and optional ``guesses`` and a ``solution``. Files are written in the
+layout of the C library: integers int32, reals float64, scalars of shape (1,), strings of fixed length that end in NUL.
 
 References
 ----------
@@ -40,12 +40,12 @@ __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_so
 
 
 class Stored(NamedTuple):
-    """A solution or guess of a file, with 3 entries per contact also where the file is planar (then u_T2 = r_T2 = 0).
+    """A solution or guess from a file, with 3 entries per contact even if the file is planar (then u_T2 = r_T2 = 0).
 
     Attributes
     ----------
     u, r : ndarray, shape (3 nc,)
-        Relative velocity [m/s] and impulse [N·s]; in files of the literature often zeros that solve nothing.
+        Relative velocity [m/s] and impulse [N·s]; in files of the literature often zeros, which are no solution.
     v : ndarray, shape (n,), or None
         Velocity of a global problem.
     l : ndarray, shape (p,), or None
@@ -59,17 +59,17 @@ class Stored(NamedTuple):
 
 
 def read(path: str | Path) -> FC3D:
-    """Problem of a local or global FCLIB file, in 2D or 3D.
+    """Read the problem of a local or global FCLIB file, in 2D or 3D.
 
-    A global problem keeps its factors M and H (`FC3D.blocks`) where M falls into small blocks of which a contact
-    touches at most two; else, and with bilateral constraints, it is condensed to W by sparse factorisation. A planar
-    problem gets a second tangent that is not coupled to anything, so that r_T2 = 0.
+    A global problem keeps its factors M and H (`FC3D.blocks`) if M consists of small blocks and each contact touches at
+    most two of them. Otherwise, and with bilateral constraints, it is condensed to W by sparse factorisation. A planar
+    problem gets a second tangent that is coupled to no other component, so that r_T2 = 0.
 
     Raises
     ------
     ValueError
-        Naming the file and the field: missing or foreign file, missing dataset, wrong length, inconsistent matrix
-        storage, value that is not finite, μ < 0, contact with a zero diagonal block, singular M.
+        Naming the file and the field: missing file or file of another format, missing dataset, wrong length,
+        inconsistent matrix storage, value that is not finite, μ < 0, contact with a zero diagonal block, singular M.
     """
     with _open(path) as file:
         group, dim = _group(file)
@@ -92,13 +92,13 @@ def read(path: str | Path) -> FC3D:
 
 
 def read_solution(path: str | Path) -> Stored | None:
-    """Solution stored in a file, None if there is none; ValueError as `read`."""
+    """Read the solution in a file, None if it has no solution; ValueError as in `read`."""
     with _open(path) as file:
         return _stored(file, "solution") if "solution" in file else None
 
 
 def read_guesses(path: str | Path) -> list[Stored]:
-    """Guesses stored in a file, in their order; ValueError as `read`."""
+    """Read the guesses in a file, in their order; ValueError as in `read`."""
     with _open(path) as file:
         if "guesses" not in file:
             return []
@@ -108,7 +108,7 @@ def read_guesses(path: str | Path) -> list[Stored]:
 
 @contextmanager
 def _open(path: str | Path) -> Iterator[Any]:
-    """Open a file to read; every error becomes a ValueError that names it."""
+    """Open a file to read; every error becomes a ValueError that names the file."""
     if not files.is_file(path := files.as_path(path)):
         raise ValueError(f"no such file: {path}")
     check_heaps(path)
@@ -122,7 +122,7 @@ def _open(path: str | Path) -> Iterator[Any]:
 
 
 def _group(file: Any) -> tuple[Any, int]:
-    """(group of the problem, 2 or 3)."""
+    """Return (group of the problem, its dimension 2 or 3)."""
     for name in ("fclib_local", "fclib_global"):
         if isinstance(file.get(name), h5py.Group):
             dim = int(_array(file, f"{name}/spacedim", np.int64, 1)[0])
@@ -133,7 +133,7 @@ def _group(file: Any) -> tuple[Any, int]:
 
 
 def _array(group: Any, name: str, kind: Any = np.float64, size: int | None = None) -> Any:
-    """Vector of numbers, checked."""
+    """Return a dataset as a vector of numbers, after checks of its type, length and finiteness."""
     where = f"{group.name}/{name}".lstrip("/")
     if name not in group:
         raise ValueError(f"{where} is missing")
@@ -149,7 +149,7 @@ def _array(group: Any, name: str, kind: Any = np.float64, size: int | None = Non
 
 
 def _matrix(group: Any, name: str) -> Any:
-    """Sparse matrix as CSR: nz = -1 compressed columns, -2 compressed rows, else nz triplets."""
+    """Return a sparse matrix as CSR; nz = -1 means compressed columns, -2 compressed rows, else nz triplets."""
     where = f"{group.name}/{name}".lstrip("/")
     m, n, nz = (int(_array(group, f"{name}/{key}", np.int64, 1)[0]) for key in ("m", "n", "nz"))
     p, i = (_array(group, f"{name}/{key}", np.int64) for key in ("p", "i"))
@@ -164,7 +164,7 @@ def _matrix(group: Any, name: str) -> Any:
         if min(p.size, x.size) < nz:
             raise ValueError(f"{where} must have nz = {nz} triplets, got {p.size} p and {x.size} x")
         row, column, x = i[:nz], p[:nz], x[:nz]
-        # The library's header calls p the rows, the files have rows in i: the shape decides where it can.
+        # The library's header calls p the rows, but the files have rows in i. The shape decides where it can.
         if row.max(initial=-1) >= m or column.max(initial=-1) >= n:
             row, column = column, row
         if not all((0 <= index).all() and (index < size).all() for index, size in ((row, m), (column, n))):
@@ -181,7 +181,7 @@ def _matrix(group: Any, name: str) -> Any:
 
 
 def _local(group: Any, rows: int) -> tuple[Any, Array]:
-    """(W, q) of a local problem without its bilateral impulses, W - V R⁻¹ Vᵀ and q - V R⁻¹ s."""
+    """Return (W, q) of a local problem; bilateral impulses are eliminated: W - V R⁻¹ Vᵀ and q - V R⁻¹ s."""
     W, q = _matrix(group, "W"), _array(group, "vectors/q", size=rows)
     if W.shape != (rows, rows):
         raise ValueError(f"fclib_local/W must have shape {(rows, rows)} like q and mu, got {W.shape}")
@@ -193,7 +193,7 @@ def _local(group: Any, rows: int) -> tuple[Any, Array]:
 
 
 def _bilateral(group: Any, rows: int) -> tuple[Any, Any, Array]:
-    """(V, R, s) of a local problem."""
+    """Return (V, R, s) of a local problem."""
     V, R = _matrix(group, "V"), _matrix(group, "R")
     if V.shape != (rows, R.shape[0]):
         raise ValueError(f"fclib_local/V must have shape {(rows, R.shape[0])} like W and R, got {V.shape}")
@@ -201,7 +201,7 @@ def _bilateral(group: Any, rows: int) -> tuple[Any, Any, Array]:
 
 
 def _system(group: Any, M: Any, H: Any) -> tuple[Any, Any, Array]:
-    """(K, B, c) of a global problem, K x = B r + c, u = Bᵀ x + w with x = (v, λ)."""
+    """Return (K, B, c) of a global problem: K x = B r + c, u = Bᵀ x + w with x = (v, λ)."""
     if M.shape[0] != M.shape[1] or H.shape[0] != M.shape[0]:
         raise ValueError(f"fclib_global/M must be square with the rows of H, got shapes {M.shape} and {H.shape}")
     f = _array(group, "vectors/f", size=M.shape[0])
@@ -243,27 +243,27 @@ def write(
     Parameters
     ----------
     path : path
-        Written beside its place first: a write that fails leaves nothing.
+        The file is first written under another name beside it: a write that fails leaves no file.
     problem : FC3D
     solution : Solution, optional
         Written as ``solution``, with v = M⁻¹ (H r + f) in a global file.
     guesses : sequence of ndarray, shape (3 nc,)
-        Impulses to start from, written with their u = W r + q.
+        Impulses from which a solver may start, written with their u = W r + q.
     v_free : ndarray, shape (n,), optional
-        Velocity without contact impulses, for f = M v_free and w = q - Hᵀ v_free in a global file. The problem knows
-        only their sum q: without it f = 0 and w = q.
+        Velocity without contact impulses. A global file then gets f = M v_free and w = q - Hᵀ v_free. By default f = 0
+        and w = q, since the problem contains only the sum q = Hᵀ v_free + w.
     spacedim : int
-        2 writes a local problem without its second tangents, as `read` made them.
+        2 writes a local problem without the second tangents that `read` adds to planar problems.
     title, description : str
-        Kept in ``info``; the title is the file's name by default.
+        Texts for ``info``; the default title is the file's name.
     overwrite : bool
         Whether an existing file may be replaced.
 
     Raises
     ------
     ValueError
-        If the path exists or cannot be written, for what is no problem, no solution or no text, for a v_free, solution
-        or guess of wrong length or with values not finite, or if spacedim is 2 and the problem is not planar.
+        If the path exists or cannot be written; if an argument is not a problem, solution or text; for a v_free,
+        solution or guess of wrong length or with values not finite; or if spacedim is 2 and the problem is not planar.
 
     Examples
     --------
@@ -322,13 +322,13 @@ def write(
 
 
 def write_solution(path: str | Path, source: str | Path, solution: Solution, *, overwrite: bool = False) -> None:
-    """Write a copy of the problem file `source` with its solution, in the file's own dimension.
+    """Write a copy of the problem file `source` with a solution, in the dimension of that file.
 
     Raises
     ------
     ValueError
-        If the path exists or cannot be written, for a solution of wrong length or with values not finite, or as `read`
-        for the source.
+        If the path exists or cannot be written; for a solution of wrong length or with values not finite; for the
+        source as in `read`.
     """
     with _open(source) as problem, _created(path, overwrite) as file:
         for name in problem:
@@ -339,7 +339,7 @@ def write_solution(path: str | Path, source: str | Path, solution: Solution, *, 
 
 @contextmanager
 def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
-    """Create a file that takes its place when the block succeeds; else nothing is left."""
+    """Create a file that is moved to `path` when the block succeeds; otherwise no file is left."""
     if files.as_path(path).exists() and not overwrite:
         raise ValueError(f"cannot write {path}: it exists")
     with files.writing(path, files.PROBLEM) as part, created(part) as file:
@@ -347,13 +347,13 @@ def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
 
 
 def _put(group: Any, name: str, value: Any) -> None:
-    """Vector, or scalar of shape (1,), in the library's types."""
+    """Write a vector, or a scalar of shape (1,), in the library's types."""
     value = np.atleast_1d(value)
     group[name] = value.astype(np.float64 if value.dtype.kind == "f" else np.int32)
 
 
 def _put_matrix(group: Any, name: str, A: Any) -> None:
-    """Sparse matrix in compressed rows."""
+    """Write a sparse matrix in compressed rows."""
     A = sp.csr_array(A)
     A.sort_indices()
     for key, value in {"nzmax": A.nnz, "m": A.shape[0], "n": A.shape[1], "nz": -2}.items():
@@ -363,7 +363,7 @@ def _put_matrix(group: Any, name: str, A: Any) -> None:
 
 
 def _put_text(group: Any, name: str, text: str) -> None:
-    """Fixed-length string that ends in NUL, as H5LTmake_dataset_string makes it; h5py's own strings may not end."""
+    """Write a fixed-length string that ends in NUL, like H5LTmake_dataset_string; strings of h5py may lack the NUL."""
     data = text.encode()
     kind = h5py.h5t.C_S1.copy()
     kind.set_size(len(data) + 1)
@@ -379,7 +379,7 @@ def _put_solution(file: Any, solution: Solution) -> None:
 
 
 def _put_answer(file: Any, name: str, r: Array, u: Array) -> None:
-    """Solution or guess of the problem that is already in the file, with its v and λ; ValueError if of another."""
+    """Write a solution or guess of the problem already in the file, with its v and λ; ValueError for a wrong length."""
     group, dim = _group(file)
     nc = _array(group, "vectors/mu").size
     rows = slice(None) if dim == 3 else planar(nc)
@@ -403,7 +403,7 @@ def _put_answer(file: Any, name: str, r: Array, u: Array) -> None:
 
 
 def _check_planar(problem: FC3D, spacedim: int) -> None:
-    """ValueError unless the second tangents are coupled to nothing."""
+    """Raise a ValueError unless the second tangents are coupled to no other component."""
     if spacedim != 2:
         raise ValueError(f"spacedim must be 2 or 3, got {spacedim}")
     if problem.blocks is not None:

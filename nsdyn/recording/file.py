@@ -1,9 +1,9 @@
-"""The file of a recording: HDF5 that any HDF5 library reads, laid out as `nsdyn.recording.columns` says.
+"""Files of recordings: HDF5 that any HDF5 library reads, with the layout of `nsdyn.recording.columns`.
 
-A file that is being recorded is open only for the few milliseconds in which rows are added to it, and then in
-HDF5's single-writer-multiple-readers mode. So a run that is killed leaves the rows written so far in a file
-that opens as any other; if the kill falls into those milliseconds, ``h5py.File(path, swmr=True)`` opens it,
-and `nsdyn.Trajectory.load` does in either case. `/t` is written last: its length is the number of complete rows.
+During a run the file is open only for the few milliseconds in which rows are added, and then in HDF5's
+single-writer-multiple-readers mode. A run that is killed therefore leaves the rows written so far in a file that opens
+like any other. If the kill falls into these milliseconds, ``h5py.File(path, swmr=True)`` opens the file.
+`nsdyn.Trajectory.load` opens it in either case. `/t` is written last: its length is the number of complete rows.
 """
 
 from __future__ import annotations
@@ -48,33 +48,33 @@ __all__ = ["create", "extend", "read", "read_state", "until"]
 Saved = tuple[int, Columns]
 
 GROWING, PACKED = 1 << 16, 1 << 18
-"""Bytes of a chunk of a file that grows, quick to write and so small that small files stay small, and of one that is
-complete: many steps, whose likeness compresses best."""
+"""Bytes of a chunk. In a growing file: quick to write, and small, so that small files stay small. In a complete file:
+many steps, whose similarity compresses best."""
 
 ROOM = 1 << 17
-"""Bytes that HDF5 needs besides for its own tables when rows are added."""
+"""Additional bytes that HDF5 needs for its own tables when rows are added."""
 
 WORTH = 4096
-"""Bytes of a dataset from which on it is compressed: smaller ones would rather grow."""
+"""Smallest size in bytes of a dataset that is compressed: compression would make most smaller ones larger."""
 
 COMPRESSED = {"shuffle": True, "compression": "gzip", "compression_opts": 1}
-"""What every HDF5 library reads. Only complete files are compressed: a chunk that changes its size is written to a new
-place, so that one that grows, a few rows at a time, would become larger than without."""
+"""Compression that every HDF5 library reads. Only complete files are compressed: a chunk that changes its size is
+written to a new place, so that a file that grows by a few rows at a time would become larger with compression."""
 
 
 def _row_counts(names: Iterable[str], states: int, ends: Mapping[str, int]) -> dict[str, int]:
-    """Count the rows of each dataset in a recording of that many states; `ends` are those of `RAGGED`."""
+    """Return the number of rows of each dataset in a recording with `states` states; `ends` are those of `RAGGED`."""
     count = dict.fromkeys([*STATES, *LINKS, *(f"{group}/offset" for group in ends)], states)
     return {name: count.get(name, ends.get(name.partition("/")[0], states - 1)) for name in names}
 
 
 def _ends(source: Mapping[str, Any], row: int) -> dict[str, int]:
-    """How many rows of each of `RAGGED`, where there are any, a file or columns have until a row."""
+    """Return the number of rows until a state of each group of `RAGGED` that a file or columns contain."""
     return {group: int(source[f"{group}/offset"][row]) for group in RAGGED if f"{group}/offset" in source}
 
 
 def until(columns: Columns, row: int) -> Columns:
-    """The columns of the states until a row, and of the steps before it."""
+    """Return the columns cut after the state of a row and the step before it."""
     sizes = _row_counts(columns, row + 1, _ends(columns, row))
     return {name: columns[name][:size] for name, size in sizes.items()}
 
@@ -87,7 +87,7 @@ def create(
     grow: bool,
     state: Saved | None = None,
 ) -> None:
-    """Write a new file, its datasets of fixed size or ready to grow; a state, the row it belongs to and its arrays."""
+    """Write a new file with datasets of fixed size, or ready to grow; `state` is (its row, its arrays)."""
     with created(path, libver="latest") as file:
         file.create_group("meta").attrs.update(meta)
         file["meta/scene"] = json.dumps(scene)
@@ -108,14 +108,14 @@ def create(
 
 
 def _growing(data: NDArray[Any]) -> int:
-    """Rows of a chunk of a dataset that grows."""
+    """Return the number of rows in a chunk of a growing dataset."""
     return min(1024, max(16, GROWING // (data.itemsize * max(1, math.prod(data.shape[1:])))))
 
 
 def _reserve(path: Path, columns: Columns, state: Saved | None) -> None:
-    """Have room for rows and a state at the end of a file, which HDF5 cuts off again; OSError where there is none.
+    """Reserve room for rows and a state at the end of a file, which HDF5 cuts off again; OSError without room.
 
-    HDF5 does not survive a full disk: it goes on writing what still fits, and the file no longer opens.
+    HDF5 does not survive a full disk: it writes only a part of the data, and the file no longer opens.
     """
     rows = sum(data.nbytes + 2 * data.nbytes // max(1, len(data)) * _growing(data) for data in columns.values())
     arrays = [] if state is None else list(state[1].values())
@@ -130,10 +130,10 @@ def _reserve(path: Path, columns: Columns, state: Saved | None) -> None:
 
 
 def extend(path: Path, columns: Columns, state: Saved | None = None) -> None:
-    """Add rows to a file: all columns, then, when they have reached it, `/t`; and the state of a row.
+    """Add rows to a file: all columns but `/t`, then, once these are written, `/t`; and the state of a row.
 
-    Rows an interrupted call left beyond the end of `/t` are written over. Locking is off, so that nobody who
-    reads the file can stop the simulation; single-writer mode keeps it readable at every moment.
+    Rows that an interrupted call left beyond the end of `/t` are overwritten. Locking is off, so that readers of the
+    file cannot stop the simulation. Single-writer mode keeps the file readable at every moment.
     """
     _reserve(path, columns, state)
     with h5py.File(path, "r+", libver="latest", locking=False) as file:
@@ -150,12 +150,12 @@ def extend(path: Path, columns: Columns, state: Saved | None = None) -> None:
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns]:
-    """(meta, scene, columns) of a file, as `nsdyn.Trajectory` has them; errors as of `nsdyn.Trajectory.load`."""
+    """Return (meta, scene, columns) of a file, as in `nsdyn.Trajectory`; errors as in `nsdyn.Trajectory.load`."""
     return read_state(path)[:3]
 
 
 def read_state(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Saved | None]:
-    """(meta, scene, columns, last state and the row it belongs to, if there is any) of a file; errors as of `read`."""
+    """Return (meta, scene, columns, last state with its row, or None) of a file; errors as in `read`."""
     if not is_file(path):
         raise FileNotFoundError(f"no such recording: {path}")
     if not h5py.is_hdf5(path):
@@ -165,7 +165,7 @@ def read_state(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Sav
         with open_to_read(path) as file:
             contents = _contents(file, path)
             return *contents, slots.read(file, len(contents[2]["t"]))
-    except Exception as failure:  # h5py raises many kinds for damaged files
+    except Exception as failure:  # h5py raises exceptions of many kinds for damaged files
         if isinstance(failure, ValueError) and str(path) in str(failure):
             raise
         raise ValueError(f"{path} is damaged: {failure.args[0] if failure.args else failure}") from None
@@ -211,7 +211,7 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
 
 
 def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
-    """(type, shape of a row) of a column, None for any length."""
+    """Return (type, shape of a row) of a column; None in the shape stands for any length."""
     group, _, inner = name.partition("/")
     if group == "contacts" and inner in CONTACT:
         column = CONTACT[inner]

@@ -1,4 +1,4 @@
-"""Tables of the joints and loops of a recording: how they move, what acts in them, and their reactions."""
+"""Tables of the joints and loops of a recording: their motion, the forces in them, and their reactions."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ UNITS = {
     **dict.fromkeys((f"reaction_force_{axis}" for axis in "xyz"), "N"),
     **dict.fromkeys((f"reaction_torque_{axis}" for axis in "xyz"), "N m"),
 }
-"""Of the columns of a table of joints, whatever coordinate they are of."""
+"""Units of the columns of a table of joints, for all kinds of coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """Motion of a joint and what acts in it; without the second axis where it has one coordinate.
+    """Motion and forces of a joint; arrays have no second axis if the joint has one coordinate.
 
     Attributes
     ----------
@@ -43,14 +43,14 @@ class JointMotion:
     position, velocity : ndarray, shapes (n + 1, nq), (n + 1, nv)
         At the times t; rad or m, and per s.
     torque : ndarray, shape (n, nv)
-        Mean actuation in each step, what the controller gave and `nsdyn.PD` made of it, N m or N.
+        Mean actuation in each step, from the return value of the controller or from `nsdyn.PD`, N m or N.
     limit_impulse, friction : ndarray, shape (n, nv)
         Impulse of the limits in each step [N m s or N s], and mean dry friction [N m or N].
     external : ndarray, shape (n, nv)
-        What external wrenches on the links do to the coordinates, the mean in each step, N m or N.
+        Mean generalised force of the external wrenches on the links in each step, N m or N.
     shift : ndarray, shape (n, nv)
-        Displacement by the position projections of each step, rad or m. NaN, as all that acts, in recordings that do
-        not tell.
+        Displacement by the position projections of each step, rad or m. NaN, like all forces, in recordings that do
+        not contain it.
     """
 
     name: str
@@ -67,19 +67,19 @@ class JointMotion:
     def reaction_force(self) -> Array:
         """Mean force in each step that the joint passes on to its child, shape (n, 3), N, world axes.
 
-        All of it: what the joint constrains, its actuation, limits, friction, damping and springs, as a sensor in it
-        would measure; the impulses of impacts over dt. It is found by the balance of momentum of all links beyond
-        (`nsdyn.recording.reactions`). Where of N steps one is recorded it is the mean over all N. NaN in recordings
-        before format 7, which do not tell masses, or on which links external forces act.
+        It is the total force that a sensor in the joint would measure: constraint forces, actuation, limits, friction,
+        damping and springs, and the impulses of impacts divided by dt. It follows from the balance of momentum of all
+        links beyond the joint (`nsdyn.recording.reactions`). If one of N steps is recorded, it is the mean over all N.
+        NaN in recordings before format 7, which contain neither masses nor the external forces on each link.
         """
         return self._reaction()[:, :3]
 
     @property
     def reaction_torque(self) -> Array:
-        """Mean torque of the same about the origin of the joint's frame on the child, shape (n, 3), N m, world axes.
+        """Mean torque in each step that the joint passes on to its child, shape (n, 3), N m, world axes.
 
-        About where that origin is halfway through the step: to second order in the time between recorded states, to
-        first order in a step with an impact.
+        The torque is about the origin of the joint's frame on the child, at its position halfway through the step. It
+        is of second order in the time between recorded states, of first order in a step with an impact.
         """
         return self._reaction()[:, 3:]
 
@@ -89,14 +89,15 @@ class JointMotion:
 
 @dataclass(frozen=True, eq=False)
 class LoopReaction:
-    """What a closed loop does.
+    """Reaction in a closed loop.
 
     Attributes
     ----------
     name : str
     reaction_force, reaction_torque : ndarray, shape (n, 3)
-        Mean in each step on the link of its first frame, at that frame; its opposite is on the second's. World axes, N
-        and N m; as of `JointMotion`. Where loops are redundant, the least in the norm of forces and torques.
+        Mean in each step on the link of the loop's first frame, at that frame; the link of the second frame receives
+        the opposite. World axes, N and N m; as in `JointMotion`. For redundant loops, the reactions of least norm of
+        forces and torques.
     """
 
     name: str
@@ -108,7 +109,7 @@ class LoopReaction:
 
 
 def joint(trajectory: Trajectory, name: str) -> JointMotion:
-    """Motion of the joint "articulation/joint"; see `nsdyn.Trajectory.joint`."""
+    """Return the motion of the joint "articulation/joint"; see `nsdyn.Trajectory.joint`."""
     found = coordinates(trajectory, choice(name, link_names.joints(trajectory.scene), "joint"))
     if found["velocity"].shape[1] == 1:
         found = {what: values[:, 0] for what, values in found.items()}
@@ -116,7 +117,7 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
 
 
 def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
-    """Of a joint what `JointMotion` has of its coordinates, by columns."""
+    """Return the arrays of `JointMotion` for a joint by name, each with a column per coordinate."""
     scene = trajectory.scene
     if any("sizes" not in a for a in scene["articulations"]):
         raise ValueError("joints have no places in recordings before format 4")
@@ -127,7 +128,7 @@ def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
     position, velocity = (
         x[:, at : at + size] for x, at, size in ((trajectory.q, 7 * free + q, nq), (trajectory.v, 6 * free + v, nv))
     )
-    if (nq, nv) == (2, 1):  # cos and sin of an angle, which goes on over turns
+    if (nq, nv) == (2, 1):  # cosine and sine of an angle; the angle counts whole turns
         position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
     nothing, duration = np.full((trajectory.steps, nv), np.nan), trajectory.dt * trajectory.every
     told = [trajectory.columns.get(column) for column in JOINTS]
@@ -144,15 +145,16 @@ def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
 
 
 def loop(trajectory: Trajectory, name: str) -> LoopReaction:
-    """Reaction in the loop "articulation/loop"; see `nsdyn.Trajectory.loop`."""
+    """Return the reaction in the loop "articulation/loop"; see `nsdyn.Trajectory.loop`."""
     found = trajectory.reactions[choice(name, link_names.loops(trajectory.scene), "loop")]
     return LoopReaction(name, found[:, :3], found[:, 3:])
 
 
 def _named(trajectory: Trajectory, name: str, count: int) -> list[tuple[str, str]]:
-    """Name and unit of each coordinate of a joint: along and about axes or a number, without one if it is the only one.
+    """Return name and unit of each coordinate of a joint.
 
-    The unit is empty for quaternions, cosines and what a recording does not tell.
+    The name is that of an axis (x along it, rx about it) or else a number, and empty for an only coordinate. The unit
+    is empty for quaternions and cosines, and where the recording does not describe the joint.
     """
     told = [joint for a in trajectory.scene["articulations"] for joint in a.get("model", {}).get("joints", ())]
     names = link_names.joints(trajectory.scene)
@@ -165,8 +167,8 @@ def _named(trajectory: Trajectory, name: str, count: int) -> list[tuple[str, str
 
 
 def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tuple[Columns, dict[str, str]]:
-    """Joints and loops in all states, or in one, by columns, and the units of these; see `nsdyn.Trajectory.table`."""
-    from nsdyn.recording.reactions import reactions  # Pinocchio, which to read a recording does not need
+    """Return columns, and their units, of joints and loops in all states or in one; see `nsdyn.Trajectory.table`."""
+    from nsdyn.recording.reactions import reactions  # loads Pinocchio, not needed to read a recording
 
     t, joints = trajectory, link_names.joints(trajectory.scene)
     names = matching([*joints, *link_names.loops(t.scene)], pattern, "joints")
@@ -198,7 +200,7 @@ def joint_columns(trajectory: Trajectory, pattern: str, step: int | None) -> tup
 
 
 COORDINATE = "position", "velocity", "torque", "limit_impulse", "friction", "external", "shift"
-"""What every coordinate of a joint has."""
+"""Columns of every coordinate of a joint."""
 
 AXES = {
     "FreeFlyer": {**dict.fromkeys("xyz", "m"), **dict.fromkeys(("rx", "ry", "rz", "rw"), "")},
@@ -207,6 +209,6 @@ AXES = {
     "Translation": dict.fromkeys("xyz", "m"),
     "SphericalZYX": dict.fromkeys(("rz", "ry", "rx"), "rad"),
 }
-"""Coordinates of joints that have several, with their units: along and about axes.
+"""Coordinates of joints that have several, along and about axes, with their units.
 
-The place of a rotation is a quaternion, of a planar one its cosine and sine. Velocities are in axes of the child."""
+Spherical rotations are given by a quaternion, planar ones by cosine and sine. Velocities are in axes of the child."""

@@ -1,4 +1,4 @@
-"""Columns of a recording that grow while it is made."""
+"""Columns of a recording in memory, which grow during the run."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from nsdyn.recording.columns import RAGGED, Columns
 __all__ = ["Kept", "Part"]
 
 Part = tuple[Columns, tuple[int, ...] | None]
-"""Arrays by columns, and axes of the rows that they make, along which they may be stretched; None for one, as it is."""
+"""Arrays by columns, and the shape of the axes of rows to which they are broadcast; None for one axis of rows."""
 
 MOST = 16
-"""Most that memory for rows grows at once: what a run is expected to need may be far beyond what it will."""
+"""Largest factor by which memory grows at once: a run may end long before the expected number of steps."""
 
 
 class Kept:
-    """Columns that grow, those with as many rows in one piece of memory: small pieces take five times as long.
+    """Growing columns. Columns with the same number of rows share a piece of memory: small pieces take 5 times as long.
 
     Parameters
     ----------
     columns : dict of str to ndarray
-        That they begin with.
+        First rows.
     expected : int
-        How many rows of steps there will be, 0 where that is not known.
+        Expected number of rows of steps, 0 if not known.
     """
 
     def __init__(self, columns: Columns, expected: int) -> None:
@@ -34,7 +34,7 @@ class Kept:
         self._rows = {name: len(values) for name, values in columns.items()}
 
     def add(self, parts: Iterable[Part]) -> None:
-        """Add rows to some of them."""
+        """Add rows to some of the columns."""
         ends = dict(self._rows)
         for columns, fitted in parts:
             for name, values in columns.items():
@@ -45,10 +45,10 @@ class Kept:
                 array = self._arrays[name]
                 np.copyto(array[begin:end].reshape(*shape, *array.shape[1:]), values, casting="same_kind")
                 ends[name] = end
-        self._rows = ends  # all at once: an interrupt before leaves what was there
+        self._rows = ends  # for all columns at once: an earlier interrupt leaves the old rows
 
     def _grow(self, group: str, rows: int, ends: dict[str, int]) -> None:
-        """Make room for rows of a group of columns, and for all that follow if the run goes on like this."""
+        """Make room for `rows` rows of a group of columns, and for the rest of the run at the present rate of rows."""
         rows = int(rows * min(max(2.0, 1.1 * self._expected / max(1, ends["t"])), MOST))
         old = {name: array for name, array in self._arrays.items() if _group(name) == group}
         sizes = [rows * array.itemsize * math.prod(array.shape[1:]) for array in old.values()]
@@ -59,15 +59,15 @@ class Kept:
             at += size + -size % 8
 
     def columns(self) -> Columns:
-        """Them, as views."""
+        """Return the columns as views."""
         return {name: array[: self._rows[name]] for name, array in self._arrays.items()}
 
     def clear(self) -> None:
-        """Begin anew, in the same arrays."""
+        """Remove all rows; keep the memory."""
         self._rows = dict.fromkeys(self._rows, 0)
 
 
 def _group(name: str) -> str:
-    """Which columns have as many rows: those of one of `RAGGED`, or of steps."""
+    """Return the group of columns with the same number of rows: a name of `RAGGED`, or "steps"."""
     group, _, inner = name.partition("/")
     return group if group in RAGGED and inner != "offset" else "steps"

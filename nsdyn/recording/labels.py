@@ -1,7 +1,7 @@
-"""What makes a recording's file explain itself: units, names of axes, names along them, as HDF5 dimension scales.
+"""Labels that make the file of a recording explain itself: units, names of axes and of their entries, as HDF5 scales.
 
-Datasets have the attribute `units`, and in complete recordings named axes, by the convention of netCDF-4, which xarray
-reads. Scales that the layout of `nsdyn.recording.columns` does not name are::
+Datasets have the attribute `units`. In complete recordings they also have named axes, by the convention of netCDF-4,
+which xarray reads. Dimension scales beyond the layout of `nsdyn.recording.columns` are::
 
     /t_steps                     (n,)   s, ends of the steps
     /coordinate, /velocity       names of the columns of /q and /v
@@ -10,9 +10,9 @@ reads. Scales that the layout of `nsdyn.recording.columns` does not name are::
     /axis, /quaternion, /side, /wrench, /lift
                                  x y z; x y z w; N T1 T2; force and moment; shift and turn
     /contacts/contact, /pieces/piece, /wrenches/row, /lifts/row
-                                 (.,)   s, ends of the steps that they are of
+                                 (.,)   s, end of the step of each row
 
-Groups have those that their datasets use, by hard links.
+A group has hard links to the scales that its datasets use.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ UNITS = {
     **{f"{group}/{name}": unit for group in ("joints", "pieces") for name, unit in ON_JOINTS.items()},
     **{f"contacts/{name}": column.unit for name, column in CONTACT.items()},
 }
-"""Of datasets, or of all others of a group; else 1."""
+"""Units by name of a dataset, or by group for its other datasets; 1 for datasets without an entry."""
 
 STATES = ("t", "q", "v", "frames/x", "frames/quat", "energy/kinetic", "energy/potential")
 ROWS = {"contacts": "contacts/contact", "pieces": "pieces/piece", **{group: f"{group}/row" for group in ON_BODIES}}
@@ -63,15 +63,15 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((f"{group}/{name}" for group in ("joints", "pieces") for name in ON_JOINTS), ("joint_coordinate",)),
     "pieces/moves": ("joint_coordinate",),
 }
-"""Axes of datasets after the first."""
+"""Names of the axes of datasets after the first axis."""
 
 
 def name_units(file: Any, meta: Mapping[str, Any], columns: Iterable[str]) -> None:
-    """Give the columns of a file their units, words for the numbers of some, and the file what `/meta` tells."""
+    """Write the units of the columns of a file, names for the values of the status, and the attributes of `/meta`."""
     file.attrs.update(meta)
     for name in columns:
         file[name].attrs["units"] = UNITS.get(name) or UNITS.get(f"{name.partition('/')[0]}/", "1")
-    from nsdyn.problem.solution import Status  # which to read a recording does not need
+    from nsdyn.problem.solution import Status  # not needed to read a recording
 
     for side in ("geom1", "geom2"):
         file[f"contacts/{side}"].attrs["long_name"] = "number of the shape, in the order of /shape"
@@ -80,7 +80,7 @@ def name_units(file: Any, meta: Mapping[str, Any], columns: Iterable[str]) -> No
 
 
 def name_axes(file: Any, scene: Mapping[str, Any], columns: Iterable[str]) -> None:
-    """Give the axes of the columns of a complete file their names, and what lies along them its own."""
+    """Write the names of the axes of the columns of a complete file, and of the entries along the axes."""
     file["t_steps"] = file["t"][1:]
     file["t_steps"].attrs["units"] = "s"
     axes = {name: _axes(name) for name in columns if name != "t"}
@@ -107,13 +107,13 @@ def name_axes(file: Any, scene: Mapping[str, Any], columns: Iterable[str]) -> No
 
 
 def _axes(name: str) -> tuple[str, ...]:
-    """The scales of a column."""
+    """Return the names of the scales of a column."""
     rows = "t" if name in STATES or name.endswith("/offset") else ROWS.get(name.partition("/")[0], "t_steps")
     return (rows, *COLUMNS.get(name, ()))
 
 
 def _labels(scene: Mapping[str, Any]) -> dict[str, list[str]]:
-    """What lies along the axes."""
+    """Return the names of the entries along each axis."""
     free = scene["frames"][: scene["free"]]
     coordinates = [f"{name}/{part}" for name in free for part in ("x", "y", "z", "qx", "qy", "qz", "qw")]
     velocities = [f"{name}/{part}_{axis}" for name in free for part in ("v", "omega") for axis in "xyz"]

@@ -1,4 +1,4 @@
-"""The links of a recording's articulations, one by joint and in the order of the joints, and what acts on them."""
+"""Links of a recording's articulations, one per joint and in the order of joints, and impulses of contacts on links."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ __all__ = ["by_contacts", "carriers", "joints", "loops"]
 
 
 def joints(scene: Mapping[str, Any]) -> list[str]:
-    """Names of all joints, "articulation/joint"."""
+    """Return the names of all joints, "articulation/joint"."""
     return [f"{a['name']}/{joint}" for a in scene["articulations"] for joint in a.get("joints", ())]
 
 
 def loops(scene: Mapping[str, Any]) -> list[str]:
-    """Names of all loops, "articulation/loop"."""
+    """Return the names of all loops, "articulation/loop"."""
     told = [(a["name"], a.get("model", {})) for a in scene["articulations"]]
     return [f"{owner}/{loop['name']}" for owner, model in told for loop in model.get("loops", ())]
 
 
 def carriers(scene: Mapping[str, Any]) -> Index:
-    """Number of the link that carries each shape, -1 of others."""
+    """Return for each shape the number of the link that carries it, -1 for shapes on no link."""
     link = {name: k for k, name in enumerate(joints(scene))}
     frames = [link.get(name, -1) if k >= scene["free"] else -1 for k, name in enumerate(scene["frames"])]
     out: Index = np.array([*frames, -1], dtype=np.int64)[[geom["frame"] for geom in scene["geoms"]]]
@@ -34,16 +34,16 @@ def carriers(scene: Mapping[str, Any]) -> Index:
 
 
 def by_contacts(carrier: Index, columns: Mapping[str, NDArray[Any]], step: Index, out: Array) -> None:
-    """Add impulses of contacts on links to those in `out`: force and moment about the world's origin, N·s and N·m·s.
+    """Add impulses of contacts on links to `out`: force and moment about the world's origin, N·s and N·m·s.
 
     Parameters
     ----------
     carrier : ndarray of int
-        As of `carriers`.
+        As returned by `carriers`.
     columns : mapping
-        Of contacts, as of a recording.
+        Columns of the contacts, as in a recording.
     step : ndarray of int
-        Their steps, from 0 on.
+        Steps of the contacts, from 0 on.
     out : ndarray, shape (steps, links, 6)
     """
     push = impulses_world(columns)

@@ -1,4 +1,4 @@
-"""The model of an articulation as a recording holds it, built again, which shares nothing with the step."""
+"""Model of an articulation, rebuilt from its description in a recording; it shares no code with the step."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["RANK", "Mechanism"]
 
 RANK = 1e-10
-"""Singular values below this fraction of the largest are those of redundant rows."""
+"""Fraction of the largest singular value: smaller singular values are those of redundant rows."""
 
 
 def _moved(place: Array, wrench: Array) -> Array:
-    """Forces and moments in axes of places (..., 4, 4), as those about the world's origin, (..., 6)."""
+    """Return wrenches about the world's origin, (..., 6), of forces and moments in axes of the poses (..., 4, 4)."""
     force, moment = (np.einsum("...ij,...j->...i", place[..., :3, :3], wrench[..., k : k + 3]) for k in (0, 3))
     return np.concatenate((force, moment + np.cross(place[..., :3, 3], force)), axis=-1)
 
@@ -27,7 +27,7 @@ def _pose(matrix: Any) -> Any:
 
 
 def _joint(told: Mapping[str, Any]) -> tuple[Any, Any]:
-    """(joint, turn of its axes) of a description; KeyError naming a kind that is not known."""
+    """Return (joint, rotation of its axes) of a description; KeyError naming an unknown kind."""
     kind = str(told["kind"])
     if kind == "JointModelComposite":
         out = pin.JointModelComposite()
@@ -38,7 +38,7 @@ def _joint(told: Mapping[str, Any]) -> tuple[Any, Any]:
             out.addJoint(joint, _pose(placement))
         return out, pin.SE3.Identity()
     axis = np.array(told.get("axis", (1.0, 0.0, 0.0)), dtype=float)
-    if kind == "JointModelRevoluteUnboundedUnaligned":  # which Python cannot make: one about x, turned
+    if kind == "JointModelRevoluteUnboundedUnaligned":  # Python cannot make it: a rotated joint about x replaces it
         turn = pin.Quaternion.FromTwoVectors(np.array((1.0, 0.0, 0.0)), axis).toRotationMatrix()
         return pin.JointModelRUBX(), pin.SE3(turn, np.zeros(3))
     if kind not in KINDS:
@@ -56,7 +56,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "JointModelUniversal": ("axis1", "axis2"),
     "JointModelEllipsoid": ("radius_x", "radius_y", "radius_z"),
 }
-"""Pinocchio's joints by name, and what each is made of."""
+"""Pinocchio's joints by name, and the entries of the description from which each is made."""
 
 
 WINDING = {f"JointModel{kind}" for kind in ("SphericalZYX", "Universal", "Ellipsoid", "Composite")}
@@ -69,37 +69,38 @@ class Mechanism:
     ----------
     name : str
     joints : sequence of str
-        Their names.
+        Names of the joints.
     told : mapping
-        What `nsdyn.scene.tree_description.describe_tree` gave.
+        Return value of `nsdyn.scene.tree_description.describe_tree`.
     gravity : sequence of float
 
     Attributes
     ----------
     friction, damping, stiffness, rest, lower, upper : ndarray, shape (nv,)
-        Laws of the joints, infinite where there is no limit.
+        Laws of the joints; bounds are infinite for joints without limits.
     falling : float
-        ‖g‖ √Σm, the most that weights change velocities, in the norm of the mass matrix, √J/s.
+        ‖g‖ √Σm, the largest rate at which weights change the velocity, in the norm of the mass matrix, √J/s.
     driven : ndarray of int
-        Coordinates that move as prescribed.
+        Coordinates with prescribed motion.
     winding : bool
-        Whether axes of a joint move with its own coordinates, which Pinocchio's derivatives, and so the first pass of a
-        step on loops, leave out.
+        Whether axes of a joint move with its own coordinates. Pinocchio's derivatives leave this motion out, and so
+        does the first pass of a step on loops.
     rubbing : list of ndarray of int
-        Coordinates that dry friction acts on together: one each, but the two in which a planar joint slides.
+        Groups of coordinates on which dry friction acts together: the two in which a planar joint slides, all three of
+        a spherical joint, else single coordinates.
 
     Raises
     ------
     KeyError
-        For joints of a kind that is not known, naming it.
+        For joints of an unknown kind, naming it.
     ValueError
-        For a model that is none.
+        For an invalid model.
     """
 
     def __init__(self, name: str, joints: Sequence[str], told: Mapping[str, Any], gravity: Sequence[float]) -> None:
         self.name, self.joints = name, list(joints)
         self.model = pin.Model()
-        self.turned = [pin.SE3.Identity()]  # a recorded joint's frame as Pinocchio's here sees it
+        self.turned = [pin.SE3.Identity()]  # frame of each recorded joint in the frame of its joint in this model
         for label, joint in zip(joints, told["joints"], strict=True):
             self._add(label, joint)
         laws = [np.array(told[law], dtype=float) for law in ("armature", "friction", "damping", "stiffness", "rest")]
@@ -123,7 +124,7 @@ class Mechanism:
         self.light.gravity = pin.Motion.Zero()
         self.data = self.model.createData()
         bodies = self.model.inertias.tolist()[1:]
-        self._bodies = (  # masses, centres and inertias about these
+        self._bodies = (  # masses, centres of mass, and inertias about the centres
             np.array([body.mass for body in bodies])[:, None],
             np.array([body.lever for body in bodies]).reshape(-1, 3),
             np.array([body.inertia for body in bodies]).reshape(-1, 3, 3),
@@ -140,7 +141,7 @@ class Mechanism:
             int
         )
         self.winding = any(j.shortname() in WINDING for j in list(self.model.joints)[1:])
-        together = {"JointModelPlanar": 2, "JointModelSpherical": 3}  # how many coordinates slip as one
+        together = {"JointModelPlanar": 2, "JointModelSpherical": 3}  # number of coordinates with joint dry friction
         self.rubbing: list[Index] = []
         for joint in list(self.model.joints)[1:]:
             one, last = together.get(joint.shortname(), 1), joint.idx_v + joint.nv
@@ -164,7 +165,7 @@ class Mechanism:
         return int(self.model.joints[self.model.getJointId(joint)].idx_v)
 
     def _loop(self, told: Mapping[str, Any]) -> tuple[int, int, bool]:
-        """The two frames of a loop, and whether they coincide in their axes too."""
+        """Return the two frames of a loop, and whether their axes coincide too."""
         frames = []
         for joint, placement in zip(told["joints"], told["placements"], strict=True):
             frame = pin.Frame(f"loop{self.model.nframes}", joint, self.turned[joint] * _pose(placement), pin.OP_FRAME)
@@ -174,7 +175,7 @@ class Mechanism:
     # -- at a configuration ------------------------------------------------------------------------------------
 
     def angle(self, q: Array) -> Array:
-        """Joint coordinates, rad or m, (nv,); 0 where a joint has none of its own."""
+        """Return joint coordinates, rad or m, (nv,); 0 for joints without scalar coordinates."""
         out = np.zeros(self.nv)
         out[self.linear] = q[self._linear_q]
         for j, k in self.round:
@@ -182,38 +183,38 @@ class Mechanism:
         return out
 
     def stretch(self, q: Array) -> Array:
-        """Of the joint springs, rad or m, the short way round."""
+        """Return the deflections of the joint springs, rad or m, the short way round for unbounded angles."""
         out: Array = self.angle(q) - self.rest
         for j, _ in self.round:
             out[j] = np.remainder(out[j] + np.pi, 2.0 * np.pi) - np.pi
         return out
 
     def mass(self, q: Array) -> Array:
-        """Mass matrix."""
+        """Return the mass matrix."""
         upper = np.triu(np.array(pin.crba(self.model, self.data, q)).reshape(self.nv, self.nv))
         out: Array = upper + np.triu(upper, 1).T
         return out
 
     def weight(self, q: Array) -> Array:
-        """Gravity terms, N m or N."""
+        """Return the generalised forces g of gravity, N m or N."""
         return np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
 
     def place(self, q: Array) -> None:
-        """Have frames and Jacobians at q for `pose`, `push`, `carried` and `along`."""
+        """Compute frames and Jacobians at q for `pose`, `push`, `carried` and `along`."""
         pin.computeJointJacobians(self.model, self.data, q)
 
     def pose(self, joint: int) -> Any:
-        """Frame of a joint where the mechanism was placed."""
+        """Return the frame of a joint at the configuration of the last `place`."""
         return self.data.oMi[joint] * self.turned[joint].inverse()
 
     def push(self, joint: int, point: Array, impulse: Array) -> Array:
-        """What an impulse at a point of a link does to the coordinates where the mechanism was placed."""
+        """Return the generalised impulse of an impulse at a point of a link, at the configuration of `place`."""
         J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
         out: Array = J.T @ np.concatenate((impulse, np.cross(point, impulse)))
         return out
 
     def pushed(self, wrenches: Array) -> Array:
-        """What wrenches on the links about the world's origin (links, 6) do to the coordinates where it was placed."""
+        """Return the generalised impulse of wrenches on the links about the world's origin (links, 6), as in `push`."""
         out: Array = np.zeros(self.nv)
         for joint in np.flatnonzero(wrenches.any(axis=1)).tolist():
             J = pin.getJointJacobian(self.model, self.data, joint + 1, pin.WORLD).reshape(6, -1, order="A")
@@ -221,15 +222,15 @@ class Mechanism:
         return out
 
     def carried(self, joint: int, point: Array, v: Array) -> tuple[Array, Array]:
-        """Velocity of a point of a link, m/s, and angular velocity, rad/s, where the mechanism was placed."""
+        """Return velocity of a point of a link, m/s, and angular velocity, rad/s, at the configuration of `place`."""
         J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
         twist = J @ v
         return twist[:3] + np.cross(twist[3:], point), twist[3:]
 
     def momenta(self, q: Array, v: Array) -> Array:
-        """Linear and angular momentum about the world's origin of every link, (n, links, 6), N·s and N·m·s.
+        """Return linear and angular momentum about the world's origin of every link, (n, links, 6), N·s and N·m·s.
 
-        In states (n, nq), (n, nv), as all that is many.
+        States have the shapes (n, nq) and (n, nv), as in `twists` and `weights`.
         """
         place, twist = self._links(q, v)
         mass, lever, inertia = self._bodies
@@ -238,12 +239,12 @@ class Mechanism:
         return _moved(place, np.concatenate((linear, spin), axis=2))
 
     def twists(self, q: Array, v: Array) -> Array:
-        """Linear velocity at the world's origin and angular velocity of every link, (n, links, 6), m/s and rad/s."""
+        """Return linear velocity at the world's origin and angular velocity of each link, (n, links, 6), m/s, rad/s."""
         place, twist = self._links(q, v)
         return np.roll(_moved(place, np.roll(twist, 3, axis=2)), 3, axis=2)
 
     def weights(self, q: Array) -> tuple[Array, Array]:
-        """Gravity on every link, (n, links, 6), N and, about the world's origin, N·m; origins of joints, m."""
+        """Return gravity on every link, (n, links, 6), N and N·m about the world's origin; and origins of joints, m."""
         place, _ = self._links(q, np.zeros((len(q), self.nv)))
         mass, lever, _ = self._bodies
         origin = place[..., :3, 3]
@@ -252,7 +253,7 @@ class Mechanism:
         return np.concatenate((force, np.cross(centre, force)), axis=2), origin
 
     def _links(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Places (n, links, 4, 4) and, in their own axes, twists (n, links, 6) of all links."""
+        """Return poses (n, links, 4, 4) and, in axes of the links, twists (n, links, 6) of all links."""
         places, twists = np.empty((len(q), len(self.joints), 4, 4)), np.empty((len(q), len(self.joints), 6))
         for k in range(len(q)):
             pin.forwardKinematics(self.model, self.data, q[k], v[k])
@@ -261,7 +262,10 @@ class Mechanism:
         return places, twists
 
     def passed(self, needs: Array) -> Array:
-        """What every joint passes on to its child, of what the links need, (n, links, 6), about one point in each."""
+        """Return the impulse that each joint passes on to its child, from the impulses that the links need.
+
+        Both have the shape (n, links, 6) and are about one point in each of the n states.
+        """
         out = needs.copy()
         for k in reversed(range(out.shape[1])):
             if parent := int(self.model.parents[k + 1]):
@@ -269,16 +273,16 @@ class Mechanism:
         return out
 
     def along(self, q: Array, passed: Array) -> Array:
-        """Components along the joints' coordinates of what these pass on about the world's origin, N·m or N."""
+        """Return the components along joint coordinates of the wrenches `passed` about the world's origin, N·m or N."""
         self.place(q)
         J, owner = self.data.J.reshape(6, -1, order="A"), np.repeat(range(len(passed)), self.model.nvs.tolist()[1:])
         out: Array = (J * passed[owner].T).sum(axis=0)
         return out
 
     def held(self, q: Array, tau: Array) -> list[list[tuple[int, Array]]]:
-        """Impulses of the loops that explain those on the coordinates, as `pushes` on both frames of each.
+        """Return loop impulses equivalent to the generalised impulses tau: (joint, wrench) on both frames of each loop.
 
-        The least where loops are redundant; about the world's origin.
+        Wrenches are about the world's origin. For redundant loops they have the least norm.
         """
         react = np.linalg.lstsq(self.constraints(q)[1].T, tau, rcond=RANK)[0]
         out, row = [], 0
@@ -298,11 +302,11 @@ class Mechanism:
         return out
 
     def closure(self, loop: int) -> Array:
-        """Place of a loop's first frame where the constraints were found last, m."""
+        """Return the position of a loop's first frame at the configuration of the last `constraints`, m."""
         return np.array(self.data.oMf[self._loops[loop][0]].translation)
 
     def constraints(self, q: Array) -> tuple[Array, Array]:
-        """Gaps of loops and gears, m and rad, and the rows B of these and of driven joints at q."""
+        """Return the gaps of loops and gears, m and rad, and the rows B of loops, gears and driven joints at q."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         gaps, rows = [np.empty(0)], [np.empty((0, self.nv))]
@@ -319,7 +323,7 @@ class Mechanism:
                 rows.append(Ja[3:] - Jb[3:])
         coordinates, unit, round_ = self.angle(q), np.eye(self.nv), {j for j, _ in self.round}
         for first, second, ratio, offset in self._gears:
-            # Of wheels whose turns are not counted the ratio alone is seen.
+            # For wheels whose turns are not counted, only the ratio of velocities is constrained.
             apart = 0.0 if {first, second} & round_ else coordinates[second] - ratio * coordinates[first] - offset
             gaps.append(np.array([apart]))
             rows.append((unit[second] - ratio * unit[first])[None])
@@ -327,7 +331,7 @@ class Mechanism:
         return np.concatenate(gaps), np.concatenate(rows)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
-        """Kinetic energy, and potential energy of gravity and springs, J."""
+        """Return the kinetic energy, and the potential energy of gravity and springs, J."""
         bend = self.stretch(q)
         pin.forwardKinematics(self.model, self.data, q)
         fallen = sum(

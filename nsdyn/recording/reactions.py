@@ -1,18 +1,18 @@
-"""Reactions in the joints and loops of articulations: what a recorded motion takes, by the balance of its links.
+"""Reactions in the joints and loops of articulations, from the recorded motion and the balance of momentum of links.
 
-A joint passes on what its child and all beyond it need. Over a step of h, with the momenta p of the links, linear and
-about the world's origin, from state to state,
+A joint passes on the force that its child and all links beyond it need. Over a step of length h, with the momenta p of
+these links, linear and about the world's origin, this force is
 
     Σ Δp - gravity h - contacts - external wrenches - loops,
 
-divided by h. A projection, which moves without momentum, is taken back before. So forces are the means over the step,
-exactly; of moments, which are told about the joint where it is halfway, second order in h, first order where impacts
-fall into the step. What loops do is what explains the components of these along the coordinates, but for what is
-recorded to act there.
+divided by h. Position projections, which displace links without momentum, are undone first. Forces are therefore exact
+means over the step. Moments are about the joint at its position halfway. They are of second order in h, of first order
+in steps with impacts. The reactions of loops are those that explain the components of the passed wrenches along the
+coordinates, after subtraction of the recorded impulses on the coordinates.
 
-All that is found when it is asked for, and not while it is recorded, 0.07 ms a step of a quadruped. Recorded is what
-cannot be found afterwards, the external wrenches, and the impulses of contacts that are left out (`/links/impulse`);
-`nsdyn joints` writes all of it as a table.
+Reactions are computed on demand and not during the run, which would cost 0.07 ms per step of a quadruped. The recording
+has only the data that cannot be computed later: external wrenches, and the impulses of contacts that it leaves out
+(`/links/impulse`). `nsdyn joints` writes the reactions as a table.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 __all__ = ["reactions"]
 
 SHIFT = 4
-"""Of `JOINTS`, where projections stand; those before the external wrenches act on the joints."""
+"""Index of the projections in `JOINTS`; the entries before the external wrenches act on the joints."""
 
 
 def reactions(trajectory: Trajectory, steps: Index) -> dict[str, Array]:
-    """Mean reactions in some steps, from 0 on, by the names of joints and loops, (., 6): force N, then torque N m.
+    """Return mean reactions in some steps, from 0 on, by names of joints and loops, (., 6): force N, then torque N m.
 
-    Of joints on the child at the joint's origin, of loops on the link of the first frame at its place; world axes. NaN
-    where a recording does not tell: before format 7, or without a model that can be built.
+    Reactions of joints act on the child at the joint's origin, those of loops on the link of the first frame at that
+    frame; world axes. NaN for recordings before format 7, or without a model that can be built.
     """
     found, c = trees(trajectory), trajectory.columns
     untold = trajectory.meta.get("external_force", True) or left_out(trajectory)
@@ -65,7 +65,7 @@ def reactions(trajectory: Trajectory, steps: Index) -> dict[str, Array]:
 
 
 def _of_tree(found: Trees, tree: int, steps: Index, outside: Array) -> Array:
-    """Impulses of the joints, then of the loops of a tree, (n, joints + loops, 6), each about its own point."""
+    """Return impulses of the joints, then of the loops of a tree, (n, joints + loops, 6), each about its own point."""
     m, t, rows = found.mechanisms[tree], found.trajectory, found.rows[tree]
     (q, v), (end, end_v) = found.state(tree, steps), found.state(tree, steps + 1)
     shift, h = t.columns[JOINTS[SHIFT]][steps, rows], t.dt * t.every
@@ -89,11 +89,11 @@ def _of_tree(found: Trees, tree: int, steps: Index, outside: Array) -> Array:
 
 
 def _passive(m: Mechanism, h: float, q: Array, end: Array, middle: Array) -> Array:
-    """Impulses that damping and springs of the joints take in h seconds, N·m·s or N·s."""
+    """Return the impulses with which damping and springs of the joints resist in h seconds, N·m·s or N·s."""
     out: Array = m.damping * np.array(pin.difference(m.model, q, end)) + h * m.stiffness * m.stretch(middle)
     return out
 
 
 def _about(point: Array, wrench: Array) -> Array:
-    """Force and moment about a point of those about the world's origin."""
+    """Return force and moment about a point from those about the world's origin."""
     return np.concatenate((wrench[..., :3], wrench[..., 3:] - np.cross(point, wrench[..., :3])), axis=-1)

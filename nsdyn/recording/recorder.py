@@ -1,4 +1,4 @@
-"""What writes a recording while a simulation runs."""
+"""Recorder: it collects the recording of a simulation while the simulation runs."""
 
 from __future__ import annotations
 
@@ -30,37 +30,38 @@ State = Callable[[], Columns]
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
 _HELD, _STEP = 8192, 32
-"""Contacts of the steps that are kept before they are packed, and for how many a step counts besides: 256 steps without
-contacts; in large scenes so few that they stay in the processor's cache."""
+"""Number of contacts in the steps that are kept before they are packed, and number of contacts for which a step itself
+counts: 256 steps without contacts; in large scenes so few steps that they stay in the processor's cache."""
 
 PICTURES = {"visuals", "meshes"}
 
 
 @cache
 def _versions() -> dict[str, str]:
-    """Versions of what computes; to look them up takes a millisecond."""
+    """Return the versions of the libraries that compute; a look-up takes a millisecond."""
     return {f"{name}_version": version(name) for name in ("pin", "coal", "numpy")}
 
 
 class Recorder:
-    """Collects the rows of a simulation, in memory or in a file that grows while it runs.
+    """Recorder of the rows of a simulation, in memory or in a file that grows during the run.
 
     Parameters
     ----------
     path : path, optional
-        HDF5 file to write. An existing one is replaced as a whole. None keeps everything in memory.
+        HDF5 file to write. An existing file is replaced as a whole. None keeps the recording in memory.
     meta : mapping
-        dt, theta, solver (its repr) and other options, as str, int, float or bool. `every`, by default 1: how many
-        steps make a row; `contacts`, by default True: whether contacts are recorded.
+        dt, theta, solver (its repr) and other options, as str, int, float or bool. `every`, by default 1: number of
+        steps per row; `contacts`, by default True: whether contacts are recorded.
     scene : mapping
-        What `Scene.describe` returns.
+        Return value of `Scene.describe`.
     first : object
         The initial state: attributes t, q, v, frames_x, frames_quat and energy as below; of the energies only
         "kinetic" and "potential" are read.
     state : callable, optional
-        Arrays by names from which the run goes on from the initial state; without it a recording cannot be resumed.
+        Returns the arrays, by names, with which the run continues from the initial state. Without it a recording cannot
+        be resumed.
     expected : int
-        How many rows there will be, 0 where that is not known.
+        Expected number of rows, 0 if not known.
 
     Raises
     ------
@@ -70,14 +71,16 @@ class Recorder:
     Notes
     -----
     `append(step)` reads t, q, v, frames_x, frames_quat, the mapping energy, joints, links, pieces, wrenches and
-    lifts as of `nsdyn.stepping.state.Step`, and what `STEP` and `CONTACT` of `nsdyn.recording.columns` name, at its
-    path. It keeps references to these for a while: the arrays must not be changed afterwards. Of a step whose `untold`
-    is not None only that is kept. It has nc, the number of contacts, and methods `steps` and `contacts`, which take the
-    `untold` of m steps in a row with as many contacts, and return an object with these attributes as arrays: with a
-    leading axis of m, and those of contacts with leading axes that (m, nc) fits.
+    lifts as in `nsdyn.stepping.state.Step`, and the attributes that `STEP` and `CONTACT` of `nsdyn.recording.columns`
+    name by their paths. It keeps references for a while: the arrays must not be changed afterwards.
 
-    Use it as a context manager, so that the last rows reach the file also when the simulation raises; the file is then
-    compressed and takes no more.
+    If `untold` of a step is not None, the recorder keeps only this object. `untold` has nc, the number of contacts, and
+    methods `steps` and `contacts`. They take the `untold` of m consecutive steps with equal numbers of contacts, and
+    return an object with the attributes above as arrays. Arrays of steps have a leading axis of m, arrays of contacts
+    have leading axes that can be broadcast to (m, nc).
+
+    Use it as a context manager, so that the last rows reach the file even if the simulation raises. The file is then
+    compressed and accepts no more rows.
     """
 
     def __init__(
@@ -109,7 +112,7 @@ class Recorder:
         self._wall: list[float] = []
         self._held = 0
         self._state: State | None = None
-        self._whole: Trajectory | None = None  # of a file that takes no more
+        self._whole: Trajectory | None = None  # the recording, once its file accepts no more rows
         self._kept = Kept(columns, expected if path is None else 0)
         self._rows = len(columns["t"]) - 1
         self._ends = {name: int(values[-1]) for name, values in columns.items() if name.endswith("/offset")}
@@ -136,36 +139,36 @@ class Recorder:
         state: Collection[str],
         duration: float,
     ) -> tuple[Recorder, Columns]:
-        """Go on with a recording whose run ended or was killed, from the last state in it.
+        """Continue a recording whose run ended or was killed, from the last state in the recording.
 
         Parameters
         ----------
         path, meta, scene, first
-            As of the recorder that began it.
+            As for the recorder that began the recording.
         state : collection of str
-            Names of the arrays that a state has.
+            Names of the arrays of a state.
         duration : float
-            Of the whole run, s.
+            Duration of the whole run, s.
 
         Returns
         -------
         recorder : Recorder
-            With the rows until that state; the file has been replaced by one that has no others.
+            With the rows until the last state; the file has been replaced by one with only these rows.
         state : dict of str to ndarray
-            Arrays that `state` of `append` gave.
+            Arrays that `state` of `append` returned.
 
         Raises
         ------
         FileNotFoundError
         ValueError
-            If the file is no recording, has no state, is of another scene or of other options, naming one, or longer.
+            If the file is not a recording, has no state, has another scene or other options (naming one), or is longer.
         """
         found, described, columns, saved = recording.read_state(files.as_path(path))
         if saved is None:
             raise ValueError(f"{path} cannot be resumed: it holds no state of its run")
         given, begun = _full(meta, scene), rows.begin(first)
         versions = [name for name in given if name.endswith("_version")]
-        told = {*versions, "parameters", "command"}  # what they make of the scene and the options is compared
+        told = {*versions, "parameters", "command"}  # their effects, the scene and the options, are compared instead
         _refuse(path, {k: v for k, v in found.items() if k not in told}, given, "option")
         old, new = ({k: v for k, v in s.items() if k not in PICTURES} for s in (described, scene))
         _refuse(path, old, json.loads(json.dumps(new)), "scene")
@@ -190,13 +193,14 @@ class Recorder:
 
     @property
     def rows(self) -> int:
-        """Number of rows that are complete, the initial state apart."""
+        """Number of complete rows, without the initial state."""
         return self._rows
 
     def append(self, step: Any, state: State | None = None) -> None:
-        """Record one step; see the notes of the class for what it must carry.
+        """Record one step; the notes of the class list the attributes that it must have.
 
-        Where `state` is given it is called, now or later, for arrays by names from which the run goes on after it.
+        `state`, if given, is called now or later. It returns the arrays, by names, with which the run continues after
+        the step.
         """
         now = time.perf_counter()
         kept = rows.keep(step)
@@ -212,7 +216,7 @@ class Recorder:
         self._clock = time.perf_counter()
 
     def flush(self) -> None:
-        """Write the rows collected so far to the file, if there is one, and the state after them."""
+        """Write the rows collected so far, and the state after them, to the file, if there is one."""
         self._pack()
         if self.path is not None and self._kept.columns()["t"].size:
             state = None if self._state is None else (self._rows, self._state())
@@ -223,14 +227,14 @@ class Recorder:
             self._deadline = time.perf_counter() + _FLUSH_SECONDS
 
     def trajectory(self) -> Trajectory:
-        """Everything recorded so far."""
+        """Return all that was recorded so far."""
         self.flush()
         if self.path is None:
             return Trajectory(self.meta, self.scene, self._kept.columns())
         return Trajectory.load(self.path) if self._whole is None else self._whole
 
     def _pack(self) -> None:
-        """Put the rows that are complete into arrays."""
+        """Move the complete rows into arrays."""
         every = self.meta["every"]
         if size := len(self._steps) // every * every:
             shown, pushed = self.meta["contacts"], _pushed(self.meta, self.scene)
@@ -254,14 +258,14 @@ class Recorder:
             try:
                 with files.writing(self.path, files.RECORDING) as part:
                     recording.create(part, meta, scene, columns, grow=False, state=state)
-            except ValueError as failure:  # for instance of a full disk
+            except ValueError as failure:  # for instance because of a full disk
                 warnings.warn(f"{self.path} is complete, but not compressed: {failure}", stacklevel=2)
             finally:
                 self._release()
 
 
 def _full(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
-    """All attributes of a recording."""
+    """Return all attributes of a recording."""
     return {
         "format": "nsdyn",
         "format_version": FORMAT_VERSION,
@@ -274,7 +278,7 @@ def _full(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _refuse(path: str | Path, found: Any, given: Any, name: str) -> None:
-    """Raise a ValueError that names the first difference between what is in a file and what is given."""
+    """Raise a ValueError that names the first difference between the contents of a file and given values."""
     if name == "option checksums":
         found, given, name = json.loads(found), json.loads(given), "scene"
         if differ := sorted(what for what in found.keys() | given.keys() if found.get(what) != given.get(what)):
@@ -294,10 +298,10 @@ def _short(value: Any) -> str:
 
 
 def _pushed(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> bool:
-    """Whether there are free bodies that external forces may push."""
+    """Return whether external forces may act on free bodies."""
     return bool(meta.get("external_force", False)) and scene["free"] > 0
 
 
 def _left_out(meta: Mapping[str, Any]) -> bool:
-    """Whether of what acts on links something is not among the contacts recorded."""
+    """Return whether impulses may act on links that are not among the recorded contacts."""
     return bool(meta.get("external_force", False) or meta["every"] > 1 or not meta["contacts"])

@@ -1,12 +1,12 @@
-"""The way of an articulation through every recorded step, found anew from where the step begins and what acted in it.
+"""Motion of an articulation in each recorded step, recomputed from the state at its beginning and recorded impulses.
 
-A step, or each piece that it was cut into, is a motion without forces for 1 - θ of it, all impulses at one
-configuration, and a motion without forces for the rest; the recorded impulses are taken as they are. With h the piece,
-mass matrix M, gravity terms g, damping D, springs K stretched by s, and B of loops and driven joints,
+A step, or each of its pieces (substeps), is a motion without forces for the fraction 1 - θ, then all impulses at one
+configuration, then a motion without forces for the rest. The recorded impulses are used unchanged. With the length h of
+the piece, mass matrix M, gravity terms g, damping D, springs K stretched by s, and B of loops and driven joints,
 
     M (v⁺ - v⁻) = impulses - h g - h D (θ v⁺ + (1 - θ) v⁻) - h K (s + h θ² v⁺ - h (1 - θ)² v⁻) + Bᵀ λ,    B v⁺ = b.
 
-Where nothing but gravity and constant joint forces act on a tree they may also act all the time.
+If only gravity and constant joint forces act on a tree, they may also act throughout the piece.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ __all__ = ["Contradiction", "Kick", "Trees", "Way", "trees"]
 
 
 Piece = tuple[float, list[tuple[int, int, int]], Array]
-"""(duration, contacts, impulses on the joints) of a piece of a step."""
+"""(duration, contacts, impulses on the joints) of a piece of a step, that is a move or an impact."""
 
 
 class Contradiction(str):
-    """Why the articulations of a recording cannot be those that it has moved."""
+    """Reason why the described articulations cannot be those whose motion was recorded."""
 
 
 class Kick(NamedTuple):
-    """What acted at one configuration.
+    """Impulses and forces of a piece, all at one configuration.
 
     Attributes
     ----------
     h : float
-        Length of the piece, s; 0 of impacts in no time.
+        Length of the piece, s; 0 for impacts in no time.
     q, before, after : ndarray
         Configuration, and velocities before and after.
     given : ndarray, shape (4, nv)
@@ -54,17 +54,17 @@ class Kick(NamedTuple):
     shift : ndarray, shape (nv,)
         Displacement by the position projection at the end of the piece.
     pushed : ndarray, shape (nv,)
-        Of contacts.
+        Generalised impulses of contacts.
     touches : list of (row, side, joint)
-        Contacts on links, side 0 or 1.
+        Contacts on links; side 0 or 1 of the contact is on the link of the joint.
     stiff : ndarray, shape (2, nv)
         Impulses of damping and springs.
     reaction : ndarray, shape (nv,)
         Bᵀ λ of loops and driven joints.
     rate : ndarray, shape (nv,)
-        Acceleration that contacts, limits and dry friction leave out; 0 of impacts in no time.
+        Acceleration without contacts, limits and dry friction; 0 for impacts in no time.
     mean : ndarray, shape (nv,), or None
-        Mean velocity where the forces act all the time.
+        Mean velocity if the forces act throughout the piece.
     """
 
     h: float
@@ -82,15 +82,15 @@ class Kick(NamedTuple):
 
 
 class Way(NamedTuple):
-    """One tree in one step.
+    """Recomputed motion of one tree in one step.
 
     Attributes
     ----------
     kicks : list of Kick
     flows : list of Course
-        Before and after each.
+        Free motions before and after each kick.
     q, v : ndarray
-        Where it leads.
+        Configuration and velocity at the end.
     """
 
     kicks: list[Kick]
@@ -108,9 +108,9 @@ class Trees:
     trajectory : Trajectory
     mechanisms : tuple of Mechanism
     at : tuple of (slice, slice)
-        Places of each in q and v.
+        Coordinates of each mechanism in q and v.
     rows : tuple of slice
-        Its places in what acts on joints.
+        Its coordinates in the columns of `/joints` and `/pieces`.
     links : dict of int to (int, int)
         Tree and joint of the moving frames of links.
     """
@@ -123,7 +123,7 @@ class Trees:
 
     @cached_property
     def missing(self) -> str:
-        """Why steps cannot be retraced; empty where they can."""
+        """Reason why steps cannot be recomputed; empty if they can."""
         t = self.trajectory
         if reason := left_out(t):
             return reason
@@ -133,12 +133,12 @@ class Trees:
 
     @cached_property
     def impulses(self) -> Array:
-        """Of all contacts on body 2, world axes, N·s."""
+        """Impulses of all contacts on body 2, world axes, N·s."""
         return impulses_world(self.trajectory.columns)
 
     @cached_property
     def touches(self) -> list[dict[int, list[tuple[int, int, int]]]]:
-        """Of every tree, by step from 0 on: (row, side, joint) of its contacts, ascending."""
+        """For every tree, by step from 0 on: (row, side, joint) of its contacts, in ascending order."""
         t, out = self.trajectory, [dict[int, list[tuple[int, int, int]]]() for _ in self.mechanisms]
         frames = np.array([geom["frame"] for geom in t.scene["geoms"]], dtype=np.int64)
         step = np.repeat(np.arange(t.steps), np.diff(t.columns["contacts/offset"]))
@@ -153,12 +153,12 @@ class Trees:
         return out
 
     def state(self, tree: int, k: int | Index) -> tuple[Array, Array]:
-        """q and v of a tree in row k of the states, or in several rows."""
+        """Return q and v of a tree in row k of the states, or in several rows."""
         q, v = self.at[tree]
         return self.trajectory.q[k, q], self.trajectory.v[k, v]
 
     def pieces(self, tree: int, k: int) -> Iterator[Piece]:
-        """The pieces of step k, from 0 on."""
+        """Yield the pieces of step k, from 0 on, in which a tree moves."""
         c, rows, touches = self.trajectory.columns, self.rows[tree], self.touches[tree].get(k, [])
         cut = range(*c["pieces/offset"][k : k + 2])
         if not cut:
@@ -174,10 +174,11 @@ class Trees:
             first = last
 
     def way(self, tree: int, k: int) -> Way:
-        """Follow a tree through step k, from 0 on.
+        """Recompute the motion of a tree in step k, from 0 on.
 
-        Whether joint forces that act where nothing else does come from a law that the step treats implicitly is not
-        recorded: of the two ways that leads closer to what is, beyond what is in doubt of it.
+        Joint forces that act alone act throughout a piece, unless they come from a law that the step treats implicitly.
+        The recording does not contain which. Of the two motions the one is returned whose end is closer to the recorded
+        state, after subtraction of its doubt.
         """
         m, (q, v) = self.mechanisms[tree], self.state(tree, k + 1)
         out, pieces = [], list(self.pieces(tree, k))
@@ -194,7 +195,7 @@ class Trees:
         return min(out, key=off)
 
     def _way(self, m: Mechanism, tree: int, k: int, pieces: list[Piece], all_along: bool) -> Way:
-        """One of the two ways: whether forces that nothing else acts with do so all the time."""
+        """Recompute the motion; `all_along` lets forces that act alone act throughout their piece."""
         theta, (q, v) = float(self.trajectory.meta["theta"]), self.state(tree, k)
         kicks, flows, told = list[Kick](), list[Course](), [m.speeds[int(j)] for j in m.driven]
         for h, touches, given in pieces:
@@ -225,7 +226,7 @@ class Trees:
         given: Array,
         speeds: Array,
     ) -> Kick:
-        """What impulses and the forces of h seconds do at a configuration."""
+        """Apply impulses, and the forces of h seconds, at a configuration."""
         c, pushed = self.trajectory.columns, np.zeros(m.nv)
         m.place(at.q)
         for row, side, joint in touches:
@@ -236,7 +237,7 @@ class Trees:
         known = given[:4].sum(axis=0) + pushed - h * m.weight(at.q)
         momentum = M @ v + known - h * (begin @ v + m.stiffness * bend)
         B = m.constraints(at.q)[1] if m.bound else np.empty((0, m.nv))
-        # Forces close what a motion leaves open of the velocity of loops; an impact in no time keeps it.
+        # Forces remove the velocity error of loops that the free motion leaves; an impact in no time keeps this error.
         goal = np.zeros(len(B)) if h else B @ v
         goal[len(B) - speeds.size :] = speeds
 
@@ -255,7 +256,7 @@ class Trees:
 
 
 def _grown(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The trees of an articulation as if each were alone; those that loops or gears join are one."""
+    """Yield the description of each tree of an articulation as if it were alone; loops or gears join trees into one."""
     model, first = told["model"], np.cumsum([0, *(nv for _, nv in told["sizes"])])
     roots = [k for k, joint in enumerate(model["joints"]) if joint["parent"] == 0]
     joined = [[k - 1 for k in loop["joints"] if k] for loop in model["loops"]]
@@ -286,7 +287,7 @@ def _grown(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def trees(trajectory: Trajectory) -> Trees | str:
-    """The articulations of a recording, or why they cannot be built; ValueError for none."""
+    """Return the articulations of a recording, or the reason why they cannot be built."""
     scene = trajectory.scene
     q, v, row, at, rows = 7 * scene["free"], 6 * scene["free"], 0, [], []
     mechanisms: list[Mechanism] = []

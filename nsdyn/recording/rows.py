@@ -1,4 +1,4 @@
-"""Rows of a recording from steps, of which many are packed at once."""
+"""Conversion of steps to rows of a recording, many steps at once."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _read_contacts = attrgetter(*(column.path for column in CONTACT.values()))
 
 
 class _Known(NamedTuple):
-    """What was read of a step, and of its contacts; the rest of the step may go."""
+    """Values read from a step and from its contacts; the step itself may be released."""
 
     step: tuple[Any, ...]
     contacts: tuple[Any, ...]
@@ -51,18 +51,18 @@ class _Known(NamedTuple):
 
 
 def keep(step: Any) -> Any:
-    """What `pack` needs of a step: what is known of it, or what tells of many, as of `Recorder`."""
+    """Return the data that `pack` needs of a step: its values, or its `untold` (see `Recorder`)."""
     return _Known(_read_step(step), _read_contacts(step)) if step.untold is None else step.untold
 
 
 def begin(state: Any) -> Columns:
-    """Columns of the initial state."""
+    """Return the columns of the initial state."""
     columns = _columns(_stacked([_read_state(state)]))
     return {name: x for name, x in columns.items() if name in STATES + LINKS}
 
 
 def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
-    """Columns of no steps, of all that is recorded of steps; with what acts on links and free bodies, if that is."""
+    """Return all columns of steps, without rows; `links`: with impulses on links, `pushed`: on free bodies."""
     kinds = dict.fromkeys([f"energy/{name}" for name in WORKS], "f8") | {n: c.kind for n, c in STEP.items()}
     out = {name: np.empty(0, kind) for name, kind in kinds.items()}
     for name, c in CONTACT.items():
@@ -79,20 +79,20 @@ def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
 
 
 def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | None, pushed: bool) -> list[Part]:
-    """Columns of steps but for wall times, with counts in place of offsets.
+    """Return the columns of steps without wall times, with counts in place of offsets.
 
     Parameters
     ----------
     steps : sequence
-        What was kept of them.
+        Return values of `keep`.
     every : int
-        How many make a row.
+        Number of steps per row.
     contacts : bool
-        Whether they are recorded.
+        Whether contacts are recorded.
     carriers : ndarray of int, optional
-        As of `link_names.carriers`, where what acts on links is recorded.
+        As returned by `link_names.carriers`, if impulses on links are recorded.
     pushed : bool
-        Whether wrenches on free bodies are.
+        Whether wrenches on free bodies are recorded.
     """
     parts = [_steps(run) for run in _runs(steps)]
     block = parts[0] if len(parts) == 1 else {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
@@ -113,17 +113,17 @@ def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | Non
 
 
 def _runs(steps: Sequence[Any]) -> list[list[Any]]:
-    """Steps in a row that are packed together: those that are known, and others of as many contacts."""
+    """Return groups of consecutive steps to pack together: read steps, or unread ones with equal contact counts."""
     return [list(run) for _, run in groupby(steps, lambda step: None if isinstance(step, _Known) else step.nc)]
 
 
 def _steps(run: Sequence[Any]) -> Columns:
-    """Columns of steps but for their contacts."""
+    """Return the columns of steps without their contacts."""
     return _columns(_stacked([s.step for s in run]) if isinstance(run[0], _Known) else _read_step(run[0].steps(run)))
 
 
 def _contacts(run: Sequence[Any]) -> Part:
-    """Columns of the contacts of steps."""
+    """Return the columns of the contacts of steps."""
     if isinstance(run[0], _Known):
         columns = [np.concatenate(of) for of in zip(*(step.contacts for step in run), strict=True)]
         return dict(zip(CONTACTS, columns, strict=True)), (len(columns[-1]),)
@@ -131,14 +131,14 @@ def _contacts(run: Sequence[Any]) -> Part:
 
 
 def _one_by_one(columns: Columns, fitted: tuple[int, ...] | None) -> Columns:
-    """Columns of contacts with one axis for all of them."""
+    """Return columns of contacts with one axis for the contacts of all steps."""
     if fitted is None or len(fitted) == 1:
         return columns
     return {n: np.broadcast_to(c, (*fitted, *c.shape[2:])).reshape(-1, *c.shape[2:]) for n, c in columns.items()}
 
 
 def _stacked(rows: list[tuple[Any, ...]]) -> tuple[Any, ...]:
-    """What was read of steps, or of states alone, one by one as it is read of many together."""
+    """Stack values read from single steps, or from single states, in the form of values read from many together."""
     t, q, v, x, quaternion, energies, *more = zip(*rows, strict=True)
     energy = {name: np.array([one[name] for one in energies], dtype=float) for name in energies[0]}
     out = np.array(t, dtype=float), *(None if of[0] is None else _stack(of) for of in (q, v, x, quaternion)), energy
@@ -152,7 +152,7 @@ def _stacked(rows: list[tuple[Any, ...]]) -> tuple[Any, ...]:
 
 
 def _columns(read: tuple[Any, ...]) -> Columns:
-    """Columns of what is read of many steps, or of states alone, by name; counts in place of offsets."""
+    """Return columns by name of values read from many steps, or from states alone; counts in place of offsets."""
     t, q, v, x, quaternion, energy, *more = read
     out: Columns = {"t": t, "q": q, "v": v} | {f"energy/{name}": values for name, values in energy.items()}
     if x is not None:
@@ -169,7 +169,7 @@ def _columns(read: tuple[Any, ...]) -> Columns:
 
 
 def _pieces(pieces: Sequence[Any], nv: int) -> Columns:
-    """Columns of what steps were cut into."""
+    """Return the columns of the moves and impacts (pieces) into which steps were cut."""
     cut = [p for p in pieces if p]
     joints = np.concatenate([np.empty((len(ON_JOINTS), 0, nv)), *(p.joints for p in cut)], axis=1)
     out = dict(zip((f"pieces/{name}" for name in ON_JOINTS), joints, strict=True))
@@ -180,7 +180,7 @@ def _pieces(pieces: Sequence[Any], nv: int) -> Columns:
 
 
 def _of_bodies(group: str, acted: Sequence[Any]) -> Columns:
-    """Columns of what was done to the free bodies in the moves of steps, by a name of `ON_BODIES`."""
+    """Return the columns of wrenches on, or lifts of, free bodies in the moves of steps; `group` is in `ON_BODIES`."""
     out = {}
     for name in OF_MOVES:
         columns = [getattr(a, name) for a in acted if a]
@@ -189,7 +189,7 @@ def _of_bodies(group: str, acted: Sequence[Any]) -> Columns:
 
 
 def _merged(columns: Columns, every: int) -> Columns:
-    """Rows of so many steps each, as the layout of the file has them."""
+    """Return rows of `every` steps each, by the rules of the file's layout."""
     ragged = [name for name in (f"{group}/offset" for group in RAGGED) if name in columns]
     rows = {n: x.reshape(-1, every, *x.shape[1:]) for n, x in columns.items() if n.partition("/")[0] not in RAGGED}
     bad, error = ~np.isin(rows["solver/status"], (Status.CONVERGED, Status.LOOSE)), rows["solver/error"]
@@ -198,7 +198,7 @@ def _merged(columns: Columns, every: int) -> Columns:
     for name, x in rows.items():
         rule = STEP[name].merged if name in STEP else "last" if name in STATES + LINKS else "sum"
         if rule == "sum":
-            out[name] = np.add.accumulate(x, axis=1)[:, -1]  # one after the other, as a run that is resumed has them
+            out[name] = np.add.accumulate(x, axis=1)[:, -1]  # one after the other, in the order of a resumed run
         else:
             last = worst if rule == "worst" else -1
             out[name] = x.max(axis=1) if rule == "most" else x[np.arange(len(x)), last]
@@ -206,5 +206,5 @@ def _merged(columns: Columns, every: int) -> Columns:
 
 
 def _stack(rows: tuple[Array, ...]) -> Array:
-    """Rows of one shape as an array; NumPy's own function takes five times as long for short ones."""
+    """Stack rows of one shape as an array; for short rows NumPy's own function takes five times as long."""
     return np.concatenate(rows, dtype=float).reshape(len(rows), *rows[0].shape)

@@ -1,7 +1,7 @@
-"""What a recording holds, so that a file of another kind, or a damaged one, is told where it is read.
+"""Checks of the contents of a recording, so that reading detects files of another kind and damaged files.
 
-Why not `jsonschema`: for the scene of a wall (106 shapes) it takes 167 ms against 26, its table is longer, it lets NaN
-pass as a number, and what refers to other parts (frames, corners, meshes) would be checked here all the same.
+`jsonschema` is not used: for the scene of a wall (106 shapes) it takes 167 ms instead of 26, its table is longer, and
+it accepts NaN as a number. References to other parts (frames, corners, meshes) would need the checks below anyway.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ MODEL = {
     "loops": ({"name": str, "kind": str, "joints": [int, int], "placements": [PLACEMENT, PLACEMENT]},),
     "driven": dict,
 }
-"""What `nsdyn.scene.tree_description.describe_tree` returns."""
+"""Pattern of the return value of `nsdyn.scene.tree_description.describe_tree`."""
 
-# A type, a list of so many values, (pattern,) for a list of any number, {name: pattern}, or {"?name": ...} where the
-# name may be missing.
+# A pattern is a type, a list of patterns for a list of as many values, (pattern,) for a list of any length,
+# {name: pattern}, or {"?name": pattern} if the name may be missing.
 SCENE: dict[str, Any] = {
     "name": str,
     "?gravity": TRIPLE,
@@ -107,7 +107,7 @@ SCENE: dict[str, Any] = {
         {"name": str, "nq": int, "nv": int, "?joints": (str,), "?sizes": ([int, int],), "?model": MODEL},
     ),
 }
-"""What `nsdyn.Scene.describe` returns."""
+"""Pattern of the return value of `nsdyn.Scene.describe`."""
 
 META = {
     "dt": float,
@@ -121,7 +121,10 @@ META = {
 
 
 def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
-    """The first rows of a dataset, or all, as numbers of a kind; the shape of a row is given, None for any length."""
+    """Return the first rows of a dataset, or all, as numbers of a kind; `shape` is that of a row, None for any length.
+
+    ValueError for another type or shape, or too few rows.
+    """
     item = dataset(file, name, rows)
     fits = item.ndim == 1 + len(shape) and item.dtype.kind in ("iuf" if kind[0] == "f" else "iu")
     if not fits or any(size not in (None, given) for size, given in zip(shape, item.shape[1:], strict=True)):
@@ -133,7 +136,7 @@ def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int |
 
 
 def check_meta(meta: Mapping[str, Any]) -> None:
-    """ValueError naming the attribute of /meta that is missing or does not fit."""
+    """Raise a ValueError naming an attribute of /meta that is missing or has another type."""
     for name, kind in META.items():
         value = meta.get(name)
         if not _fits(value, kind):
@@ -150,7 +153,7 @@ def _from_json(text: Any, name: str) -> Any:
 
 
 def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """The scene that a recording describes, which its columns fit; ValueError saying what does not."""
+    """Return the scene of a recording from its JSON text; ValueError if it is invalid or does not fit the columns."""
     out = _from_json(text, "/meta/scene")
     if where := _misfit(out, SCENE, "scene"):
         raise ValueError(f"/meta/scene has a wrong {where}")
@@ -191,7 +194,7 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def _check_meshes(found: Mapping[str, Any]) -> None:
-    """ValueError for visual meshes that are not there or have triangles without corners."""
+    """Raise a ValueError for missing visual meshes and triangles without corners."""
     meshes = found.get("meshes", ())
     looks = [v for v in found.get("visuals", ()) if v["shape"] == "mesh"]
     if any(not 0 <= v.get("mesh", -1) < len(meshes) for v in looks):
@@ -206,7 +209,7 @@ def _check_meshes(found: Mapping[str, Any]) -> None:
 
 
 def _check_rows(columns: Mapping[str, NDArray[Any]], shapes: int, free: int) -> None:
-    """ValueError for contacts of shapes or steps that are not there, and of free bodies that are not."""
+    """Raise a ValueError for rows of shapes, steps or free bodies that do not exist."""
     for group in RAGGED:
         offset = columns.get(f"{group}/offset", np.zeros(1))
         if offset[0] != 0 or (np.diff(offset) < 0).any():
@@ -228,7 +231,7 @@ def _fits(value: Any, kind: Any) -> bool:
 
 
 def _misfit(value: Any, pattern: Any, where: str) -> str:
-    """Where a value does not fit its pattern, empty if it does."""
+    """Return the place where a value does not fit its pattern, empty if it fits."""
     parts: Iterable[tuple[str, Any, Any]]
     if isinstance(pattern, dict):
         if not isinstance(value, dict):

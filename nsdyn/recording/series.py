@@ -1,4 +1,4 @@
-"""What a recording holds, as arrays over its steps: energies, certificates, solves, motions, and contacts of a step."""
+"""Contents of a recording as arrays over its steps: energies, certificates, solves, motions, contacts of a step."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Energy:
         Physics, work done on the system in each step: by applied forces and joint actuation, by the normal and the
         tangential impulses of contacts and joints, by viscous joint damping, by prescribed motion and closed loops.
     integration, projection : ndarray, shape (n,)
-        Numerics: by the time discretisation of smooth motion, by position projection and what takes back such gains.
+        Numerics: work of the time discretisation of smooth motion, and of the position projection.
     defect : ndarray, shape (n,)
-        What the ledger of each step fails to explain; round-off when all is well.
+        Remainder of the ledger of each step; round-off when all is well.
     created : ndarray, shape (n,)
-        What of `normal` and `friction` the contacts of a step with an impact created, by a paradox of its law; no
-        term of the balance. NaN in recordings that do not tell.
+        The part of `normal` and `friction` that a law of impact created in the step, against physics (Kane's paradox).
+        It is not a term of the balance. NaN in recordings that do not contain it.
     """
 
     kinetic: Array
@@ -54,7 +54,7 @@ class Energy:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The terms of the balance, states first."""
+        """Names of the terms of the balance: energies, then works."""
         return ENERGIES + WORKS
 
     @property
@@ -77,9 +77,10 @@ class Gauss:
     gap : ndarray
         Duality gap, J.
     shift : ndarray
-        Size of the perturbation of the step that was solved exactly, m/s.
+        Size of the perturbation of the step's problem that the solution solves exactly, m/s.
     bound : ndarray
-        At least the error of the velocity in the kinetic norm, √J; infinite where none is (`nsdyn.problem.gauss`).
+        Upper bound of the velocity error in the kinetic norm, √J; infinite where no bound exists
+        (`nsdyn.problem.gauss`).
     coulomb : ndarray
         Defect in Coulomb's law, √J (`nsdyn.problem.polished`); NaN unless the steps were certified with `polish`.
     """
@@ -96,7 +97,7 @@ class Gauss:
 
 @dataclass(frozen=True, eq=False)
 class SolverLog:
-    """What the solver reported in each step, shape (n,).
+    """Report of the solver in each step, shape (n,).
 
     Attributes
     ----------
@@ -117,7 +118,7 @@ class SolverLog:
 
     @property
     def status_names(self) -> list[str]:
-        """Names of the status of each step."""
+        """Name of the status of each step."""
         from nsdyn.problem.solution import Status
 
         return [Status(int(s)).name for s in self.status]
@@ -139,7 +140,7 @@ class BodyMotion:
     ----------
     name : str
     position : ndarray, shape (n + 1, 3)
-        m. Of the centre of mass of a free body, of the frame of a link or a joint.
+        Centre of mass of a free body, origin of the frame of a link or a joint, m.
     quaternion : ndarray, shape (n + 1, 4)
         xyzw, body to world.
     """
@@ -160,19 +161,19 @@ class BodyMotion:
     def linear_velocity(self) -> Array:
         """Velocity of `position`, shape (n + 1, 3), m/s.
 
-        That of a driven body is the slope of its recorded positions, to second order in the time between them; so are
-        links in recordings before format 7, which do not tell their joints.
+        For a driven body it is the slope of the recorded positions, of second order in the time between them. So it is
+        for links in recordings before format 7, which do not describe joints.
         """
         return self._velocities[0]
 
     @property
     def angular_velocity(self) -> Array:
-        """Angular velocity, shape (n + 1, 3), rad/s; found as `linear_velocity`."""
+        """Angular velocity, shape (n + 1, 3), rad/s; computed like `linear_velocity`."""
         return self._velocities[1]
 
 
 def rotate(quaternion: Array, vector: Array) -> Array:
-    """R(quaternion) vector, xyzw in the last axis."""
+    """Return the vector rotated by the quaternion, xyzw in the last axis."""
     axis, w = quaternion[..., :3], quaternion[..., 3:]
     turn = 2.0 * np.cross(axis, vector)
     out: Array = vector + w * turn + np.cross(axis, turn)
@@ -186,36 +187,37 @@ class ContactTable:
     Attributes
     ----------
     body1, body2 : tuple of str
-        Names of the bodies, "articulation/body" of a link.
+        Names of the bodies, "articulation/body" for a link.
     shape1, shape2 : tuple of str
-        Names of their shapes; a free body has one, of its own name.
+        Names of their shapes; a free body has one shape, with the name of the body.
     point, normal, tangent : ndarray, shape (nc, 3)
-        Normal from body 1 to body 2; t1, with t2 = n x t1.
+        Contact point, m; normal from body 1 to body 2; tangent t1, with t2 = n x t1.
     gap : ndarray, shape (nc,)
-        At the end of the step, m, positive apart.
+        Gap at the end of the step, m, positive apart.
     u : ndarray, shape (nc, 3)
         Velocity of body 2 relative to body 1 after the step, (N, T1, T2), m/s.
     impulse : ndarray, shape (nc, 3)
-        On body 2, its opposite on body 1, (N, T1, T2), N·s. Of redundant contacts of two bodies those of least norm
-        that obey the law of contact with the same force and torque: see `nsdyn.recording.shares`.
+        Impulse on body 2, (N, T1, T2), N·s; body 1 receives the opposite. For redundant contacts of two bodies, the
+        impulses of least norm with the same force and torque that obey the contact law: see `nsdyn.recording.shares`.
     impulse_raw : ndarray, shape (nc, 3)
-        The same as the solver found them, not unique when contacts are redundant.
+        Impulses as the solver returned them, not unique when contacts are redundant.
     unique : ndarray of bool, shape (nc,)
-        Whether the impulse of the contact is the only one that gives this motion, by rank
-        (`nsdyn.recording.uniqueness`). It is found when it is asked for.
+        Whether only one impulse of the contact gives this motion, by rank (`nsdyn.recording.uniqueness`). Computed on
+        first access.
     couple : ndarray, shape (nc, 3)
-        On body 2, world axes, its opposite on body 1, N·m·s, with which contacts that persist do no work; NaN in
-        recordings before format 8.
+        Couple on body 2, world axes, N·m·s, with which persistent contacts do no work; body 1 receives the opposite.
+        NaN in recordings before format 8.
     mu, restitution : ndarray, shape (nc,)
     key : ndarray of int64, shape (nc,)
-        The same for the same features of the same pair of shapes in the next step.
+        Key that identifies the same features of the same pair of shapes in the next step.
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip, faster than the solver's tolerance, 3 jam (`nsdyn.Step.contact_status`).
     time, duration : ndarray, shape (nc,)
-        When the impulse acted, s after the beginning of the step, NaN in recordings before format 6; and how long the
-        move was that it acted in, s, 0 of an impact in no time, NaN before format 10.
+        Time at which the impulse acted, s after the beginning of the step, NaN in recordings before format 6; and
+        duration of the move in which it acted, s, 0 for an impact in no time, NaN before format 10.
     work_normal, work_friction : ndarray, shape (nc,)
-        Of the solver's impulses, J; their sum over two bodies is that of any impulses with the same force and torque.
+        Works of the solver's impulses, J. The sum over the contacts of two bodies is the same for all impulses with the
+        same force and torque.
     """
 
     body1: tuple[str, ...]
@@ -241,7 +243,7 @@ class ContactTable:
 
     @cached_property
     def unique(self) -> NDArray[np.bool_]:
-        """Whether the impulse of the contact is the only one that gives this motion, shape (nc,)."""
+        """Whether only one impulse of the contact gives this motion, shape (nc,)."""
         return self._unique()
 
     @cached_property
@@ -261,7 +263,7 @@ class ContactTable:
 
     @property
     def status_names(self) -> list[str]:
-        """Words for the status of each contact: open, stick, slip or jam."""
+        """Name of the status of each contact: open, stick, slip or jam."""
         return [CONTACT_STATES[s] for s in self.status]
 
     def __len__(self) -> int:
@@ -274,7 +276,7 @@ class ContactTable:
         return self._table()._repr_html_()
 
     def _table(self) -> Table:
-        """What is shown of it."""
+        """Return the columns that are printed."""
         u, r = self.u, self.impulse
         columns = {
             "body1": np.array(self.body1, dtype=object),

@@ -1,22 +1,23 @@
-"""How redundant contacts share what two bodies do to each other: by the least norm, the one answer shown everywhere.
+"""Impulses of redundant contacts between two bodies: those of least norm, which tables and pictures show.
 
-Contacts of two rigid bodies that push at one instant make one force and one torque; where they are redundant, as the
-four corners of a box, many impulses make the same, and a solver returns any of them. Shown are those of
+Contacts of two rigid bodies that push at one instant make one force and one torque. If the contacts are redundant, like
+the four corners of a box, many impulses make the same force and torque, and a solver returns any of them. The impulses
+shown are those of
 
     min ½ Σ ‖r_c‖²   with   Σ H_cᵀ r_c = Σ H_cᵀ r̂_c,   r_c ∈ K_c,
 
-where r̂ are the solver's and H_cᵀ r_c is force and torque of contact c. K_c is the friction cone of a contact that
-sticks. Of one that slips it is the ray through r̂_c, so that friction goes on to oppose the slip with μ r_N. A contact
-that carried nothing carries nothing. So the law of contact holds as it does for r̂, and all that the bodies feel stays:
-motion, forces, torques, and the sum of the works of the pair, which are those of its force and torque on one relative
-motion. Redundancy beyond a pair of bodies, as of three blocks in a ring, is left as the solver has it.
+where r̂ are the solver's impulses and H_cᵀ r_c is force and torque of contact c. For a sticking contact, K_c is the
+friction cone. For a slipping contact it is the ray through r̂_c, so that friction still opposes the slip with μ r_N. A
+contact without an impulse keeps none. The law of contact therefore holds as it does for r̂. The motion, forces and
+torques do not change. Nor does the sum of the works of the pair, which is the work of its force and torque on one
+relative motion. Redundancy beyond a pair of bodies, as of three blocks in a ring, is left as the solver returned it.
 
 The minimum is the projection of 0 on the feasible set. Its dual has six unknowns y, a twist:
 
-    r_c = P_Kc(H_c y),   Σ H_cᵀ P_Kc(H_c y) = Σ H_cᵀ r̂_c,
+    r_c = P_Kc(H_c y),   Σ H_cᵀ P_Kc(H_c y) = Σ H_cᵀ r̂_c.
 
-solved by Newton's method with its generalised Jacobian and a line search on the dual function, many pairs at once.
-Where that does not converge the solver's impulses are shown.
+Newton's method with the generalised Jacobian and a line search on the dual function solves it, many pairs at once. If
+it does not converge, the solver's impulses are shown.
 """
 
 from __future__ import annotations
@@ -33,39 +34,38 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["COLUMNS", "distinct", "shared"]
 
 COLUMNS = ("point", "normal", "tangent", "mu", "status", "time", "impulse")
-"""Of contacts, that `shared` reads."""
+"""Columns of contacts that `shared` reads."""
 
 EXACT = 1e-12
-"""Force and torque are kept to this, over the sum of the sizes of the impulses: a hundred times round-off of a few
-dozen terms."""
+"""Tolerance of force and torque, as a fraction of the sum of the sizes of the impulses: a hundred times the round-off
+of a few dozen terms."""
 
 STEPS, HALVINGS = 40, 20
-"""Most steps of Newton's method, and most times that one is halved. Of 3000 random problems of 2 to 8 contacts none
-needed more; where the answer without cones lies in them all, there is no step."""
+"""Largest number of Newton steps, and of halvings of a step. None of 3000 random problems of 2 to 8 contacts needed
+more. If the solution without cones lies inside all cones, no step is made."""
 
 HAIR, DAMPING = 1e-14, 1e-4
-"""What is added to the diagonal of a Jacobian that may be singular, over its size: next to nothing, and more the
-farther from the solution, as K. Levenberg and D. W. Marquardt have it. Without the latter 22 of the 3000 did not
-converge."""
+"""Terms added to the diagonal of the Jacobian, which may be singular, as fractions of its size: HAIR always, and
+DAMPING times the residual (K. Levenberg; D. W. Marquardt). Without DAMPING 22 of the 3000 problems did not converge."""
 
 TOGETHER = 1 << 14
-"""Contacts that are looked at at once, about 10 MB."""
+"""Number of contacts treated at once, about 10 MB."""
 
 SLIP = 2
 """State of a contact that slips."""
 
 
 def shared(bodies: Index, step: Index, c: Mapping[str, NDArray[Any]]) -> Array:
-    """Impulses of least norm of contacts, shape (n, 3), (N, T1, T2), N·s.
+    """Return impulses of least norm of contacts, shape (n, 3), (N, T1, T2), N·s.
 
     Parameters
     ----------
     bodies : ndarray of int, shape (n, 2)
-        The two that touch; a body has one number.
+        Numbers of the two bodies of each contact.
     step : ndarray of int, shape (n,)
-        Contacts of one step, of two bodies and at one time within it share.
+        Step of each contact. Contacts of the same two bodies, step and time within the step form a group.
     c : mapping of str to ndarray
-        `COLUMNS` of the contacts, as `nsdyn.recording.file` has them.
+        `COLUMNS` of the contacts, as in a recording.
     """
     out: Array = c["impulse"].copy()
     push = np.flatnonzero(out[:, 0] > 0.0)
@@ -76,7 +76,7 @@ def shared(bodies: Index, step: Index, c: Mapping[str, NDArray[Any]]) -> Array:
     push, group = push[several], group[several]
     order = np.argsort(group, kind="stable")
     push, group = push[order], group[order]
-    ends = np.flatnonzero(np.diff(group, append=-1)) + 1  # of the groups
+    ends = np.flatnonzero(np.diff(group, append=-1)) + 1  # ends of the groups
     begin = 0
     while begin < push.size:
         last = min(int(np.searchsorted(ends, begin + TOGETHER)), ends.size - 1)
@@ -90,7 +90,7 @@ def shared(bodies: Index, step: Index, c: Mapping[str, NDArray[Any]]) -> Array:
 
 
 def distinct(rows: Index) -> tuple[Index, Index]:
-    """Distinct rows, ascending, and which of them each row is; much faster than `np.unique` of rows."""
+    """Return the distinct rows, ascending, and the number of each row among them; much faster than `np.unique`."""
     order = np.lexsort(rows.T[::-1])
     ordered = rows[order]
     new = np.concatenate([np.ones(min(1, len(rows)), bool), (np.diff(ordered, axis=0) != 0).any(axis=1)])
@@ -105,8 +105,8 @@ class _Pairs(NamedTuple):
     Attributes
     ----------
     H : ndarray, shape (n, 3, 6)
-        Relative velocities (N, T1, T2) by the twists of the pairs about the means of their points, whose turning is in
-        units of the extent of these.
+        Maps the twist of a pair to the relative velocity (N, T1, T2). The twist is about the mean of the pair's contact
+        points; lengths of its lever arms are in units of the extent of these points.
     mu : ndarray, shape (n,)
     ray : ndarray, shape (n, 3)
         Direction of the solver's impulse.
@@ -124,7 +124,7 @@ class _Pairs(NamedTuple):
 
     @classmethod
     def of(cls, c: Mapping[str, NDArray[Any]], sign: Array, member: Index) -> _Pairs:
-        """From the columns, 1 or -1 for which of its bodies each contact has second, and the pairs, ascending."""
+        """Make pairs from columns, the sign of each contact (1 or -1, by the order of its bodies), and sorted pairs."""
         start = np.flatnonzero(np.diff(member, prepend=-1))
         count = np.bincount(member)[:, None]
         arm = c["point"] - (np.add.reduceat(c["point"], start) / count)[member]
@@ -137,30 +137,30 @@ class _Pairs(NamedTuple):
         return cls(H, c["mu"], ray, c["status"] == SLIP, member, start)
 
     def some(self, pairs: Bools) -> _Pairs:
-        """Those of some pairs."""
+        """Return the contacts of some pairs."""
         rows = pairs[self.member]
         member = (np.cumsum(pairs) - 1)[self.member[rows]]
         start = np.flatnonzero(np.diff(member, prepend=-1))
         return _Pairs(self.H[rows], self.mu[rows], self.ray[rows], self.slips[rows], member, start)
 
     def total(self, values: Array) -> Array:
-        """Sums over each pair."""
+        """Return the sums over the contacts of each pair."""
         return np.add.reduceat(values, self.start)
 
     def wrench(self, r: Array) -> Array:
-        """Σ Hᵀ r of each pair, shape (pairs, 6)."""
+        """Return Σ Hᵀ r of each pair, shape (pairs, 6)."""
         return self.total(np.einsum("cij,ci->cj", self.H, r))
 
     def impulses(self, y: Array) -> tuple[Array, Array]:
-        """H y and its projections on the cones and rays, shape (n, 3)."""
+        """Return H y and its projections on the cones and rays, shape (n, 3)."""
         z = np.einsum("cij,cj->ci", self.H, y[self.member])
         along = np.maximum((z * self.ray).sum(axis=1, keepdims=True), 0.0) * self.ray
         return z, np.where(self.slips[:, None], along, cones.project(z, self.mu))
 
     def newton(self, z: Array, off: Array, damping: Array | float) -> Array:
-        """Change of y (pairs, 6) that makes up for what Σ Hᵀ P(z), z = H y, is off, to first order.
+        """Return the change of y (pairs, 6) that cancels the residual `off` of Σ Hᵀ P(z), z = H y, to first order.
 
-        The Jacobian may be singular: that much of its size, (pairs,), is added to its diagonal.
+        The Jacobian may be singular: `damping` (pairs,) times its size is added to its diagonal.
         """
         cone = cones.projection_jacobian(z, self.mu)
         along = ((z * self.ray).sum(axis=1) >= 0.0)[:, None, None] * self.ray[:, :, None] * self.ray[:, None, :]
@@ -172,7 +172,7 @@ class _Pairs(NamedTuple):
 
 
 def _least(pairs: _Pairs, r: Array) -> Array:
-    """Impulses of least norm with the wrenches of r (n, 3) of each pair, r itself where Newton's method fails."""
+    """Return impulses of least norm with the wrench of r (n, 3) for each pair; r itself if Newton's method fails."""
     out, row = r.copy(), np.arange(len(r))
     total = pairs.total(np.linalg.norm(r, axis=1))
     wanted, scale = pairs.wrench(r) / total[:, None], total[pairs.member]
@@ -193,7 +193,7 @@ def _least(pairs: _Pairs, r: Array) -> Array:
 
 
 def _descended(pairs: _Pairs, wanted: Array, y: Array, off: Array, step: Array) -> Array:
-    """Where a step leads, halved until it lowers ½ Σ ‖P(H y)‖² - wanted·y, whose gradient is `off`."""
+    """Return y after a step, which is halved until it lowers ½ Σ ‖P(H y)‖² - wanted·y, whose gradient is `off`."""
 
     def value(some: Bools, y: Array) -> Array:
         own = pairs.some(some)
@@ -203,7 +203,7 @@ def _descended(pairs: _Pairs, wanted: Array, y: Array, off: Array, step: Array) 
     part, short = np.ones((len(y), 1)), np.ones(len(y), np.bool_)
     begin, slope = value(short, y), (off * step).sum(axis=1)
     for _ in range(HALVINGS):
-        # The values are below 1: what is smaller than their round-off counts as lower.
+        # The values are below 1: an increase within their round-off counts as a decrease.
         least = begin[short] + 1e-4 * part[short, 0] * slope[short] + 1e-15
         short[short] = value(short, (y + part * step)[short]) > least
         if not short.any():

@@ -1,16 +1,16 @@
-"""Two slots of a recording that hold the last states of its run in turn, so that one is whole at every moment.
+"""Two slots of a recording that hold the last states of its run in turn, so that one of them is always complete.
 
 Layout, for k = 0 and 1::
 
-    /state/k/head       (5,)  row of `/t` that the state belongs to, CRC-32 of the others, their sizes
+    /state/k/head       (5,)  row of `/t` of the state, CRC-32 of the other three datasets, their sizes
     /state/k/layout     (.,)  JSON as bytes: {name: [kind, shape], ...}, in the order of
     /state/k/numbers    (.,)  all arrays of kind "f", one after the other
     /state/k/whole      (.,)  all arrays of kind "i"
 
-Why not one state that is overwritten: of 300 kills in the middle of writing 32 kB (320 kB) h5py in SWMR mode left 2 (8)
-whose state was half old; of the same kills two slots left none. They cost 2 ms more each half second.
+A single slot is not enough. Of 300 runs killed while h5py in SWMR mode wrote 32 kB (320 kB), 2 (8) left a state that
+was half old. With two slots none of the same kills did. The second slot costs 2 ms more per half second.
 
-Sizes only grow, for nothing may shrink beside readers; what is beyond those of the head is old.
+Datasets only grow, since none may shrink while a reader has the file open. Values beyond the sizes in the head are old.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ __all__ = ["create", "read", "write"]
 
 PARTS = {"layout": "u1", "numbers": "f8", "whole": "i8"}
 CHUNK = 8192
-"""Bytes: small files stay small."""
+"""Bytes of a chunk, so few that small files stay small."""
 
 
 def create(file: Any, row: int, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Make the slots in a new HDF5 file, with a state in the first."""
+    """Make the slots in a new HDF5 file, with a state in the first slot."""
     for k in "01":
         group = file.create_group(f"state/{k}")
         group["head"] = np.array([-1, 0, 0, 0, 0])
@@ -45,7 +45,7 @@ def create(file: Any, row: int, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def write(file: Any, row: int, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Put the state of a row in the place of the older one."""
+    """Overwrite the older of the two states with the state of a row."""
     group = min((file[f"state/{k}"] for k in "01"), key=lambda slot: int(slot["head"][0]))
     layout = {name: ["f" if a.dtype.kind == "f" else "i", a.shape] for name, a in arrays.items()}
     parts = {"layout": np.frombuffer(json.dumps(layout).encode(), np.uint8)}
@@ -56,12 +56,12 @@ def write(file: Any, row: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         if len(group[name]) < values.size:
             group[name].resize(values.size, axis=0)
         group[name][: values.size] = values
-    file.flush()  # a head never stands before what it tells of
+    file.flush()  # the head is written after the data that it describes
     group["head"][:] = [row, _checksum(parts), *(values.size for values in parts.values())]
 
 
 def read(file: Any, rows: int) -> tuple[int, dict[str, NDArray[Any]]] | None:
-    """(row, arrays) of the latest state that is whole and among the first rows; None if there is none."""
+    """Return (row, arrays) of the latest complete state among the first `rows` rows; None without such a state."""
     found = []
     for k in "01" if "state" in file else "":
         row, checksum, *sizes = schema.column(file, f"state/{k}/head", 5, "i8", ()).tolist()

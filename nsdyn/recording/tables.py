@@ -1,4 +1,4 @@
-"""Tables of a recording: its contacts, what two bodies do to each other, forces on a body."""
+"""Contacts of a recording: forces between two bodies, forces on a body, impulses of contacts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """What body a does to body b by contact in each of n recorded steps; SI units, world frame.
+    """Contact of body a on body b in each of n recorded steps; SI units, world frame.
 
     Attributes
     ----------
@@ -43,13 +43,14 @@ class Pair:
     t : ndarray, shape (n,)
         Ends of the steps, s.
     force, torque : ndarray, shape (n, 3)
-        Impulses of the step over dt, on b; the torque is about the world's origin.
+        Force and torque on b: impulses of the step divided by dt; the torque is about the world's origin.
     work : ndarray, shape (n,)
-        Of normal and tangential impulses, on both, J.
+        Work of normal and tangential impulses on both bodies, J.
     gap : ndarray, shape (n,)
-        Smallest at the end of the step, m; infinite without contact points.
+        Smallest gap at the end of the step, m; infinite without contact points.
     state : tuple of str
-        "apart" without contact points, "open" with points that carry nothing, else "stick", or "slip" where any slips.
+        "apart" without contact points, "open" if no point carries an impulse, else "stick", or "slip" if any point
+        slips.
     """
 
     a: str
@@ -67,7 +68,7 @@ class Pair:
 
 
 def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
-    """What body a does to body b; see `nsdyn.Trajectory.pair`."""
+    """Return forces, work, gap and state between bodies a and b; see `nsdyn.Trajectory.pair`."""
     row, step, sign = pair_rows(trajectory, a, b)
     step, n = step - 1, trajectory.steps
     c = {name: trajectory.columns[f"contacts/{name}"][row] for name in ("point", "gap", "status")}
@@ -85,7 +86,7 @@ def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
 
 
 def pair_rows(trajectory: Trajectory, a: str, b: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """(row, step from 1 on, 1 where body 2 is of b and -1 where it is of a) of the contacts of two bodies."""
+    """Return (row, step from 1 on, sign) of the contacts of a and b; the sign is 1 if body 2 is b, -1 if it is a."""
     on_a, on_b = (_members(trajectory, name) for name in (a, b))
     row, step = contact_rows(trajectory)
     first, second = (trajectory.columns[f"contacts/geom{side}"][row] for side in "12")
@@ -95,7 +96,7 @@ def pair_rows(trajectory: Trajectory, a: str, b: str) -> tuple[NDArray[np.int64]
 
 
 def force(trajectory: Trajectory, name: str) -> Array:
-    """Contact force on a body in each step; see `nsdyn.Trajectory.force`."""
+    """Return the contact force on a body in each step; see `nsdyn.Trajectory.force`."""
     members = _members(trajectory, name)
     row, step = contact_rows(trajectory)
     first, second = (members[trajectory.columns[f"contacts/geom{side}"][row]] for side in "12")
@@ -106,7 +107,7 @@ def force(trajectory: Trajectory, name: str) -> Array:
 
 
 def left_out(t: Trajectory) -> str:
-    """What contacts are not recorded, in words; empty where all are."""
+    """Say which contacts are not recorded; empty if all are."""
     if not t.has_contacts:
         return "contacts are not recorded"
     return "" if t.every == 1 else f"of every {t.every} steps one is recorded"
@@ -119,17 +120,17 @@ def need_contacts(trajectory: Trajectory) -> None:
 
 
 def contact_rows(trajectory: Trajectory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(row, step from 1 on) of all contacts."""
+    """Return (row, step from 1 on) of all contacts."""
     need_contacts(trajectory)
     counts = np.diff(trajectory.columns["contacts/offset"])
     return np.arange(int(counts.sum())), np.repeat(np.arange(1, trajectory.steps + 1), counts)
 
 
 def impulses(trajectory: Trajectory, row: Index) -> Array:
-    """Impulses of contacts as everything shows them, shape (., 3), (N, T1, T2), N·s, in some rows.
+    """Return the impulses of the contacts in some rows as tables and pictures show them, (., 3), (N, T1, T2), N·s.
 
-    Of two bodies that touch in a step all rows are needed. Of redundant contacts they are those of least norm, see
-    `nsdyn.recording.shares`; `/contacts/impulse` are the solver's.
+    `row` must have all contacts of two bodies in a step. Redundant contacts get the impulses of least norm, see
+    `nsdyn.recording.shares`; `/contacts/impulse` has those of the solver.
     """
     _, step = contact_rows(trajectory)
     c = {name: trajectory.columns[f"contacts/{name}"][row] for name in shares.COLUMNS}
@@ -139,24 +140,24 @@ def impulses(trajectory: Trajectory, row: Index) -> Array:
 
 
 def contact_frames(columns: Mapping[str, NDArray[Any]]) -> Array:
-    """Axes (n, t1, t2) of all contacts, shape (., 3, 3)."""
+    """Return the axes (n, t1, t2) of all contacts, shape (., 3, 3)."""
     normal, tangent = columns["contacts/normal"], columns["contacts/tangent"]
     return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
 
 
 def impulses_world(columns: Mapping[str, NDArray[Any]]) -> Array:
-    """The solver's impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
+    """Return the solver's impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
     out: Array = np.einsum("ci,cij->cj", columns["contacts/impulse"], contact_frames(columns))
     return out
 
 
 def body_names(trajectory: Trajectory) -> NDArray[Any]:
-    """Name of the body or link of every shape."""
+    """Return the name of the body or link of every shape."""
     return np.array([geom.get("link", geom["name"]) for geom in trajectory.scene["geoms"]])
 
 
 def _members(trajectory: Trajectory, name: str) -> NDArray[np.bool_]:
-    """Which shapes belong to a body, a link or a whole articulation, by shape."""
+    """Return for every shape whether it belongs to the named body, link or whole articulation."""
     geoms = trajectory.scene["geoms"]
     labels = [(geom["body"], geom.get("link", geom["name"])) for geom in geoms]
     choice(name, dict.fromkeys(label for both in labels for label in both), "body")

@@ -1,4 +1,4 @@
-"""Tables of a whole recording: motion of its bodies, joints, pairs that touch, contacts, energies."""
+"""Tables of a whole recording: bodies, joints, pairs of touching bodies, contacts, energies."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ FORCES = "force_x", "force_y", "force_z"
 
 
 def tabulated(trajectory: Trajectory, kind: str, pattern: str, step: int | None = None) -> Table:
-    """A table of a recording, or its rows of one step; see `nsdyn.Trajectory.table`."""
-    if choice(kind, KINDS, "kind of table") == "joints":  # whose reactions take time
+    """Return a table of a recording, or its rows of one step; see `nsdyn.Trajectory.table`."""
+    if choice(kind, KINDS, "kind of table") == "joints":  # only the rows of `step`, since reactions take time
         columns, units = joint_tables.joint_columns(trajectory, pattern, step)
     else:
         columns, units = _MADE_BY[kind](trajectory, pattern)
@@ -34,7 +34,7 @@ def tabulated(trajectory: Trajectory, kind: str, pattern: str, step: int | None 
 
 
 def _vectors(**values: Array) -> Columns:
-    """Columns name_x, name_y, name_z of vectors in the last axis."""
+    """Return columns name_x, name_y, name_z of vectors in the last axis."""
     return {f"{name}_{axis}": rows[..., k].ravel() for name, rows in values.items() for k, axis in enumerate("xyz")}
 
 
@@ -68,7 +68,7 @@ def _bodies(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, st
 
 
 def _inertial(trajectory: Trajectory, names: list[str]) -> dict[str, Array]:
-    """Masses and kinetic energies of bodies in all states, NaN where not known."""
+    """Return masses and kinetic energies of bodies in all states, NaN where not known."""
     masses, frames = body_motion.carried(trajectory.scene), body_motion.first_carried(trajectory.scene)
     energies = body_motion.energies(trajectory, np.arange(trajectory.t.size), trajectory.twists)
     mass, kinetic = np.full((2, trajectory.t.size, len(names)), np.nan)
@@ -79,7 +79,7 @@ def _inertial(trajectory: Trajectory, names: list[str]) -> dict[str, Array]:
 
 
 def _forces(trajectory: Trajectory, names: list[str]) -> Array:
-    """Contact forces on bodies, (n, bodies, 3), N."""
+    """Return the contact forces on bodies, (n, bodies, 3), N."""
     row, step = contact_rows(trajectory)
     place = {name: k for k, name in enumerate(names)}
     of_shape = np.array([place.get(name, len(names)) for name in body_names(trajectory)], dtype=np.int64)
@@ -120,9 +120,10 @@ def _pairs(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, str
 
 
 def _touching(trajectory: Trajectory, pattern: str) -> tuple[Index, Index, Index, Array, list[tuple[str, str]]]:
-    """(rows, steps, pairs of contacts, 1 where body 2 is the pair's second and else -1, (., 1), names of the pairs).
+    """Return (rows, steps, pair numbers, signs (., 1) of contacts, names of pairs) of the pairs that match a pattern.
 
-    Of pairs that match by their name or that of a body; the bodies of a pair, and pairs, are in the order of the scene.
+    The pattern matches the name of the pair or of one of its bodies. The sign is 1 if body 2 is the pair's second, else
+    -1. Pairs, and the bodies of a pair, are in the order of the scene.
     """
     row, step = contact_rows(trajectory)
     of_shape = body_names(trajectory).tolist()
@@ -134,7 +135,7 @@ def _touching(trajectory: Trajectory, pattern: str) -> tuple[Index, Index, Index
     wanted = [
         k for k, (a, b) in enumerate(found) if any(matches(name, pattern) for name in (names[a], names[b], labels[k]))
     ]
-    if not wanted and pattern != "*":  # which may find that nothing touches
+    if not wanted and pattern != "*":  # "*" is valid even if no bodies touch
         raise ValueError(unknown(pattern, [*labels.values(), *names], "pairs that touch, or bodies,"))
     keep = np.isin(pair, wanted)
     sign = np.where(sides[:, 0] <= sides[:, 1], 1.0, -1.0)[:, None]
@@ -169,7 +170,7 @@ def _energy(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, st
     energy, t = trajectory.energy, trajectory.t
     names = matching(list(energy.names), pattern, "energies")
     out: Columns = {"step": np.arange(t.size), "t": t}
-    for name in names:  # a work is of the step that ends at t; none ends at the first time
+    for name in names:  # a work belongs to the step that ends at t; no step ends at the first time
         values = getattr(energy, name)
         out[name] = values if values.size == t.size else np.concatenate([[0.0], values])
     return out, dict.fromkeys(names, "J")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Trajectory"]
 
 ROUND_OFF = 1e-16
-"""Of the largest energy: less than what is added to it and lost."""
+"""Fraction of the largest energy: a smaller number is lost when it is added to the largest, and is printed as 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +41,11 @@ class Trajectory:
     Attributes
     ----------
     meta : dict
-        dt, theta, solver, scene_name, parameters (JSON) and command where known, format and versions.
+        dt, theta, solver, scene_name, format and versions; parameters (JSON) and command where they are known.
     scene : dict
-        What `Scene.describe` returned: enough to draw it.
+        Return value of `Scene.describe`: enough to draw the scene.
     columns : dict of str to ndarray
-        The datasets by their name in the file, see `nsdyn.recording.file`.
+        The datasets by their names in the file, see `nsdyn.recording.columns`.
 
     Examples
     --------
@@ -68,17 +68,17 @@ class Trajectory:
 
     @property
     def t_steps(self) -> Array:
-        """Ends of the steps, shape (n,), s: the times of what belongs to steps, as works, forces and residuals."""
+        """Times at the ends of the steps, shape (n,), s: those of works, forces, residuals and all values per step."""
         return self.t[1:]
 
     @property
     def q(self) -> Array:
-        """Configurations, shape (n + 1, nq), Pinocchio's convention; row 0 is the initial one."""
+        """Configurations, shape (n + 1, nq), in Pinocchio's convention; row 0 is the initial configuration."""
         return self.columns["q"]
 
     @property
     def v(self) -> Array:
-        """Velocities, shape (n + 1, nv), Pinocchio's convention (body frame for a free body)."""
+        """Velocities, shape (n + 1, nv), in Pinocchio's convention (body frame for a free body)."""
         return self.columns["v"]
 
     @property
@@ -93,7 +93,7 @@ class Trajectory:
 
     @property
     def every(self) -> int:
-        """How many steps of dt a recorded one stands for: works are of all, contacts of the last of them."""
+        """Number of steps of dt in one recorded step: its works are sums over all of them, its contacts of the last."""
         return int(self.meta.get("every", 1))
 
     @property
@@ -108,54 +108,55 @@ class Trajectory:
 
     @property
     def gauss(self) -> Gauss:
-        """Certificates."""
+        """Certificates of the steps by Gauss's principle."""
         return Gauss(**{name: self.columns[f"gauss/{name}"] for name in GAUSS})
 
     @property
     def solver(self) -> SolverLog:
-        """Reports of the solver."""
+        """Reports of the solver, step by step."""
         return SolverLog(**{name: self.columns[f"solver/{name}"] for name in SOLVER})
 
     @property
     def wall_time(self) -> Array:
-        """Wall time of each step without its recording, shape (n,), s; NaN where a recording does not tell."""
+        """Wall time of each step without its recording, shape (n,), s; NaN in recordings that do not contain it."""
         return self.columns["wall_time"]
 
     def table(self, kind: str, pattern: str = "*") -> Table:
-        """Motion and forces as a table: for printing, `to_pandas`, `to_csv`, `to_parquet`. SI units, world axes.
+        """Return motion and forces as a table, to print or for `to_pandas`, `to_csv`, `to_parquet`. SI, world axes.
 
         Parameters
         ----------
         kind : {"bodies", "joints", "pairs", "contacts", "energy"}
-            What makes a row, by its columns besides step and t, the time at which the step ends; forces are the mean
-            of that step, NaN where none ends or contacts are not recorded.
+            Kind of the table. Every row has the columns step and t, the time at which the step ends. Forces are means
+            over that step; they are NaN in the initial state and where contacts are not recorded.
 
-            bodies : a moving body or link in a state. x, y, z, quaternion qx to qw, v, omega, speed as of `body`; mass
-                and kinetic energy, of all that a joint carries in the row of its first link; contact force on it.
-            joints : a coordinate of a joint (x, y, z, rx, ... of a free one; empty of an only one), or a loop, in a
-                state. unit of the position, position (angle), velocity, torque, limit (force of it), friction,
-                external, shift and the reaction on the child about the joint's origin, of a loop on the link of its
-                first frame, as of `joint` and `loop`.
-            pairs : two bodies that ever touch, in a step. state and gap as of `pair`, NaN where apart; slip, the
-                largest after the step of a contact that pushes; normal_force, the sum over the contacts;
-                friction_force, the size of their net friction; force on body 2; work on both.
-            contacts : a contact in a step. state, gap, point, normal, impulse on body 2, velocity of body 2 relative to
-                body 1 (and u, by normal and tangent), impulse_raw, mu, restitution, works; as of
+            bodies : a row per moving body or link and state. x, y, z, quaternion qx to qw, v, omega, speed as in
+                `body`; mass and kinetic energy (of all links that a joint carries, in the row of the first of them);
+                contact force on the body.
+            joints : a row per joint coordinate or loop and state. coordinate is x, y, z, rx, ... of a free joint, and
+                empty for the only coordinate of a joint; unit of the position; position (angle), velocity, torque,
+                limit (force of the limits), friction, external, shift; and the reaction on the child about the
+                joint's origin, for a loop on the link of its first frame. As in `joint` and `loop`.
+            pairs : a row per step and two bodies that touch at any time. state and gap as in `pair`, NaN while apart;
+                slip, the largest slip after the step of a contact that pushes; normal_force, the sum over the
+                contacts; friction_force, the size of their net friction; force on body 2; work on both bodies.
+            contacts : a row per contact and step. state, gap, point, normal, impulse on body 2, velocity of body 2
+                relative to body 1 (and u, by normal and tangent), impulse_raw, mu, restitution, works. As in
                 `nsdyn.recording.series.ContactTable`.
-            energy : a state. Energies, and works of the step, as of `energy`.
+            energy : a row per state. Energies, and works of the step, as in `energy`.
         pattern : str
-            Which bodies, joints, pairs or energies by their names, where * stands for anything: "robot/*knee*". A pair
-            has the name "a | b" and goes by those of its bodies too.
+            Names of the bodies, joints, pairs or energies, where * matches any text: "robot/*knee*". A pair has the
+            name "a | b"; the name of either body matches too.
 
         Raises
         ------
         ValueError
-            If nothing of that name is there, naming what is.
+            If no name matches, naming the known ones.
         """
         return tabulated(self, kind, pattern)
 
     def body(self, name: str) -> BodyMotion:
-        """Motion of a body, or of a link or a joint ("arm/link2"); ValueError naming the known ones.
+        """Return the motion of a body, or of a link or a joint ("arm/link2"); ValueError naming the known ones.
 
         Links whose joint carries no shape are not recorded.
         """
@@ -163,13 +164,13 @@ class Trajectory:
 
     @cached_property
     def twists(self) -> dict[int, Array]:
-        """Of moving frames of links, (n + 1, 6): linear velocity at the world's origin, then angular velocity."""
+        """Twists of the moving frames of links, (n + 1, 6): linear velocity at the world's origin, angular velocity."""
         return body_motion.twists(self, np.arange(self.t.size))
 
     def contacts(self, k: int) -> ContactTable:
-        """Contacts of step k, the one that ends at t[k]; k from 1 to n or from -1 back, else IndexError.
+        """Return the contacts of step k, which ends at t[k]; k from 1 to n or from -1 back, else IndexError.
 
-        ValueError if k is no whole number or the recording has no contacts.
+        ValueError if k is not a whole number or the recording has no contacts.
         """
         tables.need_contacts(self)
         if not is_number(k, np.integer):
@@ -189,65 +190,65 @@ class Trajectory:
         return ContactTable(body1, body2, shape1, shape2, **part, _unique=partial(self._unique, step))
 
     def _unique(self, step: int) -> NDArray[np.bool_]:
-        """Whether the impulses of the contacts of a step are the only ones, shape (nc,)."""
-        from nsdyn.recording.uniqueness import unique  # loads Pinocchio, which few need
+        """Return whether the impulse of each contact of a step is unique, shape (nc,)."""
+        from nsdyn.recording.uniqueness import unique  # loads Pinocchio, which is seldom needed
 
         return unique(self, step)
 
     def pair(self, a: str, b: str) -> tables.Pair:
-        """What body `a` does to body `b` in each step: net force, torque, work, smallest gap, state.
+        """Return the contact of body `a` on body `b` in each step: net force, torque, work, smallest gap, state.
 
-        Both are bodies, "articulation/body" or whole articulations; ValueError naming the known ones.
+        a and b are bodies, "articulation/body" or whole articulations; ValueError naming the known ones.
         """
         return tables.pair(self, a, b)
 
     def pair_works(self) -> dict[tuple[str, str], tuple[Array, Array]]:
-        """Works of the contacts of each pair of bodies in each step, (normal, friction) of shape (n,), J.
+        """Return the works of the contacts of each pair of bodies in each step, (normal, friction) of shape (n,), J.
 
-        The pair with the largest work comes first. ValueError where not every step was recorded with its contacts.
+        The pair with the largest work comes first. ValueError unless every step was recorded with its contacts.
         """
         return breakdown.pair_works(self)
 
     def body_energies(self) -> dict[str, tuple[Array, Array]]:
-        """Energies (kinetic, potential) of each free body, and of all articulations together, shape (n + 1,), J."""
+        """Return energies (kinetic, potential) of each free body, and of all articulations in sum, (n + 1,), J."""
         return breakdown.body_energies(self)
 
     def force(self, name: str) -> Array:
-        """Net contact force on a body, "articulation/body" or articulation in each step, shape (n, 3), N, world axes.
+        """Return the net contact force on a body, "articulation/body" or articulation per step, (n, 3), N, world axes.
 
-        Between the links of one articulation it cancels. ValueError naming the known ones.
+        Forces between the links of one articulation cancel. ValueError naming the known ones.
         """
         return tables.force(self, name)
 
     def joint(self, name: str) -> joint_tables.JointMotion:
-        """Motion of a joint, "articulation/joint", and what acts in it; ValueError naming the known ones."""
+        """Return motion and forces of a joint, "articulation/joint"; ValueError naming the known ones."""
         return joint_tables.joint(self, name)
 
     def loop(self, name: str) -> joint_tables.LoopReaction:
-        """Reaction in a closed loop, "articulation/loop"; ValueError naming the known ones."""
+        """Return the reaction in a closed loop, "articulation/loop"; ValueError naming the known ones."""
         return joint_tables.loop(self, name)
 
     @cached_property
     def reactions(self) -> dict[str, Array]:
-        """Of all joints and loops, (n, 6): mean forces N, then torques N m; see `nsdyn.recording.reactions`."""
-        from nsdyn.recording.reactions import reactions  # Pinocchio, which to read a recording does not need
+        """Reactions of all joints and loops, (n, 6): mean forces N, then torques N m; `nsdyn.recording.reactions`."""
+        from nsdyn.recording.reactions import reactions  # loads Pinocchio, not needed to read a recording
 
         return reactions(self, np.arange(self.steps))
 
     def save(self, path: str | Path) -> None:
-        """Write an HDF5 file, which replaces one of that name once complete; ValueError naming the path."""
+        """Write an HDF5 file; once complete, it replaces an existing file. ValueError naming the path."""
         with files.writing(path, files.RECORDING) as part:
             recording.create(part, self.meta, self.scene, self.columns, grow=False)
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
-        """Read a recording, also one whose simulation is running or was killed.
+        """Read a recording, also while its simulation is running or after the simulation was killed.
 
         Raises
         ------
         FileNotFoundError
         ValueError
-            If the file is no recording, naming the file and what is missing.
+            If the file is not a recording, naming the file and the missing part.
         """
         return cls(*recording.read(files.as_path(path)))
 
@@ -258,9 +259,10 @@ class Trajectory:
         write_html(self, path, **options)
 
     def ledger(self, rows: int = 10) -> dict[str, Array]:
-        """Energies and works done so far, J, at about `rows` times "t" from the first to the last: physics, numerics.
+        """Return energies and cumulative works, physics and numerics, J, at about `rows` times "t" of the recording.
 
-        Works that never exceed a billionth of the largest energy are left out, the defect is not.
+        The times include the first and the last. Works that never exceed a billionth of the largest energy are left
+        out; the defect is always included.
         """
         if not (is_number(rows, np.integer) and rows >= 1):
             raise ValueError(f"rows must be a whole number, at least 1, got {rows!r}")
@@ -269,7 +271,7 @@ class Trajectory:
         return out | {name: self._cumulative(name)[k] for name in [*self._active_works(), "defect"]}
 
     def energy_table(self, rows: int = 10) -> str:
-        """Text table of `ledger`, and the worst figures of all steps; of what is `at_rest` these alone."""
+        """Return a text table of `ledger` and the worst figures of all steps; only the latter for a scene `at_rest`."""
         worst = self.worst()
         figures = f"max |defect| {worst['defect']:.1e} J, max Gauss bound {worst['gauss_bound']:.1e} √J, "
         figures += f"max residual {worst['residual']:.1e} m/s"
@@ -289,23 +291,23 @@ class Trajectory:
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing moves: no more than a billionth of the largest energy is at play."""
+        """Whether nothing moves: at most a billionth of the largest energy is at play."""
         return self.at_play <= breakdown.NEGLIGIBLE * self.largest_energy
 
     @property
     def at_play(self) -> float:
-        """Energy at play, J: the most of kinetic energy, range of potential energy and physical works so far."""
+        """Energy at play, J: the largest of max T, max V - min V and the maxima of |cumulative physical works|."""
         e = self.energy
         works = (float(np.abs(self._cumulative(name)).max()) for name in PHYSICS)
         return max(float(e.kinetic.max()), float(np.ptp(e.potential)), *works)
 
     @property
     def largest_energy(self) -> float:
-        """Of the energy at play and the potential energy, which a body at rest has too, J."""
+        """The larger of the energy at play and the largest |potential energy|, which a body at rest has too, J."""
         return max(self.at_play, float(np.abs(self.energy.potential).max()))
 
     def shares(self) -> dict[str, tuple[float, float]]:
-        """Works of physics, numerics (integration, defect) and projection, J: (in all, largest absolute sum so far)."""
+        """Return works of physics, numerics (integration, defect), projection, J: (total, largest |cumulative sum|)."""
         groups = {"physics": PHYSICS, "numerics": ("integration", "defect"), "projection": ("projection",)}
         out = {}
         for group, names in groups.items():
@@ -314,9 +316,10 @@ class Trajectory:
         return out
 
     def worst(self) -> dict[str, float]:
-        """Largest |defect| [J], Gauss bound [√J] and shift [m/s], residual [m/s] and penetration [m].
+        """Return the largest |defect| [J], Gauss bound [√J] and shift [m/s], residual [m/s] and penetration [m].
 
-        The penetration is that of the recorded gaps, NaN without any; `nsdyn.check` finds the true overlaps.
+        The penetration follows from the recorded gaps, NaN without recorded contacts; `nsdyn.check` computes the true
+        overlaps of the shapes.
         """
         return {
             "defect": _largest(np.abs(self.energy.defect)),
@@ -327,13 +330,13 @@ class Trajectory:
         }
 
     def _active_works(self) -> list[str]:
-        """Works of more than round-off, without the defect."""
+        """Return the names of the works, without the defect, that exceed round-off."""
         works = {name: np.abs(self._cumulative(name)).max() for name in WORKS if name != "defect"}
         least = breakdown.NEGLIGIBLE * max(self.largest_energy, 1e-300, *works.values())
         return [name for name, work in works.items() if work > least]
 
     def _cumulative(self, work: str) -> Array:
-        """Work from 0 to t, shape (n + 1,)."""
+        """Return the cumulative work from time 0 to t, shape (n + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.columns[f"energy/{work}"])])
 
     def __repr__(self) -> str:
@@ -343,7 +346,7 @@ class Trajectory:
         )
 
     def _repr_html_(self) -> str:
-        """Table of what matters and, in a frame, the page of `to_html`."""
+        """Return a table of the main figures and, in a frame, the page of `to_html`."""
         from nsdyn.view.embedding import iframe
 
         total, worst, shares = self.energy.total, self.worst(), self.shares()
@@ -365,5 +368,5 @@ class Trajectory:
 
 
 def _largest(values: ArrayLike) -> float:
-    """Maximum of non-negative numbers, 0 if there are none; NaN if one is."""
+    """Return the maximum of non-negative numbers, 0 without numbers; NaN if one of them is."""
     return float(np.max(values, initial=0.0))

@@ -1,13 +1,13 @@
-"""Which contacts of a step have one impulse only, by rank.
+"""Test, by rank, of which contacts of a step have a unique impulse.
 
-What contacts may add to their impulses without a change of H r, what they do to the coordinates of the bodies, and of
-the law of contact, they may have had as well: all three components where one sticks, its ray where it slips, the normal
-one without friction, nothing where it is open. The impulse of a contact is unique where every vector of the null space
-of these columns of H leaves it as it is. That it is not is said by rank alone: the edges of the cones may still leave
-one.
+The impulses r of a step may be changed without any change of the motion if H r, their effect on the coordinates of the
+bodies, and the law of contact stay the same. A sticking contact may change all three components, a slipping contact
+only along its ray, a contact without friction only the normal component, an open contact none. The impulse of a contact
+is unique if every vector in the null space of the corresponding columns of H leaves the impulse unchanged. The test
+uses the rank alone: an impulse that it calls not unique may still be unique because of the edges of the cones.
 
-Coordinates are those of free bodies and of articulations, at the end of the step, without what loops, gears and
-drives take up.
+Coordinates are those of free bodies and of articulations, at the end of the step, without the directions that loops,
+gears and drives constrain.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ if TYPE_CHECKING:
 __all__ = ["unique"]
 
 CLOSED = 1e-6
-"""m/s: parting speed, with that which the gap adds, up to which a contact that carries nothing is closed; the solver's
-tolerance is below."""
+"""Largest separating velocity plus gap / dt, m/s, at which a contact without an impulse counts as closed; the solver's
+tolerance is smaller."""
 
 NULL = 1e-8
-"""Singular values below this fraction of the largest are none, and so are such parts of null vectors: columns have norm
-one, and round-off of points and normals is 1e-16 of their size."""
+"""Fraction of the largest singular value below which a singular value is 0; components of null vectors below it are 0
+too. Columns have norm one, and round-off of points and normals is 1e-16 of their size."""
 
 OPEN, SLIP = 0, 2
 
 
 def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
-    """Whether the impulse of each contact of a step, from 1 on, is the only one, shape (nc,).
+    """Return whether the impulse of each contact of a step, from 1 on, is unique, shape (nc,).
 
     Raises
     ------
     ValueError
-        If articulations are not recorded well enough to tell.
+        If the recording describes its articulations too incompletely for the test.
     """
     first, last = trajectory.columns["contacts/offset"][step - 1 : step + 1]
     c = {name[9:]: x[first:last] for name, x in trajectory.columns.items() if name.startswith("contacts/")}
@@ -63,7 +63,7 @@ def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
 
 
 def _freedoms(c: Mapping[str, NDArray[Any]], dt: float) -> tuple[Index, Array]:
-    """Contact, and direction in world axes, of all that contacts may add to their impulses, shapes (m,), (m, 3)."""
+    """Return contact and direction in world axes of all possible changes of impulses, shapes (m,), (m, 3)."""
     r, u, mu, status = c["impulse"], c["u"], c["mu"], c["status"]
     axes = np.stack([c["normal"], c["tangent"], np.cross(c["normal"], c["tangent"])], axis=1)
     rests = (status == OPEN) & (u[:, 0] + c["gap"] / dt <= CLOSED)
@@ -78,7 +78,7 @@ def _freedoms(c: Mapping[str, NDArray[Any]], dt: float) -> tuple[Index, Array]:
 
 
 def _columns(trajectory: Trajectory, step: int, c: Mapping[str, NDArray[Any]], own: Index, direction: Array) -> Any:
-    """What impulses along directions at contacts do to the coordinates at the end of the step, sparse (n, m)."""
+    """Return the generalised impulses of impulses along directions at contacts, end of the step, sparse (n, m)."""
     scene, free = trajectory.scene, trajectory.scene["free"]
     frame, place = np.array([geom["frame"] for geom in scene["geoms"]], dtype=np.int64), trajectory.q[step]
     built = articulations(trajectory) if scene["articulations"] else None
@@ -110,14 +110,14 @@ def _columns(trajectory: Trajectory, step: int, c: Mapping[str, NDArray[Any]], o
 
 
 def _left_free(m: Mechanism, q: Array) -> Array:
-    """Projection (nv, nv) on what loops, gears and drives leave free at q, where the mechanism is placed."""
+    """Return the projection (nv, nv) on the directions that loops, gears and drives leave free at q; place `m` at q."""
     _, B = m.constraints(q)
     out: Array = np.eye(m.nv) - np.linalg.pinv(B, rcond=NULL) @ B
     return out
 
 
 def _islands(H: Any, own: Index) -> Iterator[Index]:
-    """Columns that share coordinates or a contact, group by group."""
+    """Yield groups of columns that share coordinates or a contact."""
     pattern = abs(H)
     same = coo_array((np.ones(own.size), (own, np.arange(own.size)))).tocsc()
     count, label = connected_components(pattern.T @ pattern + same.T @ same, directed=False)

@@ -1,1 +1,1 @@
-"""Studies: sweeps over parameters, speed against error, profiles of solvers, and the peers."""
+"""Studies: sweeps over parameters, refinement in time, comparison of recordings."""

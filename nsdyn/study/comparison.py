@@ -1,4 +1,4 @@
-"""Where two recordings part: of one scene, at the times that both have."""
+"""Comparison of two recordings of one scene at their common times."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from nsdyn.view.titles import differing
 __all__ = ["Comparison", "Differences", "compare", "differences"]
 
 LEVELS = tuple(10.0**k for k in range(-15, 3))
-"""Differences at whose first excess two runs are said to part, m or rad."""
+"""Levels of difference, m or rad; a comparison reports when two runs first exceed each."""
 
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Differences of two recordings at the m times that both have.
+    """Differences of two recordings at their m common times.
 
     Attributes
     ----------
     t : ndarray, shape (m,)
-        s.
+        Common times, s.
     rows : two ndarrays of int, shape (m,)
-        Those of the states at these times.
+        Rows of the states at these times in each recording.
     names : tuple of str
-        Moving bodies and links that both have.
+        Moving bodies and links in both recordings.
     by_body, by_turn : ndarray, shape (m, names)
         Distances of positions [m] and angles between orientations [rad].
     position, rotation, velocity, energy : ndarray, shape (m,)
-        The largest of them [m, rad], of the entries of v in Pinocchio's layout [m/s, rad/s], and that of kinetic +
-        potential energy [J].
+        The largest distance and angle of all names [m, rad], the largest difference of the entries of v in Pinocchio's
+        layout [m/s, rad/s], and the difference of kinetic + potential energy [J].
     """
 
     t: Array
@@ -48,12 +48,13 @@ class Differences:
 
 
 def differences(a: Trajectory, b: Trajectory) -> Differences:
-    """Differences of two recordings of one scene at the times that both have.
+    """Return the differences of two recordings of one scene at their common times.
 
     Raises
     ------
     ValueError
-        If one is no Trajectory, or they share no moving body, have different coordinates, or no time but the first.
+        If an argument is not a Trajectory, or the recordings share no moving body, have different numbers of
+        coordinates, or share no time but the first.
     """
     for run in (a, b):
         if not isinstance(run, Trajectory):
@@ -74,7 +75,7 @@ def differences(a: Trajectory, b: Trajectory) -> Differences:
         one, other = a.body(name), b.body(name)
         by_body[:, k] = np.linalg.norm(one.position[rows[0]] - other.position[rows[1]], axis=1)
         p, q = one.quaternion[rows[0]], other.quaternion[rows[1]]
-        # The chord of the nearer of ±q: exact where the angle is small, where its cosine would be 1.
+        # The chord to the nearer of ±q is accurate for small angles, whose cosine would be 1.
         chord = np.minimum(np.linalg.norm(p - q, axis=1), np.linalg.norm(p + q, axis=1))
         by_turn[:, k] = 4.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
     velocity = np.abs(a.v[rows[0]] - b.v[rows[1]]).max(axis=1, initial=0.0)
@@ -85,22 +86,22 @@ def differences(a: Trajectory, b: Trajectory) -> Differences:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What `compare` found.
+    """Result of `compare`.
 
     Attributes
     ----------
     options : dict of str to (value, value)
-        Parameters of the scenes and options of the runs, where they differ.
+        Parameters of the scenes and options of the runs that differ.
     times : int
-        That both have.
+        Number of common times.
     identical : int
-        How many of these, from the first on, have states that are equal to the last bit.
+        Number of common times, from the first on, at which the states are equal to the last bit.
     parted : tuple of (float, float, str)
-        For powers of ten, the first time [s] at which a body is further than this from its other self [m or rad], and
-        its name.
+        Power of ten [m or rad], first time [s] at which the poses of a body in the two runs differ by more, and name of
+        the body. Of several levels first exceeded at one time only the largest is included.
     touching : tuple of (float, str, str), optional
-        First time [s] and pair of bodies that pushes in one run only; None if there is none, or contacts are not
-        recorded at the same times.
+        First time [s] at which a pair of bodies pushes in one run only, and the pair; None if no pair does, or contacts
+        are not recorded at the same times.
     largest : dict of str to float
         Largest difference of position [m], rotation [rad], velocity [m/s, rad/s], energy [J].
     """
@@ -113,7 +114,7 @@ class Comparison:
     largest: dict[str, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """As JSON values."""
+        """Return the fields as JSON values."""
         parted = [{"level": level, "t": t, "body": body} for level, t, body in self.parted]
         return {
             "options": self.options,
@@ -137,12 +138,13 @@ class Comparison:
 
 
 def compare(a: Trajectory, b: Trajectory) -> Comparison:
-    """Say where two recordings of one scene part.
+    """Compare two recordings of one scene: when they first differ, by how much, and the largest differences.
 
     Raises
     ------
     ValueError
-        As of `differences`.
+        If an argument is not a Trajectory, or the recordings share no moving body, have different numbers of
+        coordinates, or share no time but the first.
 
     Examples
     --------
@@ -163,14 +165,14 @@ def compare(a: Trajectory, b: Trajectory) -> Comparison:
         if (beyond := worst > level).any():
             k = int(np.argmax(beyond))
             if parted and parted[-1][1] == d.t[k]:
-                parted.pop()  # what is passed at once is told once, with the largest
+                parted.pop()  # of several levels exceeded at one time only the largest stays
             parted.append((level, float(d.t[k]), d.names[body[k]]))
     largest = {name: float(getattr(d, name).max()) for name in ("position", "rotation", "velocity", "energy")}
     return Comparison(differing(a, b), d.t.size, identical, tuple(parted), _touching(a, b, d), largest)
 
 
 def _touching(a: Trajectory, b: Trajectory, d: Differences) -> tuple[float, str, str] | None:
-    """First time and pair that pushes in one recording only, where both have contacts at the same times."""
+    """Return first time and pair that pushes in one recording only; None unless both have contacts at equal times."""
     if not (a.has_contacts and b.has_contacts and np.array_equal(d.rows[0], d.rows[1]) and a.every == b.every):
         return None
     for k, t in zip(d.rows[0][1:], d.t[1:], strict=True):

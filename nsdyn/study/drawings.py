@@ -1,4 +1,4 @@
-"""Pictures of studies: errors over dt, and what a sweep found over its parameters."""
+"""Pictures of studies: errors over dt, and figures of a sweep over its parameters."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ FOUND = {
     "friction": "work of friction [J]",
     "normal": "work of impacts [J]",
 }
-"""Of `nsdyn.study.sweep.figures` what is drawn."""
+"""Entries of `nsdyn.study.sweep.figures` that are drawn, with their labels."""
 
 
 def draw_refinement(found: Refinement, figure: Any) -> Any:
-    """Draw the errors of a refinement over dt on a matplotlib figure, with the last order that they show."""
+    """Draw the errors of a refinement over dt on a matplotlib figure; labels give the last known order of each."""
     rows, curves = found.rows[:-1], []
     for k, (name, unit) in enumerate(found.as_dict()["units"].items()):
         orders = [p for row in rows if not math.isnan(p := row.orders.get(name, math.nan))]
@@ -39,7 +39,7 @@ def draw_refinement(found: Refinement, figure: Any) -> Any:
 
 
 def varied(parameters: Mapping[str, Sequence[Any]]) -> str:
-    """The parameter with the most values, which are numbers; ValueError where none has two."""
+    """Return the numeric parameter with the most values; ValueError if no numeric parameter has two."""
     numbers = {
         name: len(values)
         for name, values in parameters.items()
@@ -52,7 +52,7 @@ def varied(parameters: Mapping[str, Sequence[Any]]) -> str:
 
 
 def draw_sweep(parameters: Mapping[str, Sequence[Any]], members: Sequence[Member], figure: Any) -> Any:
-    """Draw figures of runs over the parameter with the most values, a curve for each choice of the others."""
+    """Draw figures of runs over the parameter with the most values, with a curve per combination of the others."""
     along = varied(parameters)
     groups: dict[str, list[Member]] = {}
     for member in members:

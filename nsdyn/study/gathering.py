@@ -1,4 +1,4 @@
-"""Many calls of one function, here, in processes or by any executor; what dies with its worker is tried once more."""
+"""Many calls of one function: here, in other processes, or by an executor. A task whose worker dies is tried again."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ from typing import Any
 __all__ = ["gather"]
 
 MESSAGES = 128
-"""Most messages with tasks to an executor: one to a dask scheduler and back costs 10 ms of processor time, so that many
-short tasks go together, and so few of all that a message that is lost, or comes late, does not matter."""
+"""Largest number of messages with tasks to an executor. A message to a dask scheduler and back costs 10 ms of processor
+time, so that many short tasks share one. A message still has so few of all tasks that its loss or delay does not
+matter."""
 
 AGAIN = 1.0
-"""s after which a task that still runs is interrupted again: Python drops what finalisers and callbacks raise."""
+"""Time in s after which a running task is interrupted again: Python drops exceptions raised in finalisers and
+callbacks."""
 
 Tasks = Mapping[int, tuple[Any, ...]]
 Outcome = tuple[int, Any, str]
@@ -35,19 +37,19 @@ def gather(function: Callable[..., Any], tasks: Tasks, workers: int | Executor |
     ----------
     function : callable
     tasks : mapping of int to tuple
-        Its arguments, by numbers.
+        Arguments of the function, by number of the task.
     workers : int or Executor or None
-        Processes to start, an executor, or None for this process.
+        Number of processes to start, an executor, or None for this process.
 
     Yields
     ------
     (int, Any, str)
-        Number of the task, what the function returned, and why it did not: what its worker died of, twice.
+        Number of the task, return value of the function, and reason if there is no return value: its worker died twice.
 
     Raises
     ------
     Exception
-        What the function raises in this process.
+        Exceptions of the function in this process.
     """
     if workers is None:
         for k, task in tasks.items():
@@ -59,9 +61,9 @@ def gather(function: Callable[..., Any], tasks: Tasks, workers: int | Executor |
 
 
 def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Iterator[Outcome]:
-    """In pools of one process each, so that one that dies takes only its own task along, and is replaced.
+    """Run tasks in pools of one process each, so that a process that dies loses only its own task, and is replaced.
 
-    Where this ends early the tasks that run are interrupted, which a pool would wait for.
+    If the generator ends early, it interrupts running tasks; a pool alone would wait for them.
     """
     context = get_context("spawn")
     stopped, stop = context.Pipe(duplex=False)
@@ -82,7 +84,7 @@ def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Ite
                 idle.append(place)
                 try:
                     yield k, future.result(), ""
-                except Exception as failure:  # the process is gone, or something could not be sent
+                except Exception as failure:  # the process died, or data could not be sent
                     if isinstance(failure, BrokenExecutor):
                         pools[place].shutdown(wait=False)
                         pools[place] = pool()
@@ -99,39 +101,39 @@ def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Ite
 
 
 _over = threading.Event()
-"""In a process of a pool: that no task is wanted any more."""
+"""Set in a process of a pool when no more tasks are wanted."""
 
 
 def _heed(stopped: Connection) -> None:
-    """Begin a process of a pool: it ignores interrupts between tasks, which end it in the midst of its messages."""
+    """Begin a process of a pool: it ignores interrupts between tasks, where they would end it during its messages."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.unraisablehook = _tell
     threading.Thread(target=_wait_for_stop, args=(stopped,), daemon=True).start()
 
 
 def _tell(dropped: Any) -> None:
-    """Tell what is raised where Python drops it, but for interrupts, which come again."""
+    """Report an exception that Python drops, except for interrupts, which are repeated."""
     if not issubclass(dropped.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(dropped)
 
 
 def _wait_for_stop(stopped: Connection) -> None:
-    """Interrupt the task that runs when the other end is closed, as it also is where that process is killed.
+    """Interrupt the running task when the other end of the pipe is closed, also because the other process was killed.
 
-    Then nothing else ends this one: it waits for tasks from a pipe of which it holds both ends.
+    In the latter case nothing else would end this process: it waits for tasks from a pipe of which it holds both ends.
     """
     stopped.poll(None)
     _over.set()
     parent = parent_process()
     while True:
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # nothing where it is ignored
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # no effect while it is ignored
         time.sleep(AGAIN)
         if not (parent and parent.is_alive()) and signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
             os._exit(1)
 
 
 def _heeding(function: Callable[..., Any], *task: Any) -> Any:
-    """Call a function that may be interrupted, and has time to end before it is again."""
+    """Call a function that may be interrupted; after an interrupt it has time to end before the next one."""
     last = -math.inf
 
     def interrupt(*_: Any) -> None:
@@ -150,7 +152,7 @@ def _heeding(function: Callable[..., Any], *task: Any) -> Any:
 
 
 def _by_executor(function: Callable[..., Any], tasks: Tasks, executor: Executor) -> Iterator[Outcome]:
-    """Some tasks a message; those of a message that is lost are sent again one by one."""
+    """Run tasks by an executor, several per message; the tasks of a lost message are sent again one by one."""
     size, numbers = math.ceil(len(tasks) / MESSAGES), list(tasks)
     running: dict[Future[list[Any]], list[int]] = {}
     tried: set[int] = set()
@@ -166,7 +168,7 @@ def _by_executor(function: Callable[..., Any], tasks: Tasks, executor: Executor)
                 some = running.pop(future)
                 try:
                     outcomes = future.result()
-                except Exception as failure:  # as above
+                except Exception as failure:  # the worker was lost, or data could not be sent
                     for k in some:
                         if k in tried:
                             yield k, None, _reason(failure)
@@ -174,7 +176,7 @@ def _by_executor(function: Callable[..., Any], tasks: Tasks, executor: Executor)
                         tried.add(k)
                         try:
                             send([k])
-                        except RuntimeError as broken:  # for good
+                        except RuntimeError as broken:  # the executor accepts no more tasks
                             yield k, None, _reason(broken)
                 else:
                     yield from ((k, outcome, "") for k, outcome in zip(some, outcomes, strict=True))

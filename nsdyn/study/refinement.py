@@ -1,4 +1,4 @@
-"""Refinement in time: one scene at several steps, errors against the finest, orders, times."""
+"""Refinement in time: one scene with several time steps; differences from the finest run, orders, wall times."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from nsdyn.tools.naming import check_known
 __all__ = ["Refinement", "Row", "order", "refine"]
 
 ERRORS = {"position": "m", "rotation": "rad", "velocity": "m/s, rad/s", "energy": "J"}
-"""What is compared, by `nsdyn.study.comparison.differences`, and its unit."""
+"""Compared quantities, as in `nsdyn.study.comparison.differences`, and their units."""
 
 ROUND_OFF = 1e-11
-"""Errors that are smaller, in their units, have no order."""
+"""Smallest error, in its unit, for which an order is computed."""
 
 LARGEST_ORDER = 16.0
-"""Of those looked for."""
+"""Upper end of the interval in which an order is searched."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,15 @@ class Row:
     Attributes
     ----------
     dt : float
-        s.
+        Time step, s.
     steps : int
     position, rotation, velocity, energy : float
-        Largest differences from the finest run at the times that both have, of any body or joint; m, rad, m/s or
-        rad/s, J. 0 of the finest itself.
+        Largest differences from the finest run at the common times, over all bodies and joints; m, rad, m/s or rad/s,
+        J. 0 for the finest run itself.
     orders : dict of str to float
-        Order of each error from this run to the next finer one; NaN where they do not tell.
+        Order of each error from this run to the next finer one; NaN if the errors show no order.
     time : float
-        Wall time of the steps, s, start-up apart.
+        Wall time of the steps without start-up, s.
     """
 
     dt: float
@@ -62,21 +62,21 @@ class Row:
 
 @dataclass(frozen=True)
 class Refinement:
-    """Runs of a scene at several steps.
+    """Runs of a scene with several time steps.
 
     Attributes
     ----------
     name : str
-        Of the scene.
+        Name of the scene.
     rows : tuple of Row
-        The coarsest step first.
+        Runs, from the coarsest time step to the finest.
     """
 
     name: str
     rows: tuple[Row, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """The rows as JSON values."""
+        """Return the rows as JSON values."""
         return {"scene": self.name, "units": ERRORS, "runs": [asdict(row) for row in self.rows]}
 
     def __repr__(self) -> str:
@@ -93,7 +93,7 @@ class Refinement:
         return f"{self.name}: largest differences from the run at dt = {self.rows[-1].dt:g} s"
 
     def _lines(self) -> list[list[str]]:
-        """Headers and rows."""
+        """Return the texts of headers and rows."""
         out = [
             [
                 "dt [s]",
@@ -119,22 +119,23 @@ def refine(
     progress: bool = False,
     **options: Unpack[RunOptions],
 ) -> Refinement:
-    """Simulate a scene at several steps and compare with the finest.
+    """Simulate a scene with several time steps and compare the runs with the finest one.
 
     Parameters
     ----------
     scene : str or callable
-        Name or file of a scene, which is run with what drives it, or a function that returns a Scene.
+        Name or file of a scene, which is run with its controller and external forces, or a function that returns a
+        Scene.
     dts : sequence of float
-        At least two, s; the duration must be a whole number of each.
+        At least two time steps, s; the duration must be a whole multiple of each.
     duration : float
-        s.
+        Simulated time, s.
     parameters : dict, optional
-        Of the scene.
+        Parameters of the scene.
     progress : bool
         Show progress bars on stderr when it is a terminal.
     **options
-        For `nsdyn.simulate`, but its dt and files: theta, solver, ...
+        Options of `nsdyn.simulate` except dt and files: theta, solver, ...
 
     Returns
     -------
@@ -143,17 +144,17 @@ def refine(
     Raises
     ------
     ValueError
-        For fewer than two steps, or steps that do not divide the duration; what `simulate` refuses.
+        For fewer than two time steps, time steps that do not divide the duration, and all errors of `simulate`.
 
     Notes
     -----
-    With errors e = C (h^p - h_0^p) against a run at h_0, the order p of two of them solves
-    e_1/e_2 = (h_1^p - h_0^p)/(h_2^p - h_0^p). Where motion depends on its past without bound, as after many impacts,
-    there is no order to be found.
+    With errors e = C (h^p - h_0^p) relative to a run at h_0, the order p of two errors solves
+    e_1/e_2 = (h_1^p - h_0^p)/(h_2^p - h_0^p). Where small differences of the motion grow without bound, as after many
+    impacts, no order can be found.
 
     Examples
     --------
-    A mechanism with closed loops, to second order:
+    A mechanism with closed loops, of second order:
 
     >>> import nsdyn as nd
     >>> found = nd.refine("four_bar", [8e-3, 4e-3, 2e-3], 0.2)
@@ -180,19 +181,19 @@ def refine(
         if k + 2 < len(runs):
             next_ = {name: error if error > ROUND_OFF else 0.0 for name, error in errors[k + 1].items()}
             orders = {name: order(errors[k][name], next_[name], dt, chosen[k + 1], chosen[-1]) for name in ERRORS}
-        # The first step loads or compiles what it needs.
+        # The first step includes loading and compiling of kernels: the median replaces its time.
         time = float(run.wall_time[1:].sum() + np.median(run.wall_time))
         rows.append(Row(dt, run.steps, **errors[k], orders=orders, time=time))
     return Refinement(str(finest.meta["scene_name"]), tuple(rows))
 
 
 def order(e1: float, e2: float, h1: float, h2: float, h0: float) -> float:
-    """Order p with e1/e2 = (h1^p - h0^p)/(h2^p - h0^p) for h1 > h2 > h0; NaN where no order explains the errors."""
+    """Return p with e1/e2 = (h1^p - h0^p)/(h2^p - h0^p) for h1 > h2 > h0; NaN if no order explains the errors."""
     if not (e1 > 0.0 and e2 > 0.0):
         return math.nan
 
     def off(p: float) -> float:
-        # Logarithms of 1 - (h0/h)^p, which stay accurate for small p.
+        # Logarithms of 1 - (h0/h)^p, computed so that they stay accurate for small p.
         part1, part2 = (math.log(-math.expm1(p * math.log(h0 / h))) for h in (h1, h2))
         return p * math.log(h1 / h2) + part1 - part2 - math.log(e1 / e2)
 
@@ -215,6 +216,6 @@ def _run(
 
 
 def _errors(run: Trajectory, finest: Trajectory) -> dict[str, float]:
-    """Largest differences of a run from the finest at the times that both have."""
+    """Return the largest differences of a run from the finest one at their common times."""
     found = differences(run, finest)
     return {name: float(getattr(found, name).max()) for name in ERRORS}

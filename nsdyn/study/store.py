@@ -1,4 +1,4 @@
-"""The points of a sweep in a file, each written when it is there, so that a sweep that is stopped goes on."""
+"""File with the points of a sweep, each written as soon as it is computed, so that a stopped sweep can go on."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ __all__ = ["Store"]
 
 
 class Store:
-    """JSON lines: what is swept, then a line for every point; the last one of a run that was killed may be cut.
+    """JSON lines: the description of the sweep, then a line per point; after a kill the last line may be incomplete.
 
     Parameters
     ----------
     path : path
         A file that does not exist yet, or the store of the same sweep.
     sweep : mapping
-        What makes the results what they are, in JSON's terms.
+        All data on which the results depend, as JSON values.
 
     Raises
     ------
     ValueError
-        If the file cannot be written, another process writes it, it is no store, or that of another sweep, naming the
-        difference.
+        If the file cannot be written, another process writes it, it is not a store, or is the store of another sweep,
+        naming the difference.
     OSError
-        Naming the file, of a full disk, then or when a point is added.
+        If the disk is full, here or when a point is added; it names the file.
     """
 
     def __init__(self, path: str | Path, sweep: Mapping[str, Any]) -> None:
@@ -48,12 +48,12 @@ class Store:
         try:
             self._begin(sweep)
         except BaseException:
-            with suppress(OSError):  # it tries once more what a full disk did not take
+            with suppress(OSError):  # closing writes again the data that a full disk did not accept
                 self._file.close()
             raise
 
     def _begin(self, sweep: Mapping[str, Any]) -> None:
-        """Lock the file until it is closed, read it, and cut off a line that is not whole."""
+        """Lock the file until it is closed, read it, and cut off an incomplete last line."""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -66,7 +66,7 @@ class Store:
             self._file.flush()
 
     def _found(self) -> tuple[dict[str, dict[str, Any]], int]:
-        """Points of a file by their parameters, and the bytes of its whole lines."""
+        """Return the points of the file by their parameters, and the number of bytes of its complete lines."""
         if not (lines := self.path.read_bytes().splitlines(keepends=True)):
             return {}, 0
         lines = lines if lines[-1].endswith(b"\n") else lines[:-1]
@@ -85,16 +85,16 @@ class Store:
         return points, sum(map(len, lines))
 
     def point(self, parameters: Mapping[str, Any]) -> dict[str, Any] | None:
-        """What is stored of a point: parameters, result, failure."""
+        """Return the stored parameters, result and failure of a point, None if it is not stored."""
         return self._points.get(_key(parameters))
 
     def count(self, points: Iterable[Mapping[str, Any]]) -> int:
-        """How many of some points, by their parameters, the file holds now."""
+        """Return how many of some points, given by their parameters, the file contains now."""
         found, _ = self._found()
         return sum(_key(parameters) in found for parameters in points)
 
     def add(self, point: Mapping[str, Any]) -> dict[str, Any]:
-        """Write a point, at once, and return it as it will be read; ValueError for what JSON cannot hold."""
+        """Write a point to the disk and return it as it will be read; ValueError for values that JSON does not have."""
         line = _write(point)
         with self._told():
             self._file.write(line)
@@ -105,7 +105,7 @@ class Store:
 
     @contextmanager
     def _told(self) -> Iterator[None]:
-        """Name the file in what goes wrong with it."""
+        """Name the file in errors of the operating system."""
         try:
             yield
         except OSError as error:
@@ -115,7 +115,7 @@ class Store:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        with self._told():  # it tries once more what a full disk did not take
+        with self._told():  # closing writes again the data that a full disk did not accept
             self._file.close()
 
 

@@ -1,4 +1,4 @@
-"""Sweeps: a scene over the product of lists of parameters, by any executor, with the same bits from each."""
+"""Sweeps: a scene for every combination of parameters, run by any executor, with results equal to the last bit."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Member:
     Attributes
     ----------
     parameters : dict
-        Of the scene.
+        Parameters of the scene.
     result : Trajectory, or what `keep` made of it
         None for a run that did not converge, was refused, or whose process died twice.
     failure : str
-        Why there is no result, empty if there is one.
+        Reason why there is no result; empty if there is one.
     """
 
     parameters: dict[str, Any]
@@ -62,26 +62,26 @@ def sweep(
     Parameters
     ----------
     scene : str or callable
-        Name or file of a scene, which is run with what drives it, or a function ``scene(**parameters) -> Scene``, which
-        must be one that the executor can send.
+        Name or file of a scene, which is run with its controller and external forces, or a function
+        ``scene(**parameters) -> Scene``, which the executor must be able to send.
     parameters : mapping of str to sequence
-        Values of each parameter; the last one varies fastest in the result.
+        Values of each parameter; the last parameter varies fastest in the result.
     duration : float
-        s.
+        Simulated time, s.
     executor : int or concurrent.futures.Executor, optional
-        Number of processes, or an executor: ``dask.distributed.Client(address).get_executor()``; default: one run after
-        the other in this process. Results are in the order of the product and have the same bits whatever runs them. A
-        run whose process dies is tried once more, and the others are not touched.
+        Number of processes, or an executor: ``dask.distributed.Client(address).get_executor()``. By default runs follow
+        each other in this process. Results are in the order of the combinations and equal to the last bit for every
+        executor. A run whose process dies is tried once more; other runs are not affected.
     keep : callable, optional
-        ``keep(trajectory)`` returns what is wanted of a run and is called where it ran, so that only this is sent and
-        kept; default: the whole trajectory.
+        ``keep(trajectory)`` returns the result of a run. It is called in the process of the run, so that only its
+        return value is sent and stored. By default the result is the whole trajectory.
     progress : bool
         Show a progress bar on stderr when it is a terminal.
     store : path, optional
-        File to which every run is added when it is done. Where it exists, what it has is not run again. `keep` must
-        then return what JSON holds: numbers, texts, lists and dicts.
+        File to which every run is added when it is done. Runs that an existing file contains are not run again. `keep`
+        must then return values that JSON has: numbers, texts, lists and dicts.
     **options
-        For `nsdyn.simulate`, but its files: dt, theta, solver, ...
+        Options of `nsdyn.simulate` except files: dt, theta, solver, ...
 
     Returns
     -------
@@ -90,8 +90,8 @@ def sweep(
     Raises
     ------
     ValueError
-        For a parameter without values, what other processes cannot be sent, a store of another sweep, and where the
-        scene or `simulate` refuses every run; where it refuses some, these have failed.
+        For a parameter without values, an argument that cannot be sent to other processes, or a store of another sweep;
+        and if the scene or `simulate` refuses every run. If only some runs are refused, they have a `failure`.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def sweep(
         raise ValueError(f"executor must be a number of processes, at least 1, or an executor, got {executor!r}")
     if store is not None and keep is None:
         raise ValueError("keep must say what of a run is stored: whole trajectories are not")
-    # A function of a named scene lives in a file that is no module for other processes: they load it by its name.
+    # Other processes cannot import the function of a named scene, whose file is no module: they load it by its name.
     scene = scenes.name_of(scene) or scene if callable(scene) else scene
     if isinstance(executor, int | ProcessPoolExecutor):
         for what, value in {"scene": scene, "keep": keep, **parameters, **options}.items():
@@ -126,10 +126,10 @@ def sweep(
 
 
 def _check_sendable(what: str, value: Any) -> None:
-    """Refuse what other processes cannot be sent."""
+    """Raise a ValueError for a value that cannot be sent to other processes."""
     try:
         pickle.dumps(value)
-    except Exception as failure:  # as the object has it
+    except Exception as failure:  # its kind depends on the object
         raise ValueError(
             f"{what} can't be pickled, to be sent to other processes: define it at module level, got {value!r} "
             f"({failure})"
@@ -139,7 +139,7 @@ def _check_sendable(what: str, value: Any) -> None:
 def _gathered(
     tasks: list[tuple[Any, ...]], executor: Executor | int | None, kept: Store | None, progress: bool
 ) -> tuple[list[Member], int]:
-    """Members of a sweep, those that are stored and those that are run, and how many of them were refused or lost."""
+    """Return all members of a sweep, from the store or run here, and the number of refused or lost runs."""
     from tqdm import tqdm
 
     members: dict[int, Member] = {}
@@ -160,7 +160,7 @@ def _gathered(
                 members[k] = Member(chosen, result, failure)
                 bar.update()
         except KeyboardInterrupt:
-            # What is in the file counts: a point may have been written in the moment of the interrupt.
+            # The file is counted again: a point may have been written at the moment of the interrupt.
             count = kept.count(task[1] for task in tasks) if kept else len(members) - refused
             done = f"{count} of {len(tasks)} done"
             goes = "the same command goes on" if kept else "without a store they are lost"
@@ -171,7 +171,7 @@ def _gathered(
 def _opened(
     store: str | Path | None, scene: str | Callable[..., Scene], duration: float, keep: Any, options: Options
 ) -> AbstractContextManager[Store | None]:
-    """The store of a sweep, to be used in a with statement."""
+    """Return the store of a sweep, for a with statement."""
     if store is None:
         return nullcontext()
     source = Path(scenes.module(scene).__file__ or "").read_bytes() if isinstance(scene, str) else b""
@@ -188,7 +188,7 @@ def _opened(
 
 
 def _told(value: Any) -> str:
-    """What stands for an option in a store: functions go by their names."""
+    """Return the text of an option in a store; a function is represented by its name."""
     return f"{value.__module__}.{value.__qualname__}" if inspect.isfunction(value) else str(value)
 
 
@@ -199,7 +199,7 @@ def _run(
     keep: Callable[[Trajectory], Any] | None,
     options: Options,
 ) -> tuple[Any, str, bool]:
-    """One simulation, wherever it runs: (result, why there is none, whether it was refused)."""
+    """Run one simulation and return (result, reason if there is none, whether it was refused)."""
     try:
         if isinstance(scene, str):
             setup = scenes.setup(scene, **parameters)
@@ -209,7 +209,7 @@ def _run(
         return trajectory if keep is None else called(keep, "keep", lambda kept: kept, trajectory), "", False
     except NotConverged as failure:
         return None, str(failure), False
-    except Exception as failure:  # of the scene's or the user's own code
+    except Exception as failure:  # from the code of the scene or of the user
         return None, text(failure), True
 
 
@@ -217,14 +217,14 @@ UNITS = {
     **dict.fromkeys(("kinetic", "potential", "normal", "friction", "defect"), "J"),
     **{"displacement": "m", "penetration": "m", "gauss_bound": "√J", "gauss_shift": "m/s", "residual": "m/s"},
 }
-"""Of `figures`."""
+"""Units of `figures`."""
 
 
 def figures(trajectory: Trajectory) -> dict[str, float]:
-    """What a table shows of a run.
+    """Return the figures of a run that tables show, in `UNITS`.
 
-    Largest distance of a free body from where it started, energies at the end, works of the contacts, and the worst of
-    all steps; in `UNITS`.
+    They are the largest distance of a free body from its start, energies at the end, works of the contacts, and the
+    worst values of all steps.
     """
     free = trajectory.scene["frames"][: trajectory.scene["free"]]
     moved = (trajectory.body(name).position for name in free)

@@ -1,1 +1,1 @@
-"""What is no mechanics: names that users give, files that are written, processes, and the noise of libraries."""
+"""Tools without mechanics: names given by users, files, tables, processes, and messages of libraries."""

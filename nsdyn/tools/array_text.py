@@ -1,4 +1,4 @@
-"""Arrays inside of JSON: little-endian numbers, bytes of equal weight together, deflated, in base64."""
+"""Text of arrays for JSON: little-endian numbers, bytes of equal significance together, deflated, in base64."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["from_text", "to_text"]
 
 
 def to_text(array: NDArray[Any], kind: str) -> str:
-    """Text of the numbers of an array as a type of NumPy, for instance "<f4"."""
+    """Return the text of an array, with its numbers converted to a type of NumPy, for instance "<f4"."""
     numbers = np.ascontiguousarray(array, kind).reshape(-1)
     return base64.b64encode(zlib.compress(numbers.view(np.uint8).reshape(-1, numbers.itemsize).T.tobytes(), 6)).decode()
 
 
 def from_text(text: str, kind: str, columns: int) -> NDArray[Any]:
-    """Array (., columns) of the text of `to_text`; ValueError for what is none."""
+    """Return the array (., columns) from a text of `to_text`; ValueError for any other text."""
     try:
         data = np.frombuffer(zlib.decompress(base64.b64decode(text, validate=True)), np.uint8)
         width = np.dtype(kind).itemsize

@@ -1,4 +1,4 @@
-"""Arrays as annotations name them, and of what a user gives."""
+"""Types of arrays for annotations, and conversion of users' values to arrays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Bools = NDArray[np.bool_]
 
 
 def numbers(value: ArrayLike, words: str, what: str) -> Array:
-    """An array of numbers, the same if it is one; ValueError with what it must be, in words, for what is none."""
+    """Return a value as an array of floats, unchanged if it is one; else a ValueError says that it must be `words`."""
     try:
         if isinstance(value, np.ndarray) and value.dtype.kind == "c":  # NumPy would drop the imaginary part
             raise TypeError
@@ -23,10 +23,10 @@ def numbers(value: ArrayLike, words: str, what: str) -> Array:
 
 
 NEXT, LAST = [1, 2, 0], [2, 0, 1]
-"""Of each axis."""
+"""Numbers of the axes after and before each axis, cyclically."""
 
 
 def cross(one: Array, other: Array) -> Array:
-    """Cross products of vectors (..., 3), to the bit as `numpy.cross`, in a third of its time where they are few."""
+    """Return cross products of vectors (..., 3), bit for bit those of `numpy.cross`, for few in a third of its time."""
     out: Array = one[..., NEXT] * other[..., LAST] - one[..., LAST] * other[..., NEXT]
     return out

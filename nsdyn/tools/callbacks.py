@@ -1,4 +1,4 @@
-"""Functions of the user: what they return is checked, and what goes wrong is told with their file and line first."""
+"""Calls of users' functions: return values are checked, and errors begin with the user's file and line."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ T = TypeVar("T")
 
 
 def called(function: Callable[..., Any], what: str, fit: Callable[[Any], T], *given: Any, **keywords: Any) -> T:
-    """What a function of the user returns, made to `fit`.
+    """Call a function of the user and return its value after conversion by `fit`.
 
     Raises
     ------
     ValueError
-        As `fit`, which names what was returned, and for a function that takes other arguments; the place of the
-        function first. For what is no function.
+        The error of `fit`, which names the value, or an error for a function with other arguments, each preceded by the
+        place of the function. Also if `function` is not a function.
     Exception
-        As the function, with a note of the line in its file and of `what` it is.
+        The error of the function, with a note of the line in its file and of its role `what`.
     """
     try:
         returned = function(*given, **keywords)
@@ -46,10 +46,10 @@ def called(function: Callable[..., Any], what: str, fit: Callable[[Any], T], *gi
 
 
 def misfit(function: Callable[..., Any], *given: Any, **keywords: Any) -> str:
-    """The arguments of a function of the user that does not take what is given; else empty, as where none are known."""
+    """Return the signature of a user's function if it does not accept the arguments; else, or if unknown, empty."""
     try:
         own = inspect.signature(function)
-    except (TypeError, ValueError):  # of what is written in C nothing may be known
+    except (TypeError, ValueError):  # functions written in C may have no signature
         return ""
     try:
         own.bind(*given, **keywords)
@@ -59,7 +59,7 @@ def misfit(function: Callable[..., Any], *given: Any, **keywords: Any) -> str:
 
 
 def takes(function: Callable[..., Any], argument: str) -> bool:
-    """Whether a function of the user has an argument of that name."""
+    """Return whether a function of the user has an argument of that name."""
     try:
         return argument in inspect.signature(function).parameters
     except (TypeError, ValueError):
@@ -67,7 +67,7 @@ def takes(function: Callable[..., Any], argument: str) -> bool:
 
 
 def below(error: BaseException) -> TracebackType | None:
-    """The part of the traceback from where a function of the user was called; None if that is not what failed."""
+    """Return the traceback from the call of a user's function on; None if the error did not come from such a call."""
     at = error.__traceback__
     while at is not None and at.tb_frame.f_code is not called.__code__:
         at = at.tb_next
@@ -75,7 +75,7 @@ def below(error: BaseException) -> TracebackType | None:
 
 
 def line(error: BaseException) -> str:
-    """The user's file and the line in it where an error came from; empty where it is none of theirs."""
+    """Return the user's file and the line in it that raised an error; empty if no user's function raised it."""
     at = below(error)
     if at is None or (at := at.tb_next) is None:
         return ""
@@ -88,13 +88,13 @@ def line(error: BaseException) -> str:
 
 
 def text(error: BaseException) -> str:
-    """An error in words: the user's line first, then its kind unless it is a ValueError, then what it says."""
+    """Return an error in words: the user's line, the kind of error unless it is a ValueError, and its message."""
     kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
     return ": ".join(filter(None, (line(error), f"{kind}{error}")))
 
 
 def source_line(function: Callable[..., Any]) -> str:
-    """File and line where a function begins, what it is if it has none."""
+    """Return file and line where a function begins; its repr if it has none."""
     while isinstance(function, partial):
         function = function.func
     function = inspect.unwrap(function)

@@ -1,7 +1,7 @@
-"""HDF5 files: new ones that survive a full disk, and fields of those that strangers made.
+"""HDF5 files: safe writing of new files on a full disk, and safe reading of files from untrusted sources.
 
-Sizes that a file declares are compared with the bytes it holds before anything is read: a few bytes may declare any
-number of values, and HDF5 would make room for them. Fields that lead to other files are refused.
+The sizes that a file declares are compared with the bytes in the file before any data are read: a few bytes may declare
+any number of values, and HDF5 would allocate memory for them. Fields that lead to other files are refused.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ import h5py
 __all__ = ["MULTIPLE", "check_heaps", "created", "dataset"]
 
 MULTIPLE = 1100
-"""Bytes that a byte of a file may stand for: gzip makes 1032 of one."""
+"""Largest number of bytes from one byte of a compressed file: gzip makes up to 1032."""
 
 
 @contextmanager
 def created(path: Path, **options: Any) -> Iterator[Any]:
-    """A new file with `options` of h5py, written as a whole when the block succeeds; OSError where it cannot be.
+    """Yield a new file with `options` of h5py, written as a whole when the block succeeds; OSError if that fails.
 
-    It is made in memory: HDF5 itself ends the process where the disk is full.
+    It is made in memory, since HDF5 itself ends the process if the disk is full.
     """
     image = io.BytesIO()
     with h5py.File(image, "w", **options) as file:
         yield file
-    path.write_bytes(image.getvalue())  # no copy, nor a view, which the error of a full disk would keep open
+    path.write_bytes(image.getvalue())  # makes no copy, and no view, which the error of a full disk would keep open
 
 
 def dataset(group: Any, name: str, rows: int | None = None) -> Any:
-    """A dataset whose first rows, or all, are in the file itself.
+    """Return a dataset after a check that its first rows, or all, are in the file itself.
 
     Raises
     ------
     ValueError
-        Naming it, where there is none, or fewer bytes than its size takes.
+        Naming the dataset, if it does not exist or the file has fewer bytes than its size needs.
     """
     where = f"{group.name}/{name}".replace("//", "/")
     item = None
@@ -58,15 +58,15 @@ def dataset(group: Any, name: str, rows: int | None = None) -> Any:
 
 
 HEAP = b"GCOL\x01\0\0\0"
-"""What a global heap collection, which holds texts, begins with."""
+"""First bytes of a global heap collection, which holds texts."""
 
 
 BLOCK = 1 << 22
-"""Bytes that are looked through at once."""
+"""Number of bytes searched at once."""
 
 
 def check_heaps(path: Path) -> None:
-    """Refuse files on whose texts HDF5 would not come to an end: its heaps have no checksums, and steps of no length.
+    """Refuse files on whose texts HDF5 would loop forever: heaps have no checksums, and damaged ones steps of length 0.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def check_heaps(path: Path) -> None:
     The HDF Group, HDF5 file format specification version 3.0, section III.E.
     """
     size = path.stat().st_size
-    with open(path, "rb") as file:  # not mapped: a map ends the process where the disk is full or the file is cut
+    with open(path, "rb") as file:  # not mapped: with a map, a full disk or a cut file would end the process
         for begin in range(0, size, BLOCK):
             file.seek(begin)
             block = file.read(BLOCK + len(HEAP) - 1)
@@ -89,7 +89,7 @@ def check_heaps(path: Path) -> None:
 
 
 def _check_heap(file: Any, at: int, size: int, path: Path) -> None:
-    """Walk over the objects of a heap as HDF5 does."""
+    """Visit the objects of a heap in the way of HDF5; ValueError if the heap does not end."""
 
     def number(where: int) -> int:
         file.seek(where)

@@ -1,4 +1,4 @@
-"""How far apart two configurations are, and where a displacement leads."""
+"""Displacements between configurations of a Pinocchio model, and rotations between orientations."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ __all__ = ["displacement", "integrate", "turns"]
 
 
 def displacement(model: pin.Model, q0: Array, q1: Array) -> Array:
-    """Displacement that leads from q0 to q1, shape (nv,): `integrate(model, q0, it)` is q1.
+    """Return the displacement d from q0 to q1, shape (nv,): `integrate(model, q0, d)` is q1.
 
-    Pinocchio's own, but for angles that are given by cosine and sine, of unbounded and planar joints: it takes those
-    below 1e-8 rad, whose cosine is 1, for nothing. Here they come from the sine, as exact as others.
+    It is that of Pinocchio except for angles given by cosine and sine, those of unbounded and planar joints. Pinocchio
+    returns 0 for such angles below 1e-8 rad, whose cosine is 1. Here they come from the sine, as exact as other angles.
     """
     out = np.array(pin.difference(model, q0, q1))
     for joint in list(model.joints)[1:]:
@@ -28,10 +28,11 @@ def displacement(model: pin.Model, q0: Array, q1: Array) -> Array:
 
 
 def integrate(model: pin.Model, q: Array, step: Array) -> Array:
-    """Configuration that a displacement (nv,) leads to from q, shape (nq,).
+    """Return the configuration after a displacement (nv,) from q, shape (nq,).
 
-    Pinocchio's own, but for planar joints: it divides differences by the angle, and errs by 4e-8 of a displacement that
-    turns by 1e-9 rad, by 4e-4 at 1e-13 rad. Here they go first, along the arc's chord, and turn then.
+    It is that of Pinocchio except for planar joints. There Pinocchio divides differences by the angle, with an error of
+    4e-8 of a displacement that turns by 1e-9 rad, and of 4e-4 at 1e-13 rad. Here planar joints first move along the
+    arc's chord, then turn.
     """
     if not (planes := _planes(model)):
         out: Array = pin.integrate(model, q, step)
@@ -48,11 +49,11 @@ def integrate(model: pin.Model, q: Array, step: Array) -> Array:
 
 
 def turns(before: Array, after: Array) -> Array:
-    """Rotation vectors (n, 3) in world axes, rad, that lead from unit quaternions (n, 4) xyzw to others."""
+    """Return rotation vectors (n, 3) in world axes, rad, from unit quaternions `before` to `after`, (n, 4) xyzw."""
     (v0, w0), (v1, w1) = ((q[:, :3], q[:, 3:]) for q in (before, after))
     v, w = w0 * v1 - w1 * v0 + np.cross(v0, v1), w0 * w1 + (v0 * v1).sum(axis=1, keepdims=True)
     size = np.linalg.norm(v, axis=1, keepdims=True)
-    # Of the two quaternions of a turn the one whose angle is the least.
+    # Of the two quaternions of a rotation, use the one with the smaller angle.
     out: Array = (
         np.copysign(2.0, w) * np.where(size > 0.0, np.arctan2(size, np.abs(w)) / np.maximum(size, 1e-300), 1.0) * v
     )
@@ -61,19 +62,19 @@ def turns(before: Array, after: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _planes(model: pin.Model) -> list[int]:
-    """First coordinates of the planar joints of a model, which are looked for once."""
+    """Return the first coordinates of the planar joints of a model; searched once per model."""
     return [j for joint in list(model.joints)[1:] for j in _planar(joint.extract())]
 
 
 def _planar(joint: Any) -> list[int]:
-    """First coordinates of the planar joints among a joint and its parts."""
+    """Return the first coordinates of the planar joints among a joint and its parts."""
     if joint.shortname() == "JointModelComposite":
         return [j for part in joint.joints for j in _planar(part.extract())]
     return [joint.idx_v] if joint.shortname() == "JointModelPlanar" else []
 
 
 def _angles(joint: Any) -> list[tuple[int, int]]:
-    """(place of the cosine in q, coordinate) of the angles of a joint that are given so."""
+    """Return (index of the cosine in q, coordinate) of the angles of a joint that are given by cosine and sine."""
     kind = joint.shortname()
     if kind == "JointModelComposite":
         return [pair for part in joint.joints for pair in _angles(part.extract())]

@@ -1,4 +1,4 @@
-"""Files to write: complete or not at all, none in place of another kind, links followed, devices written through."""
+"""Writing of files: complete or not at all, never over a file of another kind; to links and devices, too."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Kind:
-    """What a file is, in a word, and the endings that its name may have, if it has any."""
+    """Kind of a file: its name in words, and the endings that a file name may have, if it has one."""
 
     what: str
     endings: tuple[str, ...]
@@ -62,37 +62,37 @@ _BEGIN = {
     "page": rb"(?i:\s*<(!doctype )?html)",
     "store": rb'\{"sweep"',
 }
-"""How files of a kind begin."""
+"""First bytes of files of each kind, as regular expressions."""
 
 STDOUT = Path("-")
-"""Stands for standard output."""
+"""Path that means standard output."""
 
 
 def as_path(value: Any, what: str = "path") -> Path:
-    """The path that is meant; ValueError naming `what` for what is none."""
+    """Return a value as a path; ValueError naming `what` if it is not a path."""
     if not isinstance(value, (str, os.PathLike)):
         raise ValueError(f"{what} must be a path, got {value!r}")
     return Path(value)
 
 
 def resolved(path: str | Path) -> Path:
-    """Absolute path with links followed; ValueError naming it where they lead in a circle."""
+    """Return the absolute path with links followed; ValueError naming the path if its links lead in a circle."""
     out = Path(os.path.realpath(path))
-    if any(map(os.path.islink, (out, *out.parents))):  # which no other links are left as
+    if any(map(os.path.islink, (out, *out.parents))):  # only circular links remain
         raise ValueError(f"cannot write {path}: its links lead in a circle")
     return out
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether there is a file at a path, whatever the path is."""
+    """Return whether a path leads to a file; False also for invalid paths."""
     try:
         return Path(path).is_file()
-    except OSError:  # of a name that is too long
+    except OSError:  # for instance a name that is too long
         return False
 
 
 def is_special(path: str | Path) -> bool:
-    """Whether a path cannot be replaced, only written: standard output, a FIFO, a device."""
+    """Return whether a path can be written but not replaced: standard output, a FIFO, a device."""
     path = as_path(path)
     if path == STDOUT:
         return True
@@ -102,19 +102,19 @@ def is_special(path: str | Path) -> bool:
 
 
 def check_writable(path: str | Path, kind: Kind) -> None:
-    """Raise a ValueError that names a path `writing` could not write, as far as one can tell before."""
+    """Raise a ValueError naming the path if `writing` could not write it, as far as that is known in advance."""
     if (path := as_path(path)) == STDOUT:
         return
     try:
         _check_writable(path)
         if not is_special(path):
             _check_kind(path, kind)
-    except PermissionError:  # of a folder on the way, which hides what is in it
+    except PermissionError:  # a folder on the path hides its contents
         raise ValueError(f"cannot write {path}: permission denied") from None
 
 
 def _check_kind(path: Path, kind: Kind) -> None:
-    """Refuse an ending that is not of the kind, and to replace what is known to be of another."""
+    """Refuse an ending of another kind, and to replace a file that is known to be of another kind."""
     if path.suffix and path.suffix[1:].lower() not in kind.endings:
         raise ValueError(f"cannot write {path}: a {kind.what} must be {' or '.join(kind.endings)}, got {path.suffix}")
     if is_file(path) and (there := _kind_of(path)) and there != kind.what:
@@ -122,7 +122,7 @@ def _check_kind(path: Path, kind: Kind) -> None:
 
 
 def _kind_of(path: Path) -> str:
-    """What a file is; empty where it is not known, or too damaged to tell."""
+    """Return the kind of a file in words; empty if it is not known, or the file is too damaged."""
     with suppress(OSError), open(path, "rb") as file:
         head = file.read(1024)
         if head.startswith(_HDF5):
@@ -132,9 +132,9 @@ def _kind_of(path: Path) -> str:
 
 
 def _kind_of_hdf5(path: Path) -> str:
-    import h5py  # heavy, and seldom needed here
+    import h5py  # slow to import, and seldom needed here
 
-    with suppress(Exception), h5py.File(path, "r", locking=False) as file:  # of damaged files it raises many kinds
+    with suppress(Exception), h5py.File(path, "r", locking=False) as file:  # damaged files raise many kinds of errors
         if "meta" in file and file["meta"].attrs.get("format") == "nsdyn":
             return RECORDING.what
         if any(name.startswith("fclib_") for name in file):
@@ -144,9 +144,9 @@ def _kind_of_hdf5(path: Path) -> str:
 
 
 def lock(path: Path) -> int:
-    """Open a file and lock it until its descriptor is closed; ValueError naming it where another run has locked it.
+    """Open a file and lock it until its descriptor is closed; ValueError naming the file if another run has locked it.
 
-    Readers and HDF5's own locks are not affected. Systems without locks of open files lock nothing.
+    Readers and HDF5's own locks are not affected. Systems without locks of open files do not lock.
     """
     descriptor = os.open(path, os.O_RDWR)
     if kind := getattr(fcntl, "F_OFD_SETLK", None):
@@ -160,7 +160,7 @@ def lock(path: Path) -> int:
 
 
 def check_folder(path: str | Path) -> None:
-    """Raise a ValueError that names a folder that is not there and cannot be made, or that nothing can be added to."""
+    """Raise a ValueError naming a folder that does not exist and cannot be made, or to which no file can be added."""
     there = resolved(path)
     while not os.path.lexists(there):
         there = there.parent
@@ -180,21 +180,21 @@ def _check_writable(path: str | Path) -> None:
 
 
 def _may(path: str | Path, mode: int) -> bool:
-    """`os.access` by the rights that opening goes by, the effective ones, where the system can tell."""
+    """Call `os.access` with the effective rights, which are those for opening files, if the system supports it."""
     return os.access(path, mode, effective_ids=os.access in os.supports_effective_ids)
 
 
 @contextmanager
 def writing(path: str | Path, kind: Kind) -> Iterator[Path]:
-    """Yield a file of a kind to write, which becomes `path` when the block succeeds; else nothing is left.
+    """Yield a file of a kind to write, which becomes `path` when the block succeeds; otherwise no file is left.
 
-    A regular file is replaced as a whole and keeps its permissions; a link is followed. What is no regular file, and
-    standard output for ``-``, is written through, also when the block succeeds only.
+    A regular file is replaced as a whole and keeps its permissions; a link is followed. Data for a path that is not a
+    regular file, and for standard output (``-``), are copied to it, also only when the block succeeds.
 
     Raises
     ------
     ValueError
-        Naming the path, when it cannot be written, its ending is of another kind, or what is there.
+        Naming the path, if it cannot be written, or its ending or the existing file is of another kind.
     """
     path = as_path(path)
     check_writable(path, kind)

@@ -1,4 +1,4 @@
-"""Names that a user gives: looked up among the known ones, with what was meant."""
+"""Names given by users: look-up among the known names, with a suggestion in the error."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any
 __all__ = ["check_known", "choice", "counted", "unknown"]
 
 MANY = 12
-"""More names than these are not listed whole."""
+"""Largest number of names that are all listed."""
 
 NEAR = 6
-"""Of many names so many are listed, those nearest to what was given."""
+"""Number of names listed if there are more than `MANY`: those closest to the given one."""
 
 
 def counted(number: int, one: str, more: str = "") -> str:
-    """So many of something, of which `more` is the plural if it is no s: ``1 step``, ``2 bodies``."""
+    """Return a number with its noun: ``1 step``, ``2 bodies``; `more` is the plural if it is not `one` with an s."""
     return f"{number} {one if number == 1 else more or one + 's'}"
 
 
 def choice(value: Any, known: Iterable[str], what: str) -> str:
-    """A known name; ValueError in the words of `unknown`."""
+    """Return a value if it is a known name; else a ValueError with the message of `unknown`."""
     names = list(known)
     if not isinstance(value, str) or value not in names:
         raise ValueError(unknown(value, names, what))
@@ -29,14 +29,14 @@ def choice(value: Any, known: Iterable[str], what: str) -> str:
 
 
 def check_known(given: Iterable[str], known: Iterable[str]) -> None:
-    """ValueError for keywords that are not among the known ones, in the words of `unknown`."""
+    """Raise a ValueError with the message of `unknown` for keywords that are not among the known ones."""
     names = sorted(known)
     for name in sorted(set(given) - set(names)):
         raise ValueError(unknown(name, names, "keyword"))
 
 
 def unknown(value: Any, known: Iterable[str], what: str) -> str:
-    """What to say of a name that is not among the known ones: the one that was meant first, then those there are.
+    """Return the message for an unknown name: first the name that was probably meant, then the known names.
 
     >>> unknown("bx", ["box", "ground"], "body")
     "did you mean 'box'? body must be one of box, ground; got 'bx'"
@@ -50,9 +50,9 @@ def unknown(value: Any, known: Iterable[str], what: str) -> str:
 
 
 def _meant(value: Any, known: Iterable[str]) -> str:
-    """``did you mean 'x'? `` for the closest known name, to begin with, empty where none is close.
+    """Return ``did you mean 'x'? `` with the closest known name; empty if no name is close.
 
-    A name may be given without what stands before its slash: of "robot/knee" as "knee".
+    Names may be given without the part before their last slash: "robot/knee" as "knee".
     """
     names = {own.lower(): name for name in known for own in (name.rpartition("/")[2], name)}
     close = get_close_matches(str(value).lower(), names, n=1)

@@ -1,4 +1,4 @@
-"""What libraries in C++ print on stderr, caught: the user is told in one line, by an exception."""
+"""Capture of messages that C++ libraries print on stderr, so that an exception can report them in one line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["caught", "told"]
 
 @contextmanager
 def caught() -> Iterator[list[str]]:
-    """Yield a list that holds, after the block, the lines which were printed on file descriptor 2 in it."""
+    """Yield a list that contains, after the block, the lines printed on file descriptor 2 during the block."""
     lines: list[str] = []
     with tempfile.TemporaryFile() as file:
         kept = os.dup(2)
@@ -28,7 +28,7 @@ def caught() -> Iterator[list[str]]:
 
 
 def told(failure: Exception, lines: list[str]) -> str:
-    """The first error a library printed, else what its exception says, without the places in its sources."""
+    """Return the first error that a library printed, else the message of its exception, without source locations."""
     for line in lines:
         if line.startswith("Error:"):
             return line.removeprefix("Error:").strip()

@@ -1,4 +1,4 @@
-"""Small tables for notebooks, which show what an object's `_repr_html_` returns."""
+"""Small HTML tables for `_repr_html_`, which notebooks show."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from html import escape
 __all__ = ["ROWS", "figures", "table"]
 
 ROWS = 20
-"""Most rows of a table: who wants more asks the object."""
+"""Largest number of rows of a table in a notebook; the object itself has all rows."""
 
 
 def table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]], most: int = ROWS) -> str:
-    """A table of texts and numbers under a title; numbers to four digits, at most so many rows."""
+    """Return a table of texts and numbers with a title; numbers have four digits, and at most `most` rows are shown."""
     cut = [[f"... {len(rows) - most} more", *[""] * (len(head) - 1)]] if len(rows) > most else []
     body = "".join(_row("td", row) for row in [*rows[:most], *cut])
     return f"<table>{_caption(title)}<thead>{_row('th', head)}</thead><tbody>{body}</tbody></table>"
 
 
 def figures(title: str, pairs: Iterable[tuple[str, object]]) -> str:
-    """A table of names and values."""
+    """Return a table of names and values."""
     return f"<table>{_caption(title)}<tbody>{''.join(_row('td', pair) for pair in pairs)}</tbody></table>"
 
 

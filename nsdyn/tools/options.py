@@ -1,4 +1,4 @@
-"""Options of a frozen dataclass, checked by their annotations when one is made."""
+"""Options as fields of a frozen dataclass, checked against their annotations when an instance is made."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Allowed", "Count", "NonNegative", "Options", "Positive", "Whole", "i
 
 
 class Allowed(NamedTuple):
-    """The numbers that an option may be: what it must be in words, and whether one is."""
+    """Numbers allowed for an option: the requirement in words, and a function that tests a number."""
 
     words: str
     holds: Callable[[float], bool]
@@ -29,18 +29,18 @@ Whole = Annotated[int, Allowed("a whole number, at least 0", lambda n: n >= 0)]
 
 
 class Options:
-    """Base of frozen dataclasses that refuse what their annotations do not allow.
+    """Base of frozen dataclasses that refuse values that their annotations do not allow.
 
-    A field is a Literal, or Annotated with the kind of number and what is `Allowed`, and may be None too; what a class
-    derived from such a one adds is its own. Numbers of NumPy become those of Python, so that a kernel is compiled for
-    one kind of them.
+    The annotation of a field is a Literal, or Annotated with the type of number and `Allowed`, and may include None.
+    Only the fields of the class directly below this base are checked, not fields that classes derived from it add.
+    Numbers of NumPy become those of Python, so that a kernel is compiled for one type of them only.
 
     Raises
     ------
     ValueError
-        Naming the option, what it must be and what was given.
+        Naming the option, the requirement and the given value.
     TypeError
-        Of a class whose annotation says nothing of what the option may be.
+        For a class with an annotation that does not define the allowed values.
     """
 
     def __post_init__(self) -> None:
@@ -59,7 +59,7 @@ class Options:
 
 @cache
 def _annotations(made: type) -> dict[str, Any]:
-    """The annotations of the class of `Options` that a class is or derives from; their texts are evaluated once."""
+    """Return the annotations of the class directly below `Options` that a class is or derives from; evaluated once."""
     line = made.__mro__
     out = get_type_hints(line[line.index(Options) - 1], include_extras=True)
     for name, annotation in out.items():
@@ -69,5 +69,5 @@ def _annotations(made: type) -> dict[str, Any]:
 
 
 def is_number(value: Any, kind: type = float) -> bool:
-    """Whether a value is a number, of the kind int a whole one; True and False are none."""
+    """Return whether a value is a number of a kind, for int a whole number; True and False are no numbers."""
     return isinstance(value, (int, kind)) and not isinstance(value, bool)

@@ -20,26 +20,26 @@ from nsdyn.tools.naming import choice, counted, unknown
 __all__ = ["Table", "matches", "matching"]
 
 SHOWN = 40
-"""Rows that are printed."""
+"""Largest number of rows that are printed."""
 
 WIDTH = 100
-"""Characters in a line of what shows itself."""
+"""Largest number of characters in a line of a table's repr."""
 
 NOTHING = 1e-12
-"""What is smaller, beside 1 and the largest printed number of its unit, is round-off and printed as 0."""
+"""Fraction of the largest printed number of a unit, at least of 1: smaller numbers are round-off and printed as 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of one length by their names: ``table["speed"]`` is an array, ``table[rows]`` a table of some rows.
+    """Columns of equal length by name: ``table["speed"]`` is an array, ``table[rows]`` a table of some rows.
 
     Attributes
     ----------
     title : str
     columns : dict of str to ndarray, shape (rows,)
-        Numbers, NaN where there is none, or texts.
+        Texts, or numbers with NaN for empty cells.
     units : dict of str to str
-        Of the columns that have one.
+        Units of the columns that have one.
 
     Examples
     --------
@@ -70,28 +70,28 @@ class Table:
         return len(next(iter(self.columns.values())))
 
     def select(self, *names: str) -> Table:
-        """Only some columns."""
+        """Return a table with only the named columns."""
         return Table(self.title, {name: self[name] for name in names}, self.units)
 
     def to_pandas(self) -> Any:
-        """A pandas.DataFrame whose columns are the `headers`; ValueError where pandas is not installed."""
+        """Return a pandas.DataFrame with the `headers` as names of columns; ValueError if pandas is not installed."""
         return _needed("pandas").DataFrame(dict(zip(self.headers, self.columns.values(), strict=True)))
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write an Apache Parquet file; ValueError where pyarrow is not installed, or naming the path."""
+        """Write an Apache Parquet file; ValueError if pyarrow is not installed, or naming the path if writing fails."""
         arrow, parquet = _needed("pyarrow"), _needed("pyarrow.parquet")
         with files.writing(path, files.PARQUET) as part:
             parquet.write_table(arrow.table(dict(zip(self.headers, self.columns.values(), strict=True))), part)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV file, numbers in full, a cell without a number empty; ValueError naming the path."""
+        """Write a CSV file with all digits and empty cells for NaN; ValueError naming the path if writing fails."""
         with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
             sink = csv.writer(file, lineterminator="\n")
             sink.writerow(self.headers)
             sink.writerows(zip(*(map(_blank, values.tolist()) for values in self.columns.values()), strict=True))
 
     def text(self, width: float = inf) -> str:
-        """The first rows, right-aligned; columns in the middle are left out of lines with more characters than that."""
+        """Return the first rows, right-aligned; middle columns are left out of lines longer than `width` characters."""
         lines = self._fitting([list(self.headers), *self._cells(SHOWN)], width)
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         out = ["  ".join(map(str.rjust, line, widths)) for line in lines]
@@ -101,7 +101,7 @@ class Table:
         return self.text(WIDTH)
 
     def _fitting(self, lines: list[list[str]], width: float) -> list[list[str]]:
-        """The columns from both ends that fit, and between them one of dots."""
+        """Return the columns from both ends that fit into the width, with a column of dots between them."""
         widths = [max(map(len, column)) + 2 for column in zip(*lines, strict=True)]
         if sum(widths) - 2 <= width:
             return lines
@@ -112,7 +112,7 @@ class Table:
         return [[*line[:left], "...", *line[len(line) - right :]] for line in lines]
 
     def _more(self, rows: int, headers: Sequence[str]) -> str:
-        """What is not shown, in words."""
+        """Say how many rows and columns are not shown."""
         rest = [counted(len(self) - rows, "more row")] if len(self) > rows else []
         if "..." in headers:
             columns = counted(len(self.columns) - len(headers) + 1, "more column")
@@ -138,9 +138,9 @@ class Table:
 
 
 def matching(known: list[str], pattern: str, what: str) -> list[str]:
-    """The known names that a pattern matches, where * stands for anything; ValueError if none does.
+    """Return the known names that a pattern matches, where * matches any text; ValueError if none matches.
 
-    Where no whole name does, those are meant that do after their robot's, as plots call them: "knee" of "robot/knee".
+    If no whole name matches, the parts after the first slash are compared: "knee" matches "robot/knee", as in plots.
     """
     if not known:
         raise ValueError(f"the recording has no {what}")
@@ -151,7 +151,7 @@ def matching(known: list[str], pattern: str, what: str) -> list[str]:
 
 
 def matches(name: str, pattern: str) -> bool:
-    """Whether a pattern stands for a name, as every name does for itself: "box[0]" has brackets of its own."""
+    """Return whether a pattern matches a name. Every name matches itself, also "box[0]", whose brackets are literal."""
     if not isinstance(pattern, str):
         raise ValueError(f"a pattern of names must be a text, as '*knee*', got {pattern!r}")
     return name == pattern or fnmatchcase(name, pattern)

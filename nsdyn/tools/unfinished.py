@@ -1,12 +1,12 @@
-"""HDF5 files that a writer left marked as open.
+"""Reading of HDF5 files that a writer left marked as open.
 
-HDF5 marks a file as open for writing in its superblock, and refuses to read it as long as the mark is there. Its way
-around, to read as a reader beside a writer (SWMR), expects that damaged metadata are mended any moment: it reads each
-block up to a hundred times, with pauses that double, deaf to signals. Where no writer is at work, such a file is shown
-to HDF5 without its mark and ending where it does end, so that what is missing is told at once.
+HDF5 marks a file as open for writing in its superblock, and refuses to read the file as long as it has the mark. Its
+mode for reading beside a writer (SWMR) expects that the writer will soon complete damaged metadata: it reads each block
+up to a hundred times, with pauses that double, and ignores signals meanwhile. If no writer is at work, this module
+presents the file to HDF5 without the mark and with its actual end, so that HDF5 reports missing parts at once.
 
-Of 300 files whose writers were killed within a write h5py itself opened 20 as they are and 293 as a reader beside a
-writer; here all 300 open. For one that was cut in half besides h5py had no answer after 3 minutes, here after 0.2 s.
+Of 300 files whose writers were killed during a write, h5py itself opened 20 normally and 293 in SWMR mode; this module
+opens all 300. For a file that was also cut in half h5py gave no answer within 3 minutes, this module one after 0.2 s.
 
 References
 ----------
@@ -31,15 +31,15 @@ SUPERBLOCK = 48
 """Bytes of a superblock of version 3 with addresses and lengths of 8 bytes."""
 
 START = b"\x89HDF\r\n\x1a\n\x03\x08\x08"
-"""What it begins with; the byte after it is the mark."""
+"""First bytes of the superblock; the next byte is the mark."""
 
 PATIENCE = 0.2
-"""Seconds to wait for a writer, which keeps a recording open for some 10 ms at a time."""
+"""Time in s to wait for a writer, which keeps a recording open for some 10 ms at a time."""
 
 
 @contextmanager
 def open_to_read(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file, also one that is being written or whose writer was killed; OSError for a damaged one."""
+    """Open an HDF5 file, also during a write or after its writer was killed; OSError for a damaged file."""
     deadline = time.perf_counter() + PATIENCE
     while True:
         if (file := _opened(path)) is not None:
@@ -54,23 +54,23 @@ def open_to_read(path: Path) -> Iterator[Any]:
 
 
 def _opened(path: Path) -> Any:
-    """The file, None where it is marked as open for writing."""
+    """Return the open file, None if it is marked as open for writing."""
     try:
         return h5py.File(path, "r", locking=False)
     except OSError:
-        # Where this process has it open with locks, as xarray does, so it must be opened once more.
+        # If this process already has the file open with locks, as xarray does, it must be opened with locks again.
         return None if _is_marked(path) else h5py.File(path, "r")
 
 
 def _is_marked(path: Path) -> bool:
-    """Whether a file says that it is open for writing."""
+    """Return whether a file is marked as open for writing."""
     with open(path, "rb") as file:
         block = file.read(SUPERBLOCK)
     return len(block) == SUPERBLOCK and block.startswith(START) and block[len(START)] != 0
 
 
 class _Unmarked(io.FileIO):
-    """A file whose superblock bears no mark and gives the actual end of the file."""
+    """A file that is read with a superblock without the mark and with the actual end of the file."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -80,7 +80,7 @@ class _Unmarked(io.FileIO):
         self._superblock = block + _checksum(block).to_bytes(4, "little")
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a buffer from the present position."""
+        """Fill a buffer from the present position of the file."""
         view, at = memoryview(buffer).cast("B"), self.tell()
         count = super().readinto(view) or 0
         shown = self._superblock[at : at + count]
@@ -89,7 +89,7 @@ class _Unmarked(io.FileIO):
 
 
 def _checksum(data: bytes) -> int:
-    """Jenkins's lookup3 of at least one byte, as HDF5 uses it for metadata."""
+    """Return Jenkins's lookup3 hash of at least one byte, the checksum of HDF5 metadata."""
 
     def turned(x: int, bits: int) -> int:
         return (x << bits | x >> 32 - bits) & 0xFFFFFFFF
@@ -102,7 +102,7 @@ def _checksum(data: bytes) -> int:
         if k + 3 == len(words):
             break
         for bits in (4, 6, 8, 16, 19, 4):
-            # The three rotate their parts after each line: a -= c, a ^= c <<< bits, c += b.
+            # After each line of lookup3, a -= c, a ^= c <<< bits, c += b, the three variables change roles cyclically.
             a = (a - c & 0xFFFFFFFF) ^ turned(c, bits)
             a, b, c = b, c + b & 0xFFFFFFFF, a
     for bits in (14, 11, 25, 16, 4, 14, 24):

@@ -1,4 +1,4 @@
-"""Processes for the solvers and engines that are timed: one thread each, a limit on time, and a crash is a result."""
+"""Processes in which solvers and engines are timed: one thread each, with a time limit; a crash counts as a result."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from typing import Any
 __all__ = ["Worker"]
 
 LOADING = 300.0
-"""s for whatever is not timed: imports, reading, building."""
+"""Time limit in s for all work that is not timed: imports, reading, building."""
 
 
 class Worker:
-    """Process of a script of ours, started when something is asked and again after it had to be ended.
+    """Process of a script of nsdyn, started at the first request and again after it had to be ended.
 
-    A request is a line of JSON. Before and after what is timed the script says ``{"event": "start"}`` (``"warm"`` if it
-    may compile) and ``{"event": "end"}``; the reply is the first line without an event.
+    A request is a line of JSON. The script prints ``{"event": "start"}`` before the timed part (``"warm"`` if it may
+    compile) and ``{"event": "end"}`` after it. The reply is the first line without an event.
 
     Parameters
     ----------
     command : list of str
     grace : float
-        s by which first calls may exceed their limit in total, for compilation.
+        Total time in s by which first calls may exceed their limits, for compilation.
     """
 
     def __init__(self, command: list[str], grace: float) -> None:
@@ -34,7 +34,7 @@ class Worker:
         self._buffer = b""
 
     def ask(self, request: dict[str, Any], limit: float) -> dict[str, Any]:
-        """Reply to a request, or the reason why there is none."""
+        """Return the reply to a request, or the reason why there is none."""
         if self._process is None:
             ones = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NSDYN_COMPILE_PROCESSES"
             environment = os.environ | dict.fromkeys(ones, "1")
@@ -64,7 +64,7 @@ class Worker:
             return {"failure": f"the process died with exit code {code}"}
 
     def _line(self, deadline: float) -> dict[str, Any] | None:
-        """Next line of the process, None after the deadline; EOFError when it is gone."""
+        """Return the next line of the process, None after the deadline; EOFError if the process has ended."""
         assert self._process is not None and self._process.stdout is not None
         pipe = self._process.stdout.fileno()
         while b"\n" not in self._buffer:
