@@ -81,7 +81,7 @@ def _period(ratio: float, round1: bool, round2: bool) -> float:
     if not round2:
         return 2.0 * math.pi * abs(ratio) or math.inf
     teeth = Fraction(ratio).limit_denominator(TEETH)
-    return 2.0 * math.pi / teeth.denominator if abs(ratio - teeth) <= 1e-12 * abs(ratio) else 0.0  # text to float rounds
+    return 2.0 * math.pi / teeth.denominator if abs(ratio - teeth) <= 1e-12 * abs(ratio) else 0.0  # text is rounded
 
 
 def following(model: Any, gears: Sequence[Gear], q: Array) -> Array:
