@@ -49,7 +49,7 @@ TABLE = {
     "limit": Rules("lower upper effort velocity"),
     "dynamics": Rules("damping friction"),
     "mimic": Rules("joint multiplier offset"),
-    # Gazebo's additions to a link or joint; links touch each other unless `self_collisions` turns it off.
+    # Gazebo's additions to a link or joint; self-contact at "true" changes nothing, since links may touch anyway.
     "gazebo": Rules(
         "reference material visual frame",
         many="material visual frame",
