@@ -232,8 +232,8 @@ class Scene:
         name : str
             Unique in the scene.
         model : pinocchio.Model
-            The model is copied, so that several articulations may share it. Its joints are in depth-first order: each
-            joint is directly followed by all joints that it carries. A mimic joint gets a coordinate of its own, which
+            The model is copied, so that several articulations may share it. Its joints must be in depth-first order:
+            all joints that a joint carries follow it directly. A mimic joint gets a coordinate of its own, which
             counts in q, v and the other sequences, and a gear as of `add_gear`.
         geometry_model : pinocchio.GeometryModel, optional
             Collision shapes of the model. If it lists collision pairs, only the listed pairs may touch.
@@ -469,11 +469,11 @@ class Scene:
             raise ValueError(f"the pair of {a!r} and itself never touches: only parts of an articulation do")
         self.pairs[frozenset((a, b))] = (mu, restitution)
 
-    # -- what the stepper needs --------------------------------------------------------------------------------
+    # -- data for the stepper ----------------------------------------------------------------------------------
 
     @property
     def free_bodies(self) -> list[Body]:
-        """Bodies that move, in the order they were added."""
+        """Free bodies, in the order they were added."""
         return [b for b in self.bodies.values() if not b.fixed]
 
     @property

@@ -60,7 +60,7 @@ ROUND = (SPHERE, CAPSULE)
 """Kinds that are all points within a radius of a point or a segment: contacts of two such shapes do not need Coal."""
 
 CONCAVE = 1.02
-"""A mesh whose hull has more than this times its volume is reported as not convex."""
+"""Ratio of the volumes of hull and mesh above which a mesh is reported as not convex."""
 
 
 @dataclass(frozen=True, eq=False)

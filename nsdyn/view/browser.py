@@ -44,7 +44,7 @@ FLAGS = [
 
 SOFTWARE = {"EGL_PLATFORM": "surfaceless", "LIBGL_ALWAYS_SOFTWARE": "1"}
 """Environment by which Mesa's llvmpipe draws: with many triangles it takes little more than half of SwiftShader's time.
-Without llvmpipe, Chromium uses SwiftShader itself. Composing pages with llvmpipe too would cost the time gained."""
+Without llvmpipe, Chromium uses SwiftShader by default. Composing pages with llvmpipe too would cost the time gained."""
 
 OF_THE_BROWSER = ("Target.", "SystemInfo.")
 """Prefixes of commands that go to the browser, not to a page."""

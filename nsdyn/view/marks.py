@@ -43,11 +43,11 @@ class Impacts(NamedTuple):
 def find(trajectory: Trajectory) -> Impacts:
     """Find the impacts of a recording: pushing contacts that closed faster than |g| h and carried no load before.
 
-    The speed at which a contact closed follows from the work of its normal impulse, which is r_N times the mean of the
-    normal velocities before and after: -u_N⁻ = u_N - 2 w_N / r_N. It holds where the shapes were nearest at the time.
-    A rolling contact therefore closes at zero speed, however fast it rolls, and an impact located within a step has the
-    speed of its instant. h is the length of the step: a speed that gravity gives within one step cannot be
-    distinguished from rest.
+    The speed at which a contact closed, at the point where its shapes were nearest at that time, follows from the work
+    of its normal impulse. This work is r_N times the mean of the normal velocities before and after:
+    -u_N⁻ = u_N - 2 w_N / r_N. A rolling contact therefore closes at zero speed, however fast it rolls, and an impact
+    located within a step has the speed of its instant. h is the length of the step: a speed that gravity gives within
+    one step cannot be distinguished from rest.
 
     A contact carries a load already if it had at least half the impulse when it last acted, in the same step or the
     step before, and did not separate. Such a contact is no impact. Its gap still closes by an amount of second order in

@@ -115,7 +115,7 @@ def usual(trajectory: Trajectory) -> list[str]:
 
 
 def _missing(trajectory: Trajectory) -> dict[str, tuple[str, ...]]:
-    """Return the data that a recording does not have, with the kinds that need them."""
+    """Return the names of data that a recording does not have, with the kinds that need them."""
     joints = any(a.get("sizes") for a in trajectory.scene["articulations"])
     return ({} if joints else {"joints": OF_JOINTS}) | ({} if trajectory.has_contacts else {"contacts": OF_CONTACTS})
 

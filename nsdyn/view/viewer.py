@@ -32,7 +32,7 @@ __all__ = ["PageOptions", "html", "write_html"]
 
 
 class PageOptions(TypedDict, total=False):
-    """Keywords of `html`; see there."""
+    """Keywords of `html`."""
 
     fps: float | None
     forces: bool | str

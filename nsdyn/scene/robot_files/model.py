@@ -1,4 +1,4 @@
-"""Pinocchio models made by hand."""
+"""Reader of Pinocchio models made by hand."""
 
 from __future__ import annotations
 
