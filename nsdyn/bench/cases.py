@@ -1,8 +1,8 @@
-"""Cases with known answers: a scene, when to look, and the error of what an engine shows.
+"""Cases with known answers: a scene, the times of its samples, and a function that measures the error of poses.
 
-To add one: a scene in `models/` that all engines can be given, a function of (scene, t, poses) that returns its error
-from an answer known otherwise, and a `Case` in `CASES`; `nsdyn bench NAME` runs it, and `tests/bench/test_bench.py`
-knows it.
+To add a case, write a scene in `models/` that all engines can simulate, a function of (scene, t, poses) that returns
+the error from an independently known answer, and a `Case` in `CASES`. Then `nsdyn bench NAME` runs it, and
+`tests/bench/test_bench.py` includes it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from nsdyn.tools.arrays import Array
 __all__ = ["CASES", "Case", "Measure", "describe"]
 
 STEPS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)
-"""dt in s; a case uses those that divide the time between its samples."""
+"""Time steps dt in s; a case uses the steps that divide the time between its samples."""
 
 Measure = Callable[[Scene, Array, Array], float]
 
@@ -34,14 +34,14 @@ def _starts(scene: Scene) -> Array:
 
 
 def _displacement(scene: Scene, t: Array, poses: Array) -> float:
-    """Largest distance of a body from where it started, m."""
+    """Return the largest distance of a body from its start, m."""
     return float(np.linalg.norm(poses[..., :3] - _starts(scene), axis=-1).max())
 
 
 def _off(distance: Callable[[Array], Array], direction: Sequence[float], free: Sequence[float] = (0, 0, 0)) -> Measure:
-    """Largest distance of the only body from the point `distance`(t) away from its start, m.
+    """Return a measure: the largest distance of the only body from the point `distance`(t) away from its start, m.
 
-    The component along `free` is left out: the unit normal of the ground, where the question is how far it slid.
+    The component along `free` is ignored; for sliding bodies `free` is the unit normal of the ground.
     """
 
     def error(scene: Scene, t: Array, poses: Array) -> float:
@@ -53,9 +53,10 @@ def _off(distance: Callable[[Array], Array], direction: Sequence[float], free: S
 
 
 def _attitude(scene: Scene, t: Array, poses: Array) -> float:
-    """Largest angle of the only body from the solution of Euler's equations, rad; its own error is below 1e-11.
+    """Return the largest angle of the only body from the solution of Euler's equations, rad.
 
-    I ω̇ = I ω × ω in body axes and q̇ = ½ q ∘ (ω, 0), by an explicit Runge–Kutta method of order 8.
+    I ω̇ = I ω × ω in body axes and q̇ = ½ q ∘ (ω, 0), by an explicit Runge–Kutta method of order 8. The error of this
+    solution is below 1e-11.
     """
     body = scene.free_bodies[0]
     moments = np.diag(body.inertia)
@@ -74,18 +75,18 @@ def _attitude(scene: Scene, t: Array, poses: Array) -> float:
 
 
 def _times(a: Array, b: Array) -> Array:
-    """Product of quaternions xyzw."""
+    """Return the product of two quaternions xyzw."""
     out: Array = np.r_[a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3]), a[3] * b[3] - a[:3] @ b[:3]]
     return out
 
 
 def _penetration(scene: Scene, t: Array, poses: Array) -> float:
-    """Deepest true overlap of two bodies, m."""
+    """Return the deepest true overlap of two bodies, m."""
     return deepest(scene.describe(), poses.reshape(len(t), -1))
 
 
 def _slide(speed: float, deceleration: float) -> Callable[[Array], Array]:
-    """Distance after t of what slows down to a stop."""
+    """Return the distance, as a function of t, of a body that slows down to a stop."""
 
     def distance(t: Array) -> Array:
         s = np.minimum(t, speed / deceleration)
@@ -96,7 +97,7 @@ def _slide(speed: float, deceleration: float) -> Callable[[Array], Array]:
 
 
 def _slide_to_roll(speed: float, mu: float) -> Callable[[Array], Array]:
-    """Distance of a ball thrown without spin: it rolls after 2 v0/(7 mu g), at 5/7 v0."""
+    """Return the distance of a ball thrown without spin: it rolls after 2 v0/(7 mu g), at 5/7 v0."""
 
     def distance(t: Array) -> Array:
         s = np.minimum(t, 2.0 * speed / (7.0 * mu * G))
@@ -107,7 +108,7 @@ def _slide_to_roll(speed: float, mu: float) -> Callable[[Array], Array]:
 
 
 def _bounce(height: float, restitution: float) -> Callable[[Array], Array]:
-    """Height above the start of a ball dropped from `height`: flights of duration 2 v/g, v = eᵏ √(2 g height)."""
+    """Return the height over the start of a ball dropped from `height`: flights of 2 v/g, v = eᵏ √(2 g height)."""
 
     def distance(t: Array) -> Array:
         speed = math.sqrt(2.0 * G * height)
@@ -128,7 +129,7 @@ G = 9.81
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A scene with an answer.
+    """A scene with a known answer.
 
     Attributes
     ----------
@@ -136,17 +137,17 @@ class Case:
     model : str
         Name of the scene.
     parameters : dict
-        Of the scene.
+        Parameters of the scene.
     every : float
-        s between samples.
+        Time between samples, s.
     samples : int
-        Their number: at every, 2 every, ..., the last at the end.
+        Number of samples: at every, 2 every, ..., the last at the end.
     measure : callable
         ``measure(scene, t, poses)`` returns the error of the poses (samples, bodies, 7) at times t.
     what : str
         Name and unit of the error.
     slope : float
-        Angle in rad by which gravity is turned towards x: a slope as a level ground, which all engines do best.
+        Angle in rad by which gravity is turned towards x: a slope becomes a level ground, which suits all engines best.
     """
 
     name: str
@@ -172,7 +173,7 @@ class Case:
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene."""
+        """The scene of the case, with gravity turned by `slope`."""
         out = scenes.load(self.model)(**self.parameters)
         if self.slope:
             out.gravity = G * np.array([math.sin(self.slope), 0.0, -math.cos(self.slope)])
@@ -236,11 +237,11 @@ def _cases() -> dict[str, Case]:
 
 
 CASES = _cases()
-"""The cases by name."""
+"""Cases by name."""
 
 
 def describe(scene: Scene) -> dict[str, Any]:
-    """What an engine needs to build a scene of boxes, spheres and half-spaces of one material, as JSON values."""
+    """Return the data of a scene of boxes, spheres and half-spaces of one material as JSON values, for any engine."""
     geoms = scene.geoms()
     (material,) = {(geom.material.mu, geom.material.restitution) for geom in geoms}
     return {

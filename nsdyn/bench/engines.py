@@ -1,12 +1,12 @@
-"""Speed against error: cases with known answers, over a range of time steps, in our stepper and in other engines.
+"""Speed against error: cases with known answers, over a range of time steps, in nsdyn's stepper and in other engines.
 
-All engines get the same scene: shapes, masses, inertias, velocities, gravity, friction, restitution. Each runs in a
-process of its own with one thread. The poses that a run passes through are compared with the answer here, by the same
-code for all. Timed is stepping alone, in the fastest way an engine has; building, compiling and reading poses are not.
-Times are processor times of the one thread: wall times on an idle machine.
+All engines get the same scene: shapes, masses, inertias, velocities, gravity, friction, restitution. Each engine runs
+in a process of its own with one thread. This module compares the poses of a run with the answer, by the same code for
+all engines. Only stepping is timed, in the fastest way an engine has; building, compiling and reading poses are not.
+Times are processor times of the one thread, which are wall times on an idle machine.
 
-A run counts for an error only if the runs of the same engine and settings at every smaller dt meet it too: what is
-right by cancellation is not what one can rely on.
+A run counts for an error only if the runs of the same engine and settings at every smaller dt meet the error too: a run
+that is right by cancellation is not reliable.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from nsdyn.tools.workers import Worker
 __all__ = ["Bench", "ERRORS", "PEERS", "Run", "measure"]
 
 ERRORS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
-"""Bounds that the table shows."""
+"""Bounds on the error that the table shows."""
 
 SMALL = 0.01
-"""dt in s from which on a smaller one takes longer: a run that takes too long is the last of its series. Above it the
-size of the step itself may make the contact problems hard."""
+"""dt in s at and below which a smaller dt takes longer, so that a run that takes too long ends its series. Above it, a
+run may take too long because its large steps make the contact problems hard."""
 
 _SCRIPTS = Path(__file__).with_name("_peers")
 
@@ -50,15 +50,15 @@ class Run:
     Attributes
     ----------
     case, engine, variant : str
-        The variant names the settings of the engine.
+        `variant` is the name of the settings of the engine.
     dt : float
         s.
     error : float
-        inf if the run failed, nan if it was stopped at the limit.
+        inf if the run failed, nan if it was stopped at the time limit.
     seconds : float
         Time per simulated second, nan without an answer.
     note : str
-        Why there is no answer.
+        Reason for a missing answer.
     """
 
     case: str
@@ -88,11 +88,11 @@ class Bench:
 
     @property
     def engines(self) -> list[str]:
-        """Names of the engines, ours first."""
+        """Names of the engines, nsdyn's first."""
         return list(dict.fromkeys(run.engine for run in self.runs))
 
     def within(self, case: str, engine: str, error: float) -> Run | None:
-        """The fastest run of an engine that meets the error at its dt and at every smaller one, None without any."""
+        """Return an engine's fastest run that meets the error at its dt and every smaller dt, None without one."""
         best = None
         broken = set()
         for run in self._finished.get((case, engine), []):
@@ -104,7 +104,7 @@ class Bench:
 
     @cached_property
     def _finished(self) -> dict[tuple[str, str], list[Run]]:
-        """Runs that were not stopped of every case and engine, the smallest dt first."""
+        """Runs of every case and engine that were not stopped, smallest dt first."""
         out: dict[tuple[str, str], list[Run]] = {}
         for run in sorted(self.runs, key=lambda run: run.dt):
             if not math.isnan(run.error):
@@ -112,9 +112,9 @@ class Bench:
         return out
 
     def summary(self) -> list[dict[str, Any]]:
-        """For every case and bound of `ERRORS`: the run by which each engine reaches it, and ours over the best peer's.
+        """Return for every case and bound of `ERRORS` the run by which each engine reaches it, and a ratio of times.
 
-        The ratio of times is inf where only a peer reaches the bound, None where no peer does.
+        The ratio is nsdyn's time over the best peer's: inf if only a peer reaches the bound, None if no peer does.
         """
         out = []
         for case in self.cases:
@@ -133,7 +133,7 @@ class Bench:
         return out
 
     def table(self) -> str:
-        """Time in ms per simulated second to reach an error, and ours over that of the best peer."""
+        """Return a table of the time in ms per simulated second to reach an error, and nsdyn's over the best peer's."""
         width = max(len(engine) for engine in [*self.engines, "ours/best peer"])
         lines = ["processor time in ms per simulated second to reach an error of"]
         lines.append(" " * (10 + width) + "".join(f"{error:9.0e}" for error in ERRORS))
@@ -150,7 +150,7 @@ class Bench:
         return "\n".join(lines)
 
     def write_csv(self, path: str | Path) -> None:
-        """All runs, one a line; numbers that there are not are empty."""
+        """Write all runs, one per line; missing numbers are empty."""
         with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
             sink = csv.writer(file)
             sink.writerow([field.name for field in fields(Run)])
@@ -160,7 +160,7 @@ class Bench:
     def plot(self, figure: Any) -> None:
         """Draw time per simulated second against error on a matplotlib figure, a panel for each case.
 
-        A line is the time by which an engine reaches an error, as in the table; dots are its runs.
+        A line is the time in which an engine reaches an error, as in the table; dots are its runs.
         """
         columns = min(4, len(self.cases))
         panels = figure.subplots(math.ceil(len(self.cases) / columns), columns, squeeze=False).ravel()
@@ -174,7 +174,7 @@ class Bench:
                 seconds = [math.nan if run is None else 1e3 * run.seconds for run in reached]
                 axes.plot(bounds, seconds, color=f"C{k}", lw=2.0 if k == 0 else 1.2, label=engine)
             if not any(math.isfinite(y) for line in axes.lines for y in line.get_ydata()):
-                axes.set(ylim=(1.0, 10.0))  # of which there is nothing to choose them by
+                axes.set(ylim=(1.0, 10.0))  # no data to choose the limits by
                 axes.text(0.5, 0.5, "no run ended within the limit", ha="center", transform=axes.transAxes)
             axes.set(xscale="log", yscale="log", xlim=(bounds[0], bounds[-1]))
             axes.set(title=CASES[case].title, xlabel=CASES[case].what, ylabel="ms per simulated second")
@@ -188,7 +188,7 @@ OURS = "nsdyn"
 
 @dataclass(frozen=True)
 class _Engine:
-    """A script, the Python it needs, and what to install where it does not run."""
+    """An engine: its script, the Python it needs, and the command that installs it."""
 
     script: str
     module: str
@@ -197,12 +197,12 @@ class _Engine:
 
     @property
     def command(self) -> list[str]:
-        """Command of the worker."""
+        """Command that starts the worker."""
         return [*self.python, str(_SCRIPTS / self.script)]
 
     @property
     def installed(self) -> bool:
-        """Whether its Python has its module."""
+        """Whether the engine's Python has the engine's module."""
         if self.python == (sys.executable,):
             return importlib.util.find_spec(self.module) is not None
         try:
@@ -219,7 +219,7 @@ PEERS = {
     "dart": _Engine("bench_dart.py", "dartpy", "pip install dartpy"),
     "bullet": _Engine("bench_bullet.py", "pybullet", "pip install pybullet"),
     "siconos": _Engine(
-        # Debian's packages serve Debian's Python only, and paths meant for ours would spoil it.
+        # Debian's packages work in Debian's Python only, and paths for this Python would break it.
         "bench_siconos.py",
         "siconos.mechanics.collision.bullet",
         "apt-get install python3-siconos python3-scipy",
@@ -230,7 +230,7 @@ PEERS = {
 
 
 def measure(cases: Sequence[str] = (), peers: Sequence[str] = (), limit: float = 30.0, progress: bool = False) -> Bench:
-    """Run cases in our stepper and in peers, at every dt from the largest down until a run takes too long.
+    """Run cases in nsdyn's stepper and in peers, at every dt from the largest down until a run takes too long.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def measure(cases: Sequence[str] = (), peers: Sequence[str] = (), limit: float =
     peers : sequence of str
         Names of `PEERS`; all settings of each are run.
     limit : float
-        s of stepping that a run may take; if it does not do, smaller dt are not tried.
+        Longest stepping of a run, s; if a run takes longer, smaller dt are not tried.
     progress : bool
         Show a progress bar on stderr when it is a terminal.
 
@@ -275,7 +275,7 @@ def measure(cases: Sequence[str] = (), peers: Sequence[str] = (), limit: float =
 
 
 def _play(case: Case, engine: str, worker: Worker, limit: float, answer: Path) -> list[Run]:
-    """Runs of an engine on a case with all its settings."""
+    """Run an engine on a case with all its settings."""
     scene = describe(case.scene) | {"model": case.model, "parameters": case.parameters}
     reply = worker.ask({"scene": scene}, limit)
     if "failure" in reply:

@@ -1,9 +1,10 @@
-"""Performance profiles of solvers over a folder of FCLIB problems, ours and peers, all under one judge.
+"""Performance profiles of solvers over a folder of FCLIB problems, nsdyn's and peers', judged by the same measure.
 
-Every solver runs in a process of its own with one thread and a hard limit on the time of each call, so that one that
-hangs or crashes loses only the problem at hand. A problem counts as solved if `FC3D.error` of the returned impulse is
-within the tolerance; what a solver claims is not asked. Timed is the solver's call on a problem built afresh, after one
-call to compile, best of what fits in 50 ms, of three at least (of one if it takes more than a second).
+Every solver runs in a process of its own with one thread and a hard limit on the time of each call, so that a solver
+that hangs or crashes loses only the current problem. A problem counts as solved if `FC3D.error` of the returned impulse
+is within the tolerance; the solver's own claim is ignored. Only the solver's call on a newly built problem is timed,
+after one call to compile: the best of all calls that fit in 50 ms, of at least three (of one if it takes more than a
+second).
 
 References
 ----------
@@ -41,8 +42,8 @@ FACTORS = (1.0, 2.0, 5.0, 47.0)
 """Ratios to the best time at which a table shows the profile."""
 
 _SCRIPTS = Path(__file__).with_name("_peers")
-_COMPILING = 120.0  # s that a solver of ours may spend on compilation in all its first calls
-_DENSE = 100  # contacts up to which a dense W is tried too, where a peer takes both
+_COMPILING = 120.0  # s that a solver of nsdyn may spend on compilation in all its first calls
+_DENSE = 100  # contacts up to which a dense W is tried too, if a peer accepts both
 
 
 @dataclass(frozen=True)
@@ -57,13 +58,13 @@ class Run:
     solved : bool
         Whether `error` is within the tolerance.
     seconds : float
-        Of the solve, inf if there is none in the time limit.
+        Time of the solve, inf if there is no answer within the time limit.
     iterations : int
         In the unit of the solver.
     error, residual : float
         `FC3D.error` [-] and `FC3D.residual` [m/s] of the impulse.
     note : str
-        Why there is no answer, or how a peer was called.
+        Reason for a missing answer, or how a peer was called.
     """
 
     problem: str
@@ -84,11 +85,11 @@ class Profile:
     Attributes
     ----------
     tol : float
-        On `FC3D.error`.
+        Tolerance of `FC3D.error`.
     limit : float
-        s per solve.
+        Time limit, s per solve.
     runs : tuple of Run
-        Every solver on every problem.
+        Runs of every solver on every problem.
     """
 
     tol: float
@@ -119,15 +120,16 @@ class Profile:
         return out
 
     def rho(self, factor: float) -> Array:
-        """Fraction of all problems that each solver solves within `factor` times the best time, shape (solvers,)."""
+        """Return the fraction of problems that each solver solves within `factor` times the best time, (solvers,)."""
         out: Array = (self.ratios <= factor).mean(axis=0)
         return out
 
     def summary(self) -> list[dict[str, Any]]:
-        """Figures of each solver.
+        """Return figures of each solver.
 
-        Problems solved, ρ at `FACTORS`, the geometric mean of the ratios where it solves, and the same against the best
-        of each peer's solvers together with the largest, over the problems that both solve.
+        The figures are the number of solved problems, ρ at `FACTORS`, and the geometric mean of the ratios over the
+        solved problems. Against the best of each peer's solvers, they are the geometric mean and the largest ratio over
+        the problems that both solve.
         """
         rho = [self.rho(factor) for factor in FACTORS]
         out = []
@@ -154,7 +156,7 @@ class Profile:
         return out
 
     def table(self) -> str:
-        """The summary as text."""
+        """Return the summary as text."""
         width = max(map(len, self.solvers))
         columns = "".join(f"{f'ρ({factor:g})':>8}" for factor in FACTORS)
         lines = [f"{'solver':{width}}  solved{columns}  mean ratio"]
@@ -189,7 +191,7 @@ class Profile:
 
 
 def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
-    """All runs of some profiles, one a line with its tolerance first; seconds are empty where there is no answer."""
+    """Write all runs of some profiles, one per line after its tolerance; seconds are empty without an answer."""
     with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
         sink = csv.writer(file)
         sink.writerow(["tol", *(field.name for field in fields(Run))])
@@ -200,29 +202,29 @@ def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
 
 
 def _geometric_mean(x: Array) -> float:
-    """Geometric mean of the finite entries, nan if there are none."""
+    """Return the geometric mean of the finite entries, nan if there are none."""
     x = x[np.isfinite(x)]
     return math.exp(float(np.log(x).mean())) if x.size else math.nan
 
 
 @dataclass(frozen=True)
 class _Player:
-    """A solver and how to ask it.
+    """A solver and how to call it.
 
     Attributes
     ----------
     label : str
-        Its name in the profile.
+        Name of the solver in the profile.
     solver : str
-        Its name in the script.
+        Name of the solver in the script.
     script : tuple of str
         Python and script.
     own : bool
-        Ours read FCLIB files, peers get W, q and mu.
+        Whether the solver is nsdyn's: it reads FCLIB files, while peers get W, q and mu.
     tightening : tuple of float
-        Factors of the tolerance tried until the judge is satisfied: peers measure their errors differently.
+        Factors of the tolerance, tried until `FC3D.error` meets it: peers measure their errors differently.
     dense : bool
-        Whether it takes W in dense storage too.
+        Whether the solver also accepts W in dense storage.
     """
 
     label: str
@@ -233,7 +235,7 @@ class _Player:
     dense: bool = False
 
     def play(self, worker: Worker, file: Path, problem: FC3D, tol: float, limit: float, scratch: Path) -> Run:
-        """Run of the solver on one problem: the fastest that the judge accepts, else the closest."""
+        """Return the solver's run on one problem: the fastest that is within the tolerance, else the closest."""
         runs = []
         for storage in ("", "/dense") if self.dense and problem.nc <= _DENSE else ("",):
             for factor in self.tightening:
@@ -262,7 +264,7 @@ class _Player:
 
 
 def _as_arrays(file: Path, problem: FC3D, scratch: Path) -> Path:
-    """File of W in 3 x 3 blocks, q and mu, with a block on all of W's diagonal."""
+    """Write W in 3 x 3 blocks, q and mu to a file; W has a block everywhere on its diagonal."""
     path = scratch / f"{file.stem}.npz"
     if not path.exists():
         W = problem.W
@@ -271,12 +273,12 @@ def _as_arrays(file: Path, problem: FC3D, scratch: Path) -> Path:
 
 
 def _own(name: str, tol: float) -> _Player:
-    by_name(name, tol)  # refuses what is not a solver or a tolerance
+    by_name(name, tol)  # raises for an unknown solver or a wrong tolerance
     return _Player(name, name, (sys.executable, str(_SCRIPTS / "nsdyn_worker.py")), own=True, tightening=(1.0,))
 
 
 def _siconos() -> list[_Player]:
-    script = "/usr/bin/python3", str(_SCRIPTS / "siconos_worker.py")  # Debian's packages serve Debian's Python only
+    script = "/usr/bin/python3", str(_SCRIPTS / "siconos_worker.py")  # Debian's packages work in Debian's Python only
     try:
         done = subprocess.run([*script, "--list"], capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
@@ -287,12 +289,12 @@ def _siconos() -> list[_Player]:
 def _pinocchio() -> list[_Player]:
     script = sys.executable, str(_SCRIPTS / "pinocchio_worker.py")
     names = "ADMM-LINEAR", "ADMM-SPECTRAL", "ADMM-OSQP", "PGS"
-    # Its tolerances bound velocities and energies of any size, the judge's error is relative: they may be far apart.
+    # Pinocchio's tolerances are absolute, of velocities and energies; `FC3D.error` is relative: both may differ much.
     return [_Player(f"pinocchio {name}", name, script, tightening=(1.0, 0.1, 0.01, 1e-4, 1e-6)) for name in names]
 
 
 PEERS: dict[str, Callable[[], list[_Player]]] = {"siconos": _siconos, "pinocchio": _pinocchio}
-"""Peers by name: what gives their solvers, or ValueError saying what to install."""
+"""Peers by name: functions that return their solvers, or raise ValueError saying what to install."""
 
 
 def measure(
@@ -312,13 +314,13 @@ def measure(
     solvers : sequence of str
         Names of `nsdyn.solvers.SOLVERS`, or "all" for every one of them.
     tol : float
-        On `FC3D.error`. A peer whose answer misses it is asked again for a tenth and a hundredth of it.
+        Tolerance of `FC3D.error`. A peer whose answer misses it is called again with a tenth and a hundredth of it.
     limit : float
-        s per solve.
+        Time limit, s per solve.
     peers : sequence of str
         Names of `PEERS`; all solvers of each are run.
     min_contacts : int
-        Smaller problems are left out.
+        Problems with fewer contacts are left out.
     progress : bool
         Show a progress bar on stderr when it is a terminal.
 
@@ -326,7 +328,7 @@ def measure(
     ------
     ValueError
         For a folder without such problems, a file that cannot be read, unknown names, a limit or tolerance that is not
-        positive, fewer contacts than none, or a peer that is not installed.
+        positive, a negative number of contacts, or a peer that is not installed.
     """
     from tqdm import tqdm
 

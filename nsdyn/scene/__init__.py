@@ -1,1 +1,1 @@
-"""What a user describes: bodies, shapes, materials, articulations and their files, what drives them."""
+"""Parts of a scene: bodies, shapes, materials, articulations and their files, prescribed motion and control."""

@@ -1,4 +1,4 @@
-"""Actuators that a robot file describes, and what a controller tells them."""
+"""Actuators of a robot file, and the controls that a controller gives them."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class Actuator(NamedTuple):
     ----------
     name, joint : str
     coordinate : int
-        The joint's, in v.
+        Index of the joint's coordinate in v.
     gear, gain : float
         g and k.
     bias : (float, float, float)
-        b0, b1 ≤ 0 and b2 ≤ 0, of the joint's angle q [rad] or length [m] and its velocity v.
+        b0, b1 ≤ 0 and b2 ≤ 0; b1 multiplies the joint's angle q [rad] or length [m], b2 its velocity v.
     control_range, force_range : (float, float)
-        Least and most u, and k u + b0 + b1 g q + b2 g v; infinite where there are none.
+        Least and greatest u, and k u + b0 + b1 g q + b2 g v; infinite without a range.
     control : float, optional
-        u of the keyframe that the file was read with.
+        u in the keyframe that the file was read with.
     """
 
     name: str
@@ -45,12 +45,12 @@ class Actuator(NamedTuple):
 
     @property
     def servo(self) -> bool:
-        """Whether it acts on what the joint does, not on its control alone."""
+        """Whether the force depends on position or velocity of the joint, not on the control alone."""
         return self.bias[1] != 0.0 or self.bias[2] != 0.0
 
     @property
     def acts(self) -> bool:
-        """Whether it acts as the file has it: a servo, or what a keyframe gives a control."""
+        """Whether the actuator acts as the file has it: it is a servo, or a keyframe gives it a control."""
         return self.servo or bool(self.control)
 
 
@@ -58,19 +58,21 @@ class Actuator(NamedTuple):
 class Actuation:
     """Controls of the actuators of an MJCF file, in the units that MuJoCo gives them; actuators without one are off.
 
-    They are the file's motors, position and velocity servos and those general ones that have no state of their own,
-    with its gears, gains and ranges. Servos act as `nsdyn.PD` does, of second order in the step and with any gain.
+    The actuators are the motors, the position and velocity servos and the general actuators without internal state of
+    the file, with their gears, gains and ranges. Servos are implicit like `nsdyn.PD`: of second order in the step and
+    stable with any gain.
 
     Parameters
     ----------
     controls : mapping of str to float, or array, optional
-        By the names of the actuators, or of their joints where they have none of their own; or one for each actuator
-        in the order of the file, as MuJoCo's ``ctrl``. Default: the ``ctrl`` of the keyframe given to `add_mjcf`.
+        By the names of the actuators, or of their joints for actuators without a name; or one for each actuator in the
+        order of the file, as MuJoCo's ``ctrl``. Default: the ``ctrl`` of the keyframe given to `add_mjcf`.
 
     Raises
     ------
     ValueError
-        For what are no finite numbers; where it acts, for names and numbers that do not fit, or without a keyframe.
+        For controls that are not finite numbers. When the control is applied to an articulation: for names or a number
+        of values that do not fit, and for default controls without a keyframe.
 
     Examples
     --------
@@ -99,7 +101,7 @@ class Actuation:
         object.__setattr__(self, "controls", dict(zip(given, kept, strict=True)) if named else kept)
 
     def by_name(self, owner: str, actuators: Sequence[Actuator]) -> dict[str, float]:
-        """Controls of the actuators of an articulation, the `owner`, by name; ValueError if they do not fit."""
+        """Return the controls of the actuators of the articulation `owner` by name; ValueError if they do not fit."""
         given: Any = self.controls
         names = [a.name for a in actuators]
         if given is None:
@@ -119,15 +121,15 @@ class Actuation:
         return dict(zip(names, given, strict=True))
 
     def on(self, owner: str, actuators: Sequence[Actuator], effort: Array) -> Array:
-        """kp, kd, target, constant and limit of the joint forces of an articulation, shape (5, nv).
+        """Return kp, kd, target, constant and limit of the joint forces of an articulation, shape (5, nv).
 
         Parameters
         ----------
         owner : str
-            The articulation.
+            Name of the articulation.
         actuators : sequence of Actuator
         effort : ndarray, shape (nv,)
-            Most of each joint, N m or N.
+            Greatest effort of each joint, N m or N.
         """
         known = {a.name: a for a in actuators}
         out = np.zeros((5, effort.size))

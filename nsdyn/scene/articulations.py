@@ -1,7 +1,7 @@
-"""Articulated trees: one Pinocchio model each, with collision shapes, loops and what acts in the joints.
+"""Articulated trees: one Pinocchio model each, with collision shapes, loops, and the friction and forces of joints.
 
-A reader of robot files gives a `Description`; `nsdyn.scene.assembly` makes of it the `Articulation` that the dynamics
-work with.
+A reader of robot files returns a `Description`; `nsdyn.scene.assembly` turns it into the `Articulation` that the
+dynamics use.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ __all__ = [
 ]
 
 WORLD = "world"
-"""Name of the body of an MJCF file that does not move."""
+"""Name of the fixed body of an MJCF file."""
 
 PLANAR, BALL = "JointModelPlanar", "JointModelSpherical"
-"""Pinocchio's name of joints that slide in a plane, in two coordinates, and turn in it, in a third."""
+"""Pinocchio's names of planar joints (two coordinates slide in a plane, a third turns in it) and of ball joints."""
 
 COORDINATES = 256
-"""Most of a tree: Pinocchio's data hold three-way tables of them, 64 nv³ bytes, which is 1 GB."""
+"""Most coordinates nv of a tree: Pinocchio's data hold tables of 64 nv³ bytes, which is 1 GB at this number."""
 
 _SHOWN = 8
-"""Joints that the text of an articulation names."""
+"""Number of joints that the repr of an articulation names."""
 
 
 class Link(NamedTuple):
@@ -69,11 +69,11 @@ class Loop:
     ----------
     name : str
     joint1, joint2 : int
-        Joints whose frames they hang on; 0 is the world.
+        Joints that carry the two frames; 0 is the world.
     placement1, placement2 : pinocchio.SE3
-        Poses of the two frames in those of their joints.
+        Poses of the two frames in the frames of their joints.
     kind : {"point", "frame"}
-        What must coincide: the origins, or origins and axes.
+        Whether the origins must coincide, or origins and axes.
     """
 
     name: str
@@ -86,52 +86,52 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Articulation:
-    """An articulated tree: one Pinocchio model with its collision shapes and what acts in its joints.
+    """An articulated tree: one Pinocchio model with its collision shapes, and the friction and forces of its joints.
 
     Attributes
     ----------
     name : str
     model : pinocchio.Model
-        Its own copy. `armature` is in the model, so that Pinocchio's mass matrix has it; limits are in the model and
-        infinite where a coordinate has none.
+        A copy for this articulation alone. The model includes `armature`, so that Pinocchio's mass matrix does too. It
+        also has the position limits, infinite for coordinates without a limit.
     links : tuple of Link
     bodies : tuple of str
-        The body each of them belongs to.
+        The body that each link belongs to.
     q, v : ndarray, shapes (nq,), (nv,)
         Initial configuration and velocity, Pinocchio's convention.
     materials : tuple of Material
-        Of the links.
+        Material of each link.
     limits : bool
         Whether position limits of the model are enforced.
     restitution : float
-        Newton's coefficient of the limits, in [0, 1].
+        Newton's coefficient of the joint limits, in [0, 1].
     friction : ndarray, shape (nv,)
-        Dry joint friction, N m or N; of a planar joint the first two are the same, the most against sliding, of a ball
-        joint all three, the most against any turning.
+        Dry joint friction, N m or N. In a planar joint the first two values are equal: the greatest force against
+        sliding. In a ball joint all three are equal: the greatest torque against turning.
     damping : ndarray, shape (nv,)
-        Viscous, N m s/rad or N s/m.
+        Viscous damping, N m s/rad or N s/m.
     armature : ndarray, shape (nv,)
         Inertia added to the diagonal of the mass matrix, kg m² or kg.
     stiffness, rest : ndarray, shape (nv,)
         Springs τ = -stiffness (q - rest) in revolute and prismatic joints, N m/rad or N/m; rad or m.
     effort : ndarray, shape (nv,)
-        Most that a `nsdyn.PD` control gives unless it says otherwise, N m or N; infinite for none.
+        Default limit of a `nsdyn.PD` control, N m or N; infinite for no limit.
     loops : tuple of Loop
     gears : tuple of Gear
     actuators : tuple of Actuator
-        Those of an MJCF file, which `nsdyn.Actuation` controls.
+        Actuators of an MJCF file, which `nsdyn.Actuation` controls.
     fixed : tuple of Body
-        What the file holds besides its trees: the shapes of its world, which are bodies of the scene.
+        Shapes of the file's world, which are fixed bodies of the scene.
     visuals : tuple of Visual
-        What pages show in place of the `links` of the same body.
+        Visual shapes, which pages show in place of the `links` of the same body.
     excluded : frozenset of (int, int)
-        Pairs of `links` and, counted after them, `fixed`, by index, that are never tested for contact.
+        Pairs that are never tested for contact, by index: first `links`, then, counted after them, `fixed`.
     missing : tuple of str
-        What is not used of the file and without which the mechanism is another: shapes, masses, constraints.
+        Unused contents of the file without which the mechanism is another: shapes, masses, constraints.
     dropped : tuple of str
-        What else is not used and changes the motion.
+        Other unused contents that change the motion.
     unused : tuple of str
-        What is not used besides, for instance pictures.
+        Unused contents that do not change the motion, for instance pictures.
     """
 
     name: str
@@ -170,23 +170,23 @@ class Articulation:
 
     @property
     def report(self) -> tuple[str, ...]:
-        """All that the file contains and is not used."""
+        """All contents of the file that are not used."""
         return (*self.missing, *self.dropped, *self.unused)
 
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What a robot file says, before it is placed in a scene.
+    """Contents of a robot file, before they are placed in a scene.
 
     Attributes
     ----------
     model : pinocchio.Model
         With position limits, dry friction, damping and armature.
     q : ndarray, shape (nq,)
-        Its initial configuration.
+        Initial configuration.
     links : tuple of Link
     bodies : tuple of str
-        The body each of them belongs to.
+        The body that each link belongs to.
     stiffness, rest : ndarray, shape (nv,)
     loops : tuple of Loop
     gears : tuple of Gear
@@ -196,19 +196,19 @@ class Description:
     filtered : frozenset of frozenset of str
         Pairs of links, by name, that are never tested for contact.
     world_touches : bool
-        Whether the links that joints join to the world may touch it, as in MJCF.
+        Whether links that a joint joins to the world may touch the world, as in MJCF.
     trees : mapping of str to str
-        Where the file holds several, that of every body and joint, by name: what one body of its world carries. Links
-        of different trees are no robot's own. `WORLD` is that of what is fixed.
+        In a file with several trees, the tree of every body and joint, by name. A tree is everything that one body of
+        the world carries. Contacts between different trees are not self-collisions. Fixed bodies have the tree `WORLD`.
     missing, dropped, unused : tuple of str
-        What is not used, as in `Articulation`; the first two are warned of.
+        Unused contents, as in `Articulation`; a warning names the first two.
     flaws : tuple of str
-        What no body can have in the inertias.
+        Inertias that no body can have, in words.
     materials : mapping of str to Material
-        Of the links, by name, whose material the file tells.
+        Materials that the file gives, by the name of the link.
     visuals : tuple of Visual
     colours : mapping of str to (float, float, float, float)
-        Of the links, by name, to which the file gives one.
+        Colours that the file gives, by the name of the link.
     """
 
     model: Any
@@ -234,7 +234,7 @@ class Description:
 
 
 class ArticulationOptions(TypedDict, total=False):
-    """Keywords of ``Scene.add_urdf`` and its like; see `Scene.add_model`."""
+    """Keywords of ``Scene.add_urdf`` and similar methods; see `Scene.add_model`."""
 
     position: ArrayLike
     quaternion: ArrayLike
@@ -274,23 +274,23 @@ DEFAULTS: ArticulationOptions = {
     "rest": None,
     "inertias": "check",
 }
-"""What is not given is this."""
+"""Values of the keywords that are not given."""
 
 
 def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str] = (), **more: Any) -> Description:
-    """Description of a Pinocchio model as it stands: neutral configuration and no springs unless given in `more`."""
+    """Describe a Pinocchio model unchanged: neutral configuration and no springs, unless `more` gives them."""
     defaults = {"q": pin.neutral(model), "stiffness": np.zeros(model.nv), "rest": np.zeros(model.nv)}
     return Description(model, links=tuple(links), bodies=tuple(bodies), **(defaults | more))
 
 
 def check_count(name: str, coordinates: int) -> None:
-    """Refuse trees that Pinocchio has no memory for."""
+    """Refuse trees with more coordinates than fit into Pinocchio's tables."""
     if coordinates > COORDINATES:
         raise ValueError(f"{name!r} has {coordinates} coordinates, more than {COORDINATES}: cut it into several trees")
 
 
 def check_size(name: str, model: Any) -> None:
-    """Refuse trees that Pinocchio has no memory for, and numbers whose products are none."""
+    """Refuse trees that are too large for Pinocchio's tables, and numbers whose products overflow."""
     check_count(name, model.nv)
     placed = [p.translation for p in model.jointPlacements]
     values = [*placed, *(np.r_[body.mass, body.lever, body.inertia.ravel()] for body in model.inertias)]

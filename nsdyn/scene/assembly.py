@@ -1,4 +1,4 @@
-"""Articulations of what a robot file describes: checked, placed in the world, with what the user adds."""
+"""Assembly of articulations: check a `Description`, place it in the world and apply the user's options."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from nsdyn.tools.naming import choice
 __all__ = ["assemble"]
 
 UNBOUNDED = 1.01
-"""What Pinocchio writes for no limit of a cosine, a sine or a part of a quaternion."""
+"""Value that Pinocchio writes where a cosine, a sine or a component of a quaternion has no limit."""
 
 SHOWN = 4
-"""Most notes of what is left out that a warning shows."""
+"""Most notes on unused contents that a warning shows."""
 
 
 def assemble(name: str, description: Description, options: ArticulationOptions) -> Articulation:
-    """Articulation of a description, placed in the world; the options are those of `nsdyn.Scene.add_model`."""
+    """Assemble the articulation of a description, placed in the world, with the options of `nsdyn.Scene.add_model`."""
     o = DEFAULTS | options
     check_size(name, description.model)
     model, limits = description.model.copy(), o["limits"]
@@ -107,7 +107,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
 def _in_joints(
     name: str, model: Any, description: Description, options: ArticulationOptions, of_joints: Callable[..., Array]
 ) -> dict[str, Array]:
-    """What acts in the joints, checked: as given, else of the model and its description."""
+    """Return friction, damping, armature and stiffness of the joints, checked: as given, else from the description."""
     own = {
         "friction": np.array(model.upperDryFrictionLimit),
         "damping": np.array(model.damping),
@@ -123,14 +123,14 @@ def _in_joints(
 
 
 def _warn(name: str, notes: Sequence[str]) -> None:
-    """Warn of what is left out and changes the motion."""
+    """Warn of unused contents that change the motion."""
     if notes:
         more = [f"{len(notes) - SHOWN} more, in its report"] if len(notes) > SHOWN else []
         warnings.warn(f"{name!r} leaves out: {'; '.join([*notes[:SHOWN], *more])}", stacklevel=5)
 
 
 def _fixed(name: str, link: Link, material: Material, colour: Colour | None) -> Body:
-    """A shape of the world of a file as a body of the scene."""
+    """Return a shape of the file's world as a fixed body of the scene."""
     x, quaternion = link.placement.translation, pin.Quaternion(link.placement.rotation).coeffs()
     options: BodyOptions = {"position": x, "quaternion": quaternion, "material": material, "fixed": True}
     options["colour"] = colour
@@ -138,7 +138,7 @@ def _fixed(name: str, link: Link, material: Material, colour: Colour | None) -> 
 
 
 def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | str) -> None:
-    """ValueError for what is none of the choices."""
+    """Raise ValueError for options that are none of the choices."""
     for what, flag in (("limits", limits), ("clip", clip)):
         if not isinstance(flag, bool):
             raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
@@ -147,14 +147,14 @@ def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | 
 
 
 def _normalized(name: str, model: Any, q: Array) -> Array:
-    """A configuration with quaternions and pairs (cos, sin) of norm 1; ValueError where they are far from it."""
+    """Normalise the quaternions and pairs (cos, sin) of a configuration; ValueError where their norm is far from 1."""
     if not pin.isNormalized(model, q, checks.NORMALISED):
         raise ValueError(f"q of {name!r} must have unit quaternions and unit pairs (cos, sin), got {q.tolist()}")
     return np.array(pin.normalize(model, q))
 
 
 def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:
-    """ValueError for what acts in joints and is negative or beyond all use."""
+    """Raise ValueError for joint friction, damping, armature or stiffness that is negative or above LARGEST."""
     for what, values in in_joints.items():
         if not ((values >= 0.0) & (values <= checks.LARGEST)).all():
             size = f", nor above {checks.LARGEST:g}" if (values >= 0.0).all() else ""
@@ -162,7 +162,7 @@ def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:
 
 
 def _check_friction(name: str, model: Any, friction: Array) -> None:
-    """ValueError for dry friction of joints whose coordinates slip together, but for planar and ball joints."""
+    """Raise ValueError for dry friction that is not modelled: of free joints, or unequal in a planar or ball joint."""
     for joint in range(1, model.njoints):
         own = friction[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]]
         kind, label = model.joints[joint].shortname(), f"joint {model.names[joint]!r}"
@@ -182,7 +182,7 @@ def _check_friction(name: str, model: Any, friction: Array) -> None:
 
 
 def _check_armature(name: str, model: Any, armature: Array) -> None:
-    """ValueError for armature along axes that turn with a body, but for what is the same about all of a ball joint."""
+    """Raise ValueError for armature along axes that turn with a body, unless equal about all axes of a ball joint."""
     for joint in range(1, model.njoints):
         own, kind = armature[model.idx_vs[joint] :][: model.nvs[joint]], model.joints[joint].shortname()
         must, wrong = "0 in", model.nqs[joint] != model.nvs[joint] > 1 and own.any()
@@ -198,7 +198,7 @@ def _check_armature(name: str, model: Any, armature: Array) -> None:
 
 
 def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, default: Array, lead: int) -> Array:
-    """One value per joint coordinate; those of a free base, `lead` of them, may be left out."""
+    """Return one value per joint coordinate; the first `lead` values may be left out if they are of a free base."""
     if value is None:
         return default.copy()
     out, size = default.copy(), np.size(value)
@@ -208,7 +208,7 @@ def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, defaul
 
 
 def _effort(model: Any) -> Array:
-    """Most joint forces, (nv,), N m or N; files write 0 or the largest float for none, and ball joints have none."""
+    """Return the effort limits, (nv,), N m or N; infinite where a file writes 0 or the largest float, and in balls."""
     out = np.array(model.upperEffortLimit)
     for joint in range(1, model.njoints):
         if model.nvs[joint] > 1 and model.nqs[joint] != model.nvs[joint]:
@@ -218,7 +218,7 @@ def _effort(model: Any) -> Array:
 
 
 def _clip(model: Any, q: Array) -> None:
-    """Move the joint coordinates in q that have limits into them."""
+    """Move the joint coordinates in q into their limits."""
     for joint in range(1, model.njoints):
         if model.nqs[joint] == model.nvs[joint]:
             part = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
@@ -228,7 +228,7 @@ def _clip(model: Any, q: Array) -> None:
 def _collisions(
     name: str, description: Description, collisions: bool | Mapping[str, Sequence[Any]]
 ) -> tuple[tuple[Link, ...], tuple[str, ...]]:
-    """Links and the bodies they belong to, after the user's choice of shapes; those of the file's world last."""
+    """Return links and their bodies, after the user's choice of shapes; links of the file's world come last."""
     if collisions is False:
         return (), ()
     if collisions is not True and not isinstance(collisions, Mapping):
@@ -260,7 +260,7 @@ def _materials(
     bodies: Sequence[str],
     told: Mapping[str, Material],
 ) -> tuple[Material, ...]:
-    """Material of every link: that of its body or of all bodies as the user says, else that told by the file."""
+    """Return the material of every link: as the user gives it, for its body or for all bodies, else from the file."""
     of = material if isinstance(material, Mapping) else {}
     rest: Any = Material() if material is None or isinstance(material, Mapping) else material
     for body, given in [*of.items(), (None, rest)]:
@@ -276,9 +276,9 @@ def _materials(
 def _moved(
     model: Any, q: Array, links: tuple[Link, ...], loops: tuple[Loop, ...], at: Any
 ) -> tuple[tuple[Link, ...], tuple[Loop, ...]]:
-    """Move a model by `at`: a free base by its coordinates in `q`, everything else that hangs on the world by its pose.
+    """Move a model by `at`: a free base by its coordinates in `q`, anything else attached to the world by its pose.
 
-    `model` and `q` are changed; the links and loops in the new place are returned.
+    Change `model` and `q` in place; return the moved links and loops.
     """
     for joint in range(1, model.njoints):
         if model.parents[joint] != 0:
@@ -306,7 +306,7 @@ def _moved(
 
 
 def _flat(link: Link) -> Link:
-    """A half-space of the world in world axes, as `nsdyn.Scene.add_halfspace` has them; any other link as it is."""
+    """Express a half-space of the world in world axes, as `nsdyn.Scene.add_halfspace` does; keep any other link."""
     if link.joint > 0 or link.shape.kind != HALFSPACE:
         return link
     normal = link.placement.rotation @ link.shape.size
@@ -315,9 +315,9 @@ def _flat(link: Link) -> Link:
 
 
 def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Array) -> None:
-    """Refuse joints that move no mass, configurations beyond a limit, springs where q is no angle or length.
+    """Refuse joints that move no mass, configurations beyond a limit, and springs where q is no angle or length.
 
-    Limits of the model become infinite where a coordinate has none: in quaternions and pairs (cos, sin).
+    Limits of the model are set to infinity in quaternions and pairs (cos, sin), which have no limits.
     """
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     for joint in range(1, model.njoints):
@@ -345,7 +345,7 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
                 raise ValueError(
                     f"limits of {name!r}: joint {model.names[joint]!r} has lower {lower[k]:g} above upper {upper[k]:g}"
                 )
-            if limits and not lower[k] - 1e-9 <= q[k] <= upper[k] + 1e-9:  # the rounding of a user's own numbers
+            if limits and not lower[k] - 1e-9 <= q[k] <= upper[k] + 1e-9:  # room for rounding of the user's numbers
                 raise ValueError(
                     f"q of {name!r} must respect the limits: joint {model.names[joint]!r} is at {q[k]:g}, "
                     f"its limits are {lower[k]:g} and {upper[k]:g}; give another q, or clip=True to move it into them"

@@ -1,4 +1,4 @@
-"""Rigid bodies, what may be said of one, and the collision shapes of bodies and links."""
+"""Rigid bodies, the keywords that describe a body, and the collision shapes of bodies and links."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Body", "BodyOptions", "Geom", "make_body"]
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body with one shape; `mass` 0 marks a fixed one.
+    """A rigid body with one shape; `mass` 0 marks a fixed body.
 
     Attributes
     ----------
@@ -28,9 +28,9 @@ class Body:
     mass : float
         kg.
     inertia : ndarray, shape (3, 3)
-        About the centre of mass in body axes, kg m².
+        Inertia about the centre of mass in body axes, kg m².
     position, linear_velocity, angular_velocity : ndarray, shape (3,)
-        Of the centre of mass, world frame; m, m/s, rad/s.
+        Position of the centre of mass, its velocity, and the angular velocity, world frame; m, m/s, rad/s.
     quaternion : ndarray, shape (4,)
         xyzw, body to world.
     material : Material
@@ -58,13 +58,13 @@ class Body:
 
     @property
     def fixed(self) -> bool:
-        """Whether the body never moves."""
+        """Whether the body is fixed: no force moves it."""
         return self.mass == 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Geom:
-    """One collision shape: where it hangs and what it is made of.
+    """One collision shape: its frame, its pose and its material.
 
     Attributes
     ----------
@@ -73,13 +73,13 @@ class Geom:
         Name of the body or articulation.
     shape : Shape
     frame : int
-        Moving frame it hangs on: free bodies first, then links; -1 for the world.
+        Moving frame that carries the shape: free bodies first, then links; -1 for the world.
     placement_R, placement_t : ndarray, shapes (3, 3), (3,)
-        Its pose in that frame.
+        Rotation and translation of the shape in the frame.
     material : Material
     colour : tuple of 4 floats, optional
     link : str
-        "articulation/body"; of a body that is its own link its name.
+        "articulation/body" for a link; the name of the body for a body that is its own link.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Geom:
 
 
 class BodyOptions(TypedDict, total=False):
-    """Keywords of ``Scene.add_box`` and its like; see `Scene.add_convex`."""
+    """Keywords of ``Scene.add_box`` and similar methods; see `Scene.add_convex`."""
 
     position: ArrayLike | None
     quaternion: ArrayLike
@@ -121,7 +121,7 @@ DEFAULTS: dict[str, Any] = {
 
 
 def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions) -> Body:
-    """A body, with defaults for what is not given; ValueError naming the argument, what was expected and what came."""
+    """Return a body, with defaults for missing options; ValueError names the argument, expected and given values."""
     check_known(options, DEFAULTS)
     given: dict[str, Any] = {**DEFAULTS, **options}
     centre = checks.vector(given["com"], 3, f"com of {name!r}")

@@ -1,4 +1,4 @@
-"""Checks of what a user gives: each returns the value in its working type or raises ValueError naming the argument."""
+"""Checks of user input: each returns the value in its working type or raises ValueError naming the argument."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ LARGEST, SMALLEST = 1e50, 1e-50
 
 
 NORMALISED = 1e-6
-"""Error of norm of a quaternion or of a pair (cos, sin) that a user's rounding may leave; more is a mistake (w x y z,
-degrees)."""
+"""Error that a user's rounding may leave in the norm of a quaternion or a pair (cos, sin); a larger one is a mistake
+(w x y z, degrees)."""
 
 
 def _below(value: ArrayLike) -> str:
@@ -48,7 +48,7 @@ def _above(value: float) -> str:
 
 
 def number(value: Any, what: str) -> float:
-    """A finite number."""
+    """Return the value as a finite number."""
     if isinstance(value, (str, bytes, bool, np.bool_)):
         raise ValueError(f"{what} must be a number, got {value!r}")
     try:
@@ -61,28 +61,28 @@ def number(value: Any, what: str) -> float:
 
 
 def text(value: Any, what: str) -> str:
-    """A text that a recording can hold."""
+    """Return the value as a text that a recording can hold."""
     if not isinstance(value, str) or "\0" in value or value.encode(errors="ignore").decode() != value:
         raise ValueError(f"{what} must be a text of Unicode without NUL, got {value!r}")
     return value
 
 
 def name(value: Any, what: str = "name") -> str:
-    """What something of a scene is called, alone or after its owner and a slash."""
+    """Return the value as a name of a part of a scene; it has no slash, which separates an owner from its part."""
     if not text(value, what) or "/" in value:
         raise ValueError(f"{what} must be a non-empty string without '/', got {value!r}")
     return str(value)
 
 
 def folders(value: Any, what: str) -> list[Path]:
-    """A sequence of paths; one path alone is a mistake, since a text is a sequence of letters."""
+    """Return a sequence of paths; a single path is a mistake, because a text is a sequence of letters."""
     if isinstance(value, (str, os.PathLike)) or not isinstance(value, Iterable):
         raise ValueError(f"{what} must be a sequence of folders, got {value!r}")
     return [as_path(folder, what) for folder in value]
 
 
 def vector(value: ArrayLike, size: int, what: str) -> Array:
-    """`size` finite numbers."""
+    """Return the value as `size` finite numbers."""
     words = counted(size, "number")
     out = numbers(value, words, what).copy()
     if not out.ndim:
@@ -95,7 +95,7 @@ def vector(value: ArrayLike, size: int, what: str) -> Array:
 
 
 def quaternion(value: ArrayLike, what: str) -> Array:
-    """A unit quaternion x y z w."""
+    """Return the value as a unit quaternion x y z w."""
     out = vector(value, 4, what)
     norm = float(np.linalg.norm(out))
     if abs(norm - 1.0) > NORMALISED:
@@ -104,7 +104,7 @@ def quaternion(value: ArrayLike, what: str) -> Array:
 
 
 def pose(value: Any, what: str) -> Any:
-    """An SE3 whose rotation is one to round-off; Pinocchio takes any matrix for it, and any numbers."""
+    """Return an SE3 whose rotation is orthogonal to round-off; Pinocchio itself accepts any matrix and any numbers."""
     turn, place = np.array(value.rotation), np.array(value.translation)
     near: Array = np.array(pin.Quaternion(turn).normalized().toRotationMatrix())
     if not np.abs(near - turn).max() <= NORMALISED:
@@ -113,13 +113,13 @@ def pose(value: Any, what: str) -> Any:
 
 
 def rotation(quaternion: Array) -> Array:
-    """Rotation matrix of a unit quaternion x y z w, shape (3, 3)."""
+    """Return the rotation matrix of a unit quaternion x y z w, shape (3, 3)."""
     out: Array = np.array(pin.Quaternion(quaternion).toRotationMatrix())
     return out
 
 
 def positive(value: Any, what: str) -> float:
-    """A positive number."""
+    """Return the value as a positive number."""
     out = number(value, what)
     if out < SMALLEST:
         raise ValueError(f"{what} must be positive{_above(out)}, got {out:g}")
@@ -127,7 +127,7 @@ def positive(value: Any, what: str) -> float:
 
 
 def lengths(value: ArrayLike, what: str) -> Array:
-    """Three positive numbers."""
+    """Return the value as three positive numbers."""
     out = vector(value, 3, what)
     if (out < SMALLEST).any():
         raise ValueError(f"{what} must be positive{_above(out.min())}, got {out.tolist()}")
@@ -135,7 +135,7 @@ def lengths(value: ArrayLike, what: str) -> Array:
 
 
 def inertia(value: ArrayLike, what: str) -> Array:
-    """A physical inertia: symmetric, positive, and no principal moment larger than the sum of the others."""
+    """Return a physical inertia: symmetric, positive definite, no principal moment above the sum of the other two."""
     matrix = numbers(value, words := "a finite 3 x 3 matrix", what)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ValueError(f"{what} must be {words}, got {value!r}")

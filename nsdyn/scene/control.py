@@ -1,4 +1,4 @@
-"""Joint control that the step treats implicitly."""
+"""Joint control that the step solves implicitly."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["PD", "Axes"]
 
 
 class Axes(NamedTuple):
-    """The coordinates of an articulation that control acts on.
+    """The coordinates of an articulation on which a control acts.
 
     Attributes
     ----------
     owner : str
-        The articulation.
+        Name of the articulation.
     joints : tuple of str
-        Its revolute and prismatic joints; "joint:0", "joint:1", ... of one that has several axes.
+        Its revolute and prismatic joints; a joint with several axes appears as "joint:0", "joint:1", ...
     scalar : ndarray of bool, shape (nv,)
-        Their coordinates.
+        True for the coordinates of `joints`.
     """
 
     owner: str
@@ -35,21 +35,22 @@ class Axes(NamedTuple):
 
     @classmethod
     def of(cls, owner: str, model: Any, scalar: Bools) -> Axes:
-        """Of an articulation with a pinocchio.Model."""
+        """Return the axes of an articulation with a pinocchio.Model."""
         places = zip(model.names, model.idx_vs, model.nvs, strict=True)
         rows = [(f"{name}:{k}" if n > 1 else name, start + k) for name, start, n in places for k in range(n)]
         return cls(owner, tuple(name for name, place in rows if scalar[place]), scalar)
 
     def spread(self, given: Any, rest: float | Array, what: str) -> Array:
-        """Values for all coordinates, shape (nv,).
+        """Expand values to all coordinates, shape (nv,).
 
         Parameters
         ----------
         given : float, mapping of str to float, or array
-            For all joints, for some of them by name, for each of them, or for each coordinate.
+            One number for all joints, numbers for some joints by name, one for each joint, or one for each coordinate.
         rest : float or ndarray, shape (nv,)
-            Of coordinates that are not given.
+            Values of coordinates that are not given.
         what : str
+            Name of the values in errors.
 
         Raises
         ------
@@ -73,7 +74,7 @@ class Axes(NamedTuple):
         return out
 
     def wanted(self) -> str:
-        """What can be given, in words."""
+        """Return the accepted forms of values, in words."""
         nv, count = self.scalar.size, len(self.joints)
         more = f" or {nv} numbers, one for each coordinate," if nv > count else ""
         return f"{{joint: number}}, or {count} numbers, one for each revolute and prismatic joint,{more}".rstrip(",")
@@ -83,22 +84,25 @@ class Axes(NamedTuple):
 class PD:
     """Joint control τ = kp (target - q) + kd (target_velocity - v) + feedforward, at most `limit` of either sign.
 
-    It acts as the joint springs and dampers of `Scene.add_model` do: of second order in the step h for θ = ½, and
-    without damping of its own. With q~ and v⁻ where the forces of a step act, before them, and v⁺ after them,
+    The control is implicit like the joint springs and dampers of `Scene.add_model`: of second order in the step h for
+    θ = ½, and without numerical damping. The law uses q~, the velocity v⁻ before the forces of the step act at q~, and
+    the velocity v⁺ after them:
 
         q = q~ + h (α² v⁺ - (1 - α)² v⁻),  v = β v⁺ + (1 - β) v⁻,      α = β = θ, that of the step,
 
-    so that no gains let it blow up. Where a joint moves so little inertia m, 1/m = (M⁻¹)_jj, that it would ring, α and
-    β are larger: β = 1 - 3/δ where δ = h kd/m > 3/(1 - θ), and α = 1 - 3/σ where σ = h² kp/(m + h kd/2) > 3/(1 - θ),
-    which is 6 for θ = ½. So what `kd` stops in one joint overshoots by a half in a step at most, in chains of light
-    links by three quarters, and swings faster than 2.4/h die down. There it is of first order: as if the joint had the
-    inertia h kd (β - ½) + h² kp (α - ½)² and the damping 2 h kp (α - ½) more.
+    so that it is stable with any gains. α and β are larger where a joint moves so little inertia m, 1/m = (M⁻¹)_jj,
+    that it would oscillate: β = 1 - 3/δ where δ = h kd/m > 3/(1 - θ), and α = 1 - 3/σ where
+    σ = h² kp/(m + h kd/2) > 3/(1 - θ), which is 6 for θ = ½. A motion that `kd` stops then overshoots in a step by at
+    most a half in a single joint, and by three quarters in chains of light links. Oscillations faster than 2.4/h decay.
+    In such joints the control is of first order: it acts as if the joint had the additional inertia
+    h kd (β - ½) + h² kp (α - ½)² and the additional damping 2 h kp (α - ½).
 
     Each parameter is one number for all revolute and prismatic joints, an array of one number for each of them in the
-    order of the model, or a mapping of some of them, {joint: number}. A joint that a mapping leaves out has no gain and
-    no feedforward; one that a mapping of targets leaves out is not controlled. Arrays of nv numbers, one for each
-    coordinate, are taken too: they must have no gain on free, ball and planar joints, but may have feedforward there.
-    What is given is copied: make a new control to change it, and return the same one as long as it holds.
+    order of the model, or a mapping for some of them, {joint: number}. A joint that a mapping leaves out has no gain
+    and no feedforward; a joint that a mapping of targets leaves out is not controlled. Arrays of nv numbers, one for
+    each coordinate, are accepted too: their gains must be 0 on free, ball and planar joints, but feedforward may act
+    there. Parameters are copied: make a new control to change them, and return the same object while they stay the
+    same.
 
     Parameters
     ----------
@@ -109,15 +113,15 @@ class PD:
     feedforward : float, mapping or array
         N m or N.
     limit : float, mapping or array, optional
-        Most |τ| of each joint, N m or N; infinite for none. Default: the efforts of the robot's file. It is never
-        exceeded, whatever the gains and the step, pressed against a contact or not: a control at its limit is a row of
-        the contact problem, like dry joint friction.
+        Greatest |τ| of each joint, N m or N; infinite for no limit. Default: the efforts of the robot's file. The limit
+        is never exceeded, with any gains and steps, pressed against a contact or not: a control at its limit is a row
+        of the contact problem, like dry joint friction.
 
     Raises
     ------
     ValueError
-        For values that are not finite numbers, more than one dimension, negative gains, or limits that are not
-        positive.
+        For values that are not finite numbers, arrays of more than one dimension, negative gains, or limits that are
+        not positive.
 
     References
     ----------
@@ -162,13 +166,13 @@ class PD:
             self.__dict__[name] = dict(zip(given, value.tolist(), strict=True)) if named else value
 
     def on(self, axes: Axes, effort: Array) -> Array:
-        """kp, kd, target, target_velocity, feedforward and limit of an articulation, shape (6, nv).
+        """Return kp, kd, target, target_velocity, feedforward and limit of an articulation, shape (6, nv).
 
         Parameters
         ----------
         axes : Axes
         effort : ndarray, shape (nv,)
-            The limit where none is given.
+            Limits that hold if `limit` is not given.
         """
         out = np.empty((6, axes.scalar.size))
         for row, name in zip(out, PARAMETERS, strict=True):

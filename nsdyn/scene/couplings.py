@@ -1,4 +1,4 @@
-"""What couples the joints of an articulation beside its tree: loops that are closed, and gears."""
+"""Couplings of the joints of an articulation besides its tree: closed loops and gears."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def close_loop(
     quaternion: ArrayLike,
     kind: str,
 ) -> Articulation:
-    """Articulation with one more loop, closed in its initial configuration; see `nsdyn.Scene.add_loop`."""
+    """Return the articulation with one more loop, closed in its initial configuration; see `nsdyn.Scene.add_loop`."""
     model = articulation.model
     if kind not in ("point", "frame"):
         raise ValueError(f"kind of {name!r} must be 'point' or 'frame', got {kind!r}")
@@ -53,7 +53,7 @@ def close_loop(
 
 
 def put_gear(articulation: Articulation, joints: tuple[str, str], ratio: float, offset: float | None) -> Articulation:
-    """Articulation with one more gear; see `nsdyn.Scene.add_gear`."""
+    """Return the articulation with one more gear; see `nsdyn.Scene.add_gear`."""
     name = f"gear '{articulation.name}/{joints[1]}'"
     model, q = articulation.model, articulation.q
     added = gear(model, name, joints, ratio, 0.0 if offset is None else offset)

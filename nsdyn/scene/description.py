@@ -1,4 +1,4 @@
-"""A scene as plain values, from which a recording is replayed."""
+"""A scene as plain values, which a recording keeps in order to replay the motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["describe", "describe_links"]
 
 
 def describe(scene: Scene) -> dict[str, Any]:
-    """Everything needed to replay a recording, as nested lists (see `nsdyn.recording.trajectory`)."""
+    """Return everything needed to replay a recording, as nested lists (see `nsdyn.recording.trajectory`)."""
     geoms = []
     for g in scene.geoms():
         placement = np.eye(4)
@@ -71,14 +71,14 @@ def describe(scene: Scene) -> dict[str, Any]:
 
 
 def _frames(scene: Scene) -> dict[tuple[str, int], int]:
-    """Moving frames by articulation and joint, -1 for the world."""
+    """Return the moving frames by articulation and joint, -1 for the world."""
     first = len(scene.free_bodies)
     moving = {key: first + k for k, key in enumerate(scene.link_frames())}
     return moving | {(name, 0): -1 for name in scene.articulations}
 
 
 def _visuals(scene: Scene) -> dict[str, list[dict[str, Any]]]:
-    """Visual shapes of articulations and their meshes; nothing where there are none."""
+    """Return the visual shapes of articulations and their meshes; an empty dict without visual shapes."""
     frame_of = _frames(scene)
     trees = scene.articulations.values()
     placed = [(f"{a.name}/{v.body}", frame_of[a.name, v.joint], v) for a in trees for v in a.visuals]
@@ -86,7 +86,7 @@ def _visuals(scene: Scene) -> dict[str, list[dict[str, Any]]]:
 
 
 def describe_links(scene: Scene) -> list[dict[str, Any]]:
-    """Bodies of articulations that a recording shows: name, moving frame (-1 for the world), pose in it."""
+    """Return the bodies of articulations that a recording shows: name, moving frame (-1 for the world), pose in it."""
     frame_of = _frames(scene)
     return [
         {"name": f"{a.name}/{f.name}", "frame": frame_of[key], "placement": f.placement.homogeneous.tolist()}

@@ -1,4 +1,4 @@
-"""Links that are never tested for contact with each other: joined by joints, disabled by a file, in each other."""
+"""Pairs of links that are never tested for contact: joined by joints, disabled by a file, or overlapping."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FREE = "JointModelFreeFlyer"
 
 
 def disabled_pairs(name: str, path: Path, model: Any, unused: list[str]) -> set[frozenset[str]]:
-    """Pairs of bodies whose contact an SRDF file disables."""
+    """Return the pairs of bodies whose contact an SRDF file disables."""
     if not is_file(path):
         raise ValueError(f"srdf of {name!r} must be an SRDF file, got {str(path)!r}")
     try:
@@ -51,7 +51,7 @@ def filtered(
     of_links: frozenset[frozenset[str]],
     moving: int,
 ) -> frozenset[tuple[int, int]]:
-    """Pairs of links, by index, that files name, by their bodies or themselves; one of both is among the `moving`."""
+    """Return the pairs of links, by index, excluded by a file, by link or by body; one of each pair is `moving`."""
     return frozenset(
         (i, j)
         for i in range(moving)
@@ -61,7 +61,7 @@ def filtered(
 
 
 def joined(links: Sequence[Link], joined: set[frozenset[int]]) -> frozenset[tuple[int, int]]:
-    """Pairs of links, by index, that share a joint or hang on two joints that are `joined`."""
+    """Return the pairs of links, by index, that are carried by the same joint or by two joints that are `joined`."""
     return frozenset(
         (i, j)
         for (i, first), (j, second) in combinations(enumerate(links), 2)
@@ -70,13 +70,13 @@ def joined(links: Sequence[Link], joined: set[frozenset[int]]) -> frozenset[tupl
 
 
 def carriers(model: Any) -> set[int]:
-    """Joints that carry a body: one by name, or any mass; between several joints of one body there is none."""
+    """Return the joints that carry a named body or any mass; of several joints of one body only the last does."""
     named = {int(f.parentJoint) for f in model.frames if f.type == pin.FrameType.BODY}
     return named | {joint for joint, body in enumerate(model.inertias) if body.mass > 0.0}
 
 
 def neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[frozenset[int]]:
-    """Pairs of joints whose links are joined by a joint or a loop; a free base is not joined to the world."""
+    """Return the pairs of joints whose links a joint or a loop joins; a free base is not joined to the world."""
     out = {frozenset((c.joint1, c.joint2)) for c in loops}
     carry = carriers(model)
     for joint in range(1, model.njoints):
@@ -91,7 +91,7 @@ def neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[fr
 def overlapping(
     model: Any, q: Array, links: Sequence[Link], trees: Sequence[str | None], apart: frozenset[tuple[int, int]]
 ) -> dict[tuple[int, int], float]:
-    """Pairs of links of one tree, by index, that overlap at q and are not `apart` already, and how deep [m]."""
+    """Return pairs of links of one tree, by index, that overlap at q and are not `apart` yet, with their depth [m]."""
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     poses = [data.oMi[link.joint] * link.placement for link in links]
@@ -117,7 +117,7 @@ def among_links(
     known: frozenset[tuple[int, int]],
     self_collisions: bool | str,
 ) -> tuple[set[tuple[int, int]], list[str]]:
-    """Pairs of links that self_collisions keeps apart besides those known, and a note of those that overlap."""
+    """Return the pairs of links that `self_collisions` excludes besides the `known` ones, and a note of overlaps."""
     out: set[tuple[int, int]] = set()
     if not self_collisions:
         out = {(i, j) for i, j in combinations(range(len(links)), 2) if trees[i] == trees[j]}

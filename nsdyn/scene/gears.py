@@ -1,4 +1,4 @@
-"""Gears: a ratio between the coordinates of two joints of an articulation, as of `mimic` in URDF."""
+"""Gears: a fixed ratio between the coordinates of two joints of an articulation, as `mimic` in URDF."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from nsdyn.tools.naming import choice
 __all__ = ["Gear", "GearGaps", "following", "gear", "joint_at"]
 
 TEETH = 1000
-"""Most of a wheel of which turns are not counted, whose ratio to another such wheel is that of whole numbers."""
+"""Most teeth of a wheel whose turns are not counted; the ratio of two such wheels is a fraction of whole numbers."""
 
 
 @dataclass(frozen=True)
 class Gear:
-    """The constraint q2 = ratio q1 + offset, which no force resists that its reaction does not take.
+    """The constraint q2 = ratio q1 + offset, a rigid coupling whose reaction balances any force.
 
     Attributes
     ----------
     name : str
     coordinate1, coordinate2 : int
-        Of revolute or prismatic joints, in v; the same one twice with the ratio 0 where q2 is held at the offset.
+        Coordinates of revolute or prismatic joints in v; the same coordinate twice with ratio 0 holds q2 at the offset.
     ratio, offset : float
         In rad or m.
     """
@@ -41,12 +41,12 @@ class Gear:
 
 
 def joint_at(model: Any, coordinate: int) -> int:
-    """Joint that a coordinate of v belongs to."""
+    """Return the joint to which a coordinate of v belongs."""
     return int(np.searchsorted(np.array(model.idx_vs)[1:], coordinate, side="right"))
 
 
 def _in_q(model: Any, coordinate: int) -> tuple[int, bool]:
-    """Where the value of a coordinate is in q, and whether it is there as a pair (cos, sin)."""
+    """Return the index in q of the value of a coordinate, and whether q has the value as a pair (cos, sin)."""
     joint = model.joints[joint_at(model, coordinate)]
     return joint.idx_q + coordinate - joint.idx_v, joint.nq != joint.nv
 
@@ -54,7 +54,7 @@ def _in_q(model: Any, coordinate: int) -> tuple[int, bool]:
 def gear(
     model: Any, name: str, joints: tuple[str, str], ratio: float, offset: float, axes: Sequence[int] = (0, 0)
 ) -> Gear:
-    """Gear between two joints, by name, whose second follows the first; `axes` tells which coordinate of each."""
+    """Return the gear by which the second of two named joints follows the first; `axes` selects a coordinate each."""
     ratio = checks.number(ratio, f"ratio of {name}")
     coordinates: list[int] = []
     for what, joint, axis in zip(("joint1", "joint2"), joints, axes, strict=True):
@@ -75,17 +75,17 @@ def gear(
 
 
 def _period(ratio: float, round1: bool, round2: bool) -> float:
-    """What q2 - ratio q1 is known up to: inf for all of it, 0 for nothing."""
+    """Return the period up to which q2 - ratio q1 is known: inf if it is known exactly, 0 if it is not known at all."""
     if not round1:
         return 2.0 * math.pi if round2 else math.inf
     if not round2:
         return 2.0 * math.pi * abs(ratio) or math.inf
     teeth = Fraction(ratio).limit_denominator(TEETH)
-    return 2.0 * math.pi / teeth.denominator if abs(ratio - teeth) <= 1e-12 * abs(ratio) else 0.0  # of text to float
+    return 2.0 * math.pi / teeth.denominator if abs(ratio - teeth) <= 1e-12 * abs(ratio) else 0.0  # text is rounded
 
 
 def following(model: Any, gears: Sequence[Gear], q: Array) -> Array:
-    """The configuration q but for the second joints of gears, which are where the first ones say."""
+    """Return q with the second joint of every gear set to the value that follows from its first joint."""
     q = q.copy()
     for each in [*gears] * len(gears):  # a second joint may be the first of another gear
         k, turning = _in_q(model, each.coordinate2)
@@ -100,12 +100,12 @@ def _angle(model: Any, coordinate: int, q: Array) -> float:
 
 
 class GearGaps:
-    """q2 - ratio q1 - offset of some gears, and what it is linear in.
+    """Gaps q2 - ratio q1 - offset of k gears, and their derivative.
 
     Attributes
     ----------
     rows : ndarray, shape (k, nv)
-        Its derivative.
+        Derivative of the gaps.
     """
 
     def __init__(self, model: Any, gears: Sequence[Gear]) -> None:
@@ -121,7 +121,7 @@ class GearGaps:
         self._offset = np.array([g.offset for g in gears])
 
     def at(self, q: Array) -> Array:
-        """The gaps at q, shape (k,), rad or m; of continuous joints the smallest that whole turns leave."""
+        """Return the gaps at q, shape (k,), rad or m; for continuous joints the smallest gap up to whole turns."""
         angle = np.where(self._round, np.arctan2(q[self._at + self._round], q[self._at]), q[self._at])
         gap: Array = self.rows[:, self._coordinates] @ angle - self._offset
         turns = np.isfinite(self._period)

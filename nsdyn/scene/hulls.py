@@ -1,4 +1,4 @@
-"""Faces of convex hulls: what Qhull finds in triangles, put together where they lie in one plane."""
+"""Faces of convex hulls: Qhull returns triangles, and triangles in one plane are merged into one face."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["COPLANAR", "faces"]
 
 COPLANAR = 1e-6
-"""Facets of a hull whose corners lie within this fraction of its size of one plane are one face (float32 meshes)."""
+"""Facets are one face if their corners lie within this fraction of the hull's size of one plane (float32 meshes)."""
 
 
 def faces(vertices: Array) -> list[Index]:
-    """Faces of the convex hull of points, (n, 3), as loops of their indices, anticlockwise seen from outside.
+    """Return the faces of the convex hull of points, (n, 3), as loops of indices, anticlockwise seen from outside.
 
-    Facets of Qhull are merged where they are coplanar.
+    Coplanar facets of Qhull are merged.
 
     Raises
     ------
     ValueError
-        For points in one plane, or as close to one as those of a face are to theirs.
+        For points in one plane, or as close to one plane as the corners of one face may be to theirs.
     """
-    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that boxes and spheres do not need
+    from scipy.spatial import ConvexHull, QhullError  # takes 0.1 s; boxes and spheres do not need it
 
     try:
         hull = ConvexHull(vertices - vertices.mean(axis=0))
@@ -32,7 +32,7 @@ def faces(vertices: Array) -> list[Index]:
     tol = COPLANAR * np.linalg.norm(np.ptp(points, axis=0))
     group = np.full(len(simplices), -1)
     loops = []
-    # Largest facets first: their planes are the best defined, slivers join them.
+    # Largest facets first: their planes are the best defined, and thin facets are merged into them.
     area = np.linalg.norm(
         np.cross(points[simplices[:, 1]] - points[simplices[:, 0]], points[simplices[:, 2]] - points[simplices[:, 0]]),
         axis=1,

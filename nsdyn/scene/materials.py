@@ -1,4 +1,4 @@
-"""Materials of surfaces, and how two of them make the coefficients of a contact."""
+"""Materials of surfaces, and the rules that combine two materials into the coefficients of a contact."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ COMBINATION_RULES: dict[str, Callable[[Array, Array], Array]] = {
     "min": np.minimum,
     "multiply": np.multiply,
 }
-"""How two materials make one coefficient, by name."""
+"""Rules that combine the values of two materials into one coefficient, by name."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """What two surfaces are made of, before a combination rule makes one value per pair.
+    """Friction and restitution of a surface; a combination rule makes one value of each for a pair of surfaces.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Material:
     Raises
     ------
     ValueError
-        For numbers out of these ranges.
+        For numbers outside their ranges.
 
     Examples
     --------

@@ -1,11 +1,11 @@
 """Mesh files: STL, OBJ, PLY and COLLADA.
 
-They come from strangers, so that nothing here trusts them: sizes that a file declares are compared with what it holds
-before anything is made of them, indices are checked, and files that a file names (materials, pictures) are not opened.
-General importers do worse: Assimp, which Coal loads meshes with, ends the process on many a damaged PLY file. trimesh
-5.2 with pycollada reads 421 of 6000 damaged files that are refused here, in silence and as other surfaces than they
-held, gets sound OBJ files wrong that have tabs or count from the end of the corners so far, keeps 7 digits of COLLADA's
-numbers, and takes half a second to import.
+Mesh files may come from anywhere, so this module does not trust them. It compares the sizes that a file declares with
+the contents of the file before it allocates memory, checks indices, and does not open files that a mesh file names
+(materials, pictures). General importers are less safe. Assimp, with which Coal loads meshes, ends the process on many
+damaged PLY files. trimesh 5.2 with pycollada reads 421 of 6000 damaged files that this module refuses, silently and as
+other surfaces than the files held. It also misreads valid OBJ files that have tabs or count back from the latest
+corner, keeps 7 digits of COLLADA's numbers, and takes half a second to import.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ READERS: dict[str, Callable[[bytes], tuple[Any, ...]]] = {
     ".ply": ply.read,
     ".dae": collada.read,
 }
-"""By the suffixes of their files."""
+"""Readers by the suffixes of their files."""
 
 
 class Surface(NamedTuple):
@@ -38,11 +38,11 @@ class Surface(NamedTuple):
     Attributes
     ----------
     vertices : ndarray, shape (nv, 3)
-        In the unit of the file; corners of triangles only.
+        In the unit of the file; only vertices that are corners of triangles.
     triangles : ndarray of int, shape (nt, 3)
-        Corners, anticlockwise seen from outside.
+        Indices of the corners, anticlockwise seen from outside.
     colours : ndarray, shape (nt, 4), optional
-        Red, green, blue and alpha of the triangles in [0, 1], NaN where they have none; only COLLADA tells them.
+        Red, green, blue and alpha of the triangles in [0, 1], NaN for triangles without colour; only from COLLADA.
     """
 
     vertices: Array
@@ -51,19 +51,19 @@ class Surface(NamedTuple):
 
     @property
     def volume(self) -> float:
-        """Σ a·(b × c) / 6 over the triangles: negative where they are seen from inside, and no volume if not closed."""
+        """Σ a·(b × c) / 6 over the triangles: negative if they face inwards, meaningless if they are not closed."""
         a, b, c = (self.vertices - self.vertices.mean(axis=0))[self.triangles].transpose(1, 0, 2)
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
 def read(path: Path) -> Surface:
-    """Surface in a file, whose suffix tells its format.
+    """Read the surface in a file, whose suffix gives its format.
 
     Raises
     ------
     ValueError
-        Naming the file: no such file, another format, one that is damaged or has no triangles, corners that are not
-        finite.
+        Naming the file: it does not exist, has another format, is damaged, has no triangles, or has corners that are
+        not finite.
     """
     if not is_file(path):
         raise ValueError(f"path must be a mesh file, got {str(path)!r}")
@@ -89,5 +89,5 @@ def read(path: Path) -> Surface:
 
 
 def write_stl(path: Path, surface: Surface) -> None:
-    """Write a surface as a binary STL, whose numbers have seven digits."""
+    """Write a surface as a binary STL file, with numbers of seven digits."""
     path.write_bytes(stl.binary(surface.vertices, surface.triangles))

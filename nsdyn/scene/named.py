@@ -1,13 +1,14 @@
 """Named scenes: one Python file each in `models`, found from the source tree and after an installation alike.
 
-A file of one's own, by its path with ``.py``, serves wherever a name does; ``nsdyn new my.py`` begins one. To add one
-to those that come with nsdyn:
+The path of your own scene file, ending in ``.py``, can be given wherever a name can; ``nsdyn new my.py`` makes a first
+one. To add a scene to those that come with nsdyn, write:
 
-1. ``models/NAME.py`` whose docstring says in one line what it shows: ``nsdyn scenes`` prints that;
-2. ``scene(...) -> Scene`` with numbers as defaults: they are what ``--set`` changes;
+1. ``models/NAME.py``, whose docstring says in one line what the scene shows: ``nsdyn scenes`` prints this line;
+2. ``scene(...) -> Scene`` with numbers as defaults: ``--set`` changes these parameters;
 3. `DURATION` and `DT`, s;
-4. if it is driven, ``controller(scene)`` or ``external_force(scene)`` that return functions of (t, q, v);
-5. a test of the law that it shows; `tests/stepping/test_stepper.py` runs every named scene and closes its ledger.
+4. for a driven scene, ``controller(scene)`` or ``external_force(scene)`` that return functions of (t, q, v);
+5. a test of the law that the scene shows; `tests/stepping/test_stepper.py` runs every named scene and checks that its
+   ledger closes.
 """
 
 from __future__ import annotations
@@ -34,34 +35,35 @@ _PREFIX, _OWN = "nsdyn_models_", "nsdyn_own_"
 
 
 def folder() -> Path:
-    """Folder of the named scenes: inside the package when installed, beside it in a source tree."""
+    """Return the folder of the named scenes: inside the package when installed, beside it in a source tree."""
     here = Path(__file__).resolve().parents[1]
     installed = here / "models"
     return installed if installed.is_dir() else here.parent / "models"
 
 
 def names() -> list[str]:
-    """Names of the scenes, sorted."""
+    """Return the names of the scenes, sorted."""
     return sorted(p.stem for p in folder().glob("*.py") if not p.stem.startswith("_"))
 
 
 def template() -> str:
-    """Text of a scene file to begin with: commented, and it runs."""
+    """Return the text of a first scene file: it has comments and runs."""
     return (folder() / "_template.py").read_text()
 
 
 def module(name: str) -> ModuleType:
-    """Module of a scene: its function `scene`, perhaps DURATION and DT [s], `controller`, `external_force`.
+    """Return the module of a scene: its function `scene`, perhaps DURATION and DT [s], `controller`, `external_force`.
 
     Parameters
     ----------
     name : str
-        One of `names`, or the path of a file of one's own, which ends in ``.py``.
+        One of `names`, or the path of your own file, which ends in ``.py``.
 
     Raises
     ------
     ValueError
-        Naming the known ones; for a file that cannot be run or lacks something, naming the line or what is missing.
+        For an unknown name, naming the known ones; for a file that cannot be run or is incomplete, naming the line or
+        the missing part.
     """
     if isinstance(name, str) and name.endswith(".py"):
         return _own(Path(name).resolve())
@@ -101,7 +103,7 @@ def _own(path: Path) -> ModuleType:
 
 
 def _knowing(source: ModuleType) -> ModuleType:
-    """A module of a scene, whose function gives scenes that know their parameters."""
+    """Return the module of a scene with its function wrapped, so that each scene records its parameters."""
     function = source.scene
 
     @wraps(function)
@@ -113,13 +115,13 @@ def _knowing(source: ModuleType) -> ModuleType:
 
 
 def made(function: Callable[..., Scene], *arguments: Any, **parameters: Any) -> Scene:
-    """The scene that a function makes, with its parameters, those that were left at their defaults too.
+    """Return the scene that a function makes, and record all its parameters in the scene, including the defaults.
 
-    One of a file that gives it no name of its own is called after the file.
+    A scene from a file that sets no name gets the name of the file.
     """
     source = getattr(function, "__module__", "")
     if source.startswith(_PREFIX):
-        out = function(*arguments, **parameters)  # what the parameters of ours cause is told as it is
+        out = function(*arguments, **parameters)  # errors from parameters of nsdyn's own scenes are raised unchanged
     else:
         out = called(function, "scene", _scene, *arguments, **parameters)
     if source.startswith(_OWN) and out.name == Scene.name:
@@ -137,7 +139,7 @@ def _scene(given: Any) -> Scene:
 
 
 def _executed(name: str, path: Path) -> ModuleType:
-    """Module of a file, known by its name to whatever looks its own module up, as dataclasses do."""
+    """Run a file as a module, registered under its name for code that looks up its own module, as dataclasses do."""
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     out = sys.modules[name] = importlib.util.module_from_spec(spec)
@@ -150,7 +152,7 @@ def _executed(name: str, path: Path) -> ModuleType:
 
 
 def seconds(name: str, what: str) -> float:
-    """`DURATION` or `DT` of a named scene or of a file; ValueError where the file has none."""
+    """Return `DURATION` or `DT` of a named scene or of a file; ValueError where the file has none."""
     given = getattr(module(name), what, None)
     if not isinstance(given, (int, float)):
         unit, option = {"DURATION": ("how long to simulate", "--time"), "DT": ("the time step", "--dt")}[what]
@@ -165,7 +167,7 @@ def load(name: str) -> Callable[..., Scene]:
 
 
 def name_of(function: Callable[..., Scene]) -> str | None:
-    """Name, or path of the file, of the scene whose function this is, None for any other."""
+    """Return the name, or the path of the file, of the scene whose function is given; None for any other function."""
     source = getattr(function, "__module__", "")
     if source.startswith(_OWN):
         name = source.removeprefix(_OWN)
@@ -176,14 +178,14 @@ def name_of(function: Callable[..., Scene]) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A named scene with all that its simulation needs.
+    """A named scene with everything needed to simulate it.
 
     Attributes
     ----------
     name : str
     scene : Scene
     controller, external_force : callable, optional
-        What drives its articulations and pushes its bodies, as `nsdyn.simulate` takes them.
+        Functions that drive the articulations and push the bodies, as `nsdyn.simulate` takes them.
     """
 
     name: str
@@ -193,22 +195,27 @@ class Setup:
 
     @property
     def duration(self) -> float:
-        """How long it is worth looking at, s; ValueError where its file does not say."""
+        """Recommended duration of a simulation, s; ValueError where the file of the scene gives none."""
         return seconds(self.name, "DURATION")
 
     @property
     def dt(self) -> float:
-        """A step that serves, s; ValueError where its file has none."""
+        """Recommended time step, s; ValueError where the file of the scene gives none."""
         return seconds(self.name, "DT")
 
     def options(self, **others: Any) -> dict[str, Any]:
-        """Keywords for `nsdyn.simulate` or `nsdyn.Stepper`: dt, controller and external_force, but for the `others`."""
+        """Return keywords for `nsdyn.simulate` or `nsdyn.Stepper`: dt, controller, external_force, and `others`.
+
+        Keywords given in `others` replace those of the scene.
+        """
         own = {} if "dt" in others else {"dt": self.dt}
         return own | {"controller": self.controller, "external_force": self.external_force} | others
 
 
 def setup(name: str, **parameters: Any) -> Setup:
-    """A named scene with some of its parameters, and what drives it; ValueError for parameters that it has not.
+    """Make a named scene with the given parameters, and the functions that drive it.
+
+    Raise ValueError for parameters that the scene does not have.
 
     Examples
     --------

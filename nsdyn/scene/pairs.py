@@ -1,4 +1,4 @@
-"""Pairs of shapes: which never touch, and the coefficients of those that may."""
+"""Pairs of shapes: the pairs that never touch, and the coefficients of pairs that may."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["excluded", "pair_material"]
 
 
 def pair_material(scene: Scene, geoms: Sequence[Geom]) -> Callable[[Index, Index], tuple[Array, Array]]:
-    """Function of two index arrays into `geoms` that returns (mu, restitution) of each pair."""
+    """Return a function of two index arrays into `geoms` that returns (mu, restitution) of each pair."""
     mu = np.array([g.material.mu for g in geoms])
     e = np.array([g.material.restitution for g in geoms])
     names = sorted({g.link for g in geoms})
@@ -51,7 +51,7 @@ def pair_material(scene: Scene, geoms: Sequence[Geom]) -> Callable[[Index, Index
 
 
 def excluded(scene: Scene, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
-    """Pairs of geoms never tested: those that articulations exclude among their links."""
+    """Return the pairs of geoms that are never tested for contact: the pairs that articulations exclude."""
     out = set()
     for name, a in scene.articulations.items():
         fixed = {body.name for body in a.fixed}
@@ -61,6 +61,6 @@ def excluded(scene: Scene, geoms: Sequence[Geom]) -> set[tuple[int, int]]:
 
 
 def among(geoms: Sequence[Geom], held: Bools) -> set[tuple[int, int]]:
-    """Pairs of geoms on frames that are `held` (frames,), or of one such and a fixed one."""
+    """Return the pairs of geoms that are both on `held` frames, (frames,), or one on a held frame and one fixed."""
     stiff = [k for k, g in enumerate(geoms) if g.frame < 0 or held[g.frame]] if held.any() else []
     return {(i, j) for i in stiff for j in stiff if i < j and (geoms[i].frame >= 0 or geoms[j].frame >= 0)}

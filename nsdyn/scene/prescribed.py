@@ -23,12 +23,12 @@ class Motion:
     Attributes
     ----------
     name : str
-        Body, or articulation/joint.
+        Name of a body, or articulation/joint.
     velocity : array or callable
-        Constant, or a function of the time in s. Of a body: linear (3,) [m/s] of its centre, or (linear, angular
-        [rad/s]), world axes. Of a joint: one number, rad/s or m/s.
+        Constant, or a function of the time in s. For a body: linear (3,) [m/s] of its centre, or (linear, angular
+        [rad/s]), world axes. For a joint: one number, rad/s or m/s.
     kind : {"body", "surface", "joint"}
-        A "surface" slides in itself while the body stays where it is: a conveyor.
+        A "surface" moves while its body stays at rest: a conveyor.
     """
 
     name: str
@@ -36,12 +36,12 @@ class Motion:
     kind: str
 
     def twist(self, t: float) -> Array:
-        """(linear, angular) velocity of a body or its surface at time t, shape (2, 3); ValueError for other shapes."""
+        """Return the (linear, angular) velocity of a body or surface at time t, shape (2, 3); ValueError if no fit."""
         value = self._value(t, ((3,), (2, 3)), "finite with shape (3,) or (2, 3)")
         return value if value.ndim == 2 else np.array((value, np.zeros(3)))
 
     def rate(self, t: float) -> float:
-        """Velocity of a joint at time t; ValueError if it is not one finite number."""
+        """Return the velocity of a joint at time t; ValueError if it is not one finite number."""
         return float(self._value(t, ((),), "one finite number"))
 
     def _value(self, t: float, shapes: tuple[tuple[int, ...], ...], words: str) -> Array:

@@ -1,6 +1,6 @@
 """The scene a user describes: bodies, articulations, materials, gravity.
 
-A scene only collects and checks; nothing is simulated here. SI units, world frame, quaternions xyzw.
+A scene collects and checks its parts; it simulates nothing. SI units, world frame, quaternions xyzw.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ class Scene:
     gravity : sequence of 3 floats
         m/s².
     friction_rule, restitution_rule : str
-        Name of the rule in `COMBINATION_RULES` that combines the values of two materials.
+        Name of the rule in `COMBINATION_RULES` that combines the coefficients of two materials.
     name : str
         Shown in recordings.
 
     Attributes
     ----------
     bodies : dict of str to Body
-        By name, in the order they were added.
+        Bodies by name, in the order they were added.
     articulations : dict of str to Articulation
     pairs : dict of frozenset of str to (float or None, float or None)
-        What `set_pair` has set of two bodies: friction and restitution.
+        Friction and restitution of two bodies, as given to `set_pair`.
     motions : dict of str to Motion
-        What `set_motion` has set.
+        Prescribed motions, as given to `set_motion`.
     parameters : dict
-        What the scene was made with, by name, kept in its recordings: two of them beside each other show where they
-        differ. Scenes of `nsdyn.scenes` and those that `nsdyn.sweep` and `nsdyn.refine` make have the arguments of
-        their function; for others it is yours to fill.
+        Parameters that the scene was made with, by name. Recordings keep them, so that two recordings can be compared.
+        In scenes of `nsdyn.scenes` and scenes made by `nsdyn.sweep` and `nsdyn.refine` they are the arguments of the
+        function that made the scene; in your own scenes fill them yourself.
 
     Raises
     ------
     ValueError
-        In the constructor and every ``add_*``, naming the argument, what was expected and what came.
+        In the constructor and every ``add_*``, naming the argument, the expected value and the given value.
 
     Examples
     --------
@@ -123,7 +123,7 @@ class Scene:
         material: Material | None = None,
         colour: ArrayLike | None = None,
     ) -> None:
-        """Add the fixed solid {x : normal·x ≤ offset}; `normal` points out of it, `offset` is in m along it."""
+        """Add the fixed solid {x : normal·x ≤ offset}; `normal` points outwards, `offset` is in m along `normal`."""
         shape = shapes.halfspace(normal, offset)
         self.add_shape(name, shape, material=material, fixed=True, colour=colour)
 
@@ -138,13 +138,13 @@ class Scene:
     def add_capsule(
         self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Unpack[BodyOptions]
     ) -> None:
-        """Add a capsule along its z axis, `length` [m] between the centres of its two half-spheres."""
+        """Add a capsule along its z axis; `length` [m] is the distance between the centres of its two half-spheres."""
         self.add_shape(name, shapes.capsule(radius, length), mass, **keywords)
 
     def add_cylinder(
         self, name: str, radius: float, length: float, mass: float | None = None, **keywords: Unpack[BodyOptions]
     ) -> None:
-        """Add a cylinder along its z axis of full height `length` [m]."""
+        """Add a cylinder along its z axis, with the full height `length` [m]."""
         self.add_shape(name, shapes.cylinder(radius, length), mass, **keywords)
 
     def add_ellipsoid(
@@ -169,9 +169,9 @@ class Scene:
         vertices : array, shape (n, 3)
             In m, body axes. The body's origin is the centroid of the hull.
         mass : float
-            kg; none for a fixed body.
+            kg; leave it out for a fixed body.
         position : sequence of 3 floats, optional
-            Of the centre of mass, m. By default the body stays where the vertices are.
+            Position of the centre of mass, m. By default the body lies where its vertices are.
         quaternion : sequence of 4 floats
             xyzw.
         linear_velocity, angular_velocity : sequence of 3 floats
@@ -180,9 +180,10 @@ class Scene:
         fixed : bool
         colour : sequence of 3 or 4 floats in [0, 1]
         inertia : array, shape (3, 3)
-            About the centre of mass in body axes, kg m²; by default that of the homogeneous shape.
+            About the centre of mass in body axes, kg m²; by default the inertia of the homogeneous shape.
         com : sequence of 3 floats
-            Centre of mass from the centroid of the shape, body axes, m; 0 by default. One elsewhere needs `inertia`.
+            Centre of mass relative to the centroid of the shape, body axes, m; 0 by default. If it is not 0, `inertia`
+            is required.
         """
         shape, centroid = shapes.convex(vertices)
         self._add_hull(name, shape, centroid, mass, keywords)
@@ -195,9 +196,9 @@ class Scene:
         scale: float = 1.0,
         **keywords: Unpack[BodyOptions],
     ) -> None:
-        """Add the convex hull of a mesh file, with a warning when the hull has over 1.02 times its volume.
+        """Add the convex hull of a mesh file; warn when the hull has more than 1.02 times the volume of the mesh.
 
-        Keywords as in `add_convex`; `scale` multiplies the file's lengths.
+        Keywords as in `add_convex`; `scale` multiplies the lengths in the file.
         """
         shape, centroid = shapes.mesh(path, scale)
         self._add_hull(name, shape, centroid, mass, keywords)
@@ -210,7 +211,7 @@ class Scene:
         self.add_shape(name, shape, mass, **keywords)
 
     def add_shape(self, name: str, shape: Shape, mass: float | None = None, **keywords: Unpack[BodyOptions]) -> None:
-        """Add a body of any `Shape` of `nsdyn.scene.shapes`, as one of your own; keywords as in `add_convex`."""
+        """Add a body with any `Shape` of `nsdyn.scene.shapes` or your own `Shape`; keywords as in `add_convex`."""
         self._check_name(name)
         self.bodies[name] = make_body(name, shape, mass, keywords)
 
@@ -224,44 +225,46 @@ class Scene:
     def add_model(
         self, name: str, model: Any, geometry_model: Any | None = None, **keywords: Unpack[ArticulationOptions]
     ) -> None:
-        """Add an articulated tree: one Pinocchio model, its collision shapes on its links.
+        """Add an articulated tree: one Pinocchio model with collision shapes on its links.
 
         Parameters
         ----------
         name : str
             Unique in the scene.
         model : pinocchio.Model
-            Copied, so that several articulations may share it. Its joints are depth first: right after each come all
-            that it carries. A mimic joint gets a coordinate of its own, which q, v and the other sequences count, and a
-            gear as of `add_gear`.
+            The model is copied, so that several articulations may share it. Its joints must be in depth-first order:
+            all joints that a joint carries follow it directly. A mimic joint gets a coordinate of its own, which
+            counts in q, v and the other sequences, and a gear as of `add_gear`.
         geometry_model : pinocchio.GeometryModel, optional
-            Its collision shapes; of the pairs of them only those that it lists may touch, if it lists any.
+            Collision shapes of the model. If it lists collision pairs, only the listed pairs may touch.
         position, quaternion : sequences
-            Where the model's world lies in the scene: the pose of a fixed base, the initial one of a free base.
+            Pose of the model's world in the scene: the pose of a fixed base, the initial pose of a free base.
         q, v : sequences, shapes (nq,), (nv,)
-            Initial configuration and velocity, Pinocchio's convention; those of a free base may be left out.
+            Initial configuration and velocity, Pinocchio's convention; the part of a free base may be left out.
         material : Material or mapping
-            Of all shapes, or {body: Material}, in place of the friction that an MJCF or SDF file gives.
+            One Material for all shapes, or {body: Material}. It replaces the friction that an MJCF or SDF file gives.
         collisions : bool or mapping
-            False for none, or {body: shapes in place of the file's}, each a Shape or (Shape, SE3 in the body's frame).
+            False for no shapes, or {body: shapes that replace those of the file}; each shape is a Shape or
+            (Shape, SE3 in the body's frame).
         self_collisions : bool or "apart"
-            Whether its links may touch each other, save those that a joint or a loop joins; with "apart" also save
-            those that overlap in the initial configuration, which a warning names. Of an MJCF file with several trees
-            it is of the links of each: trees touch each other and the world.
+            Whether links may touch each other. Two links that a joint or a loop joins never do. With "apart", links
+            that overlap in the initial configuration never do either, and a warning names them. For an MJCF file with
+            several trees it applies within each tree: different trees touch each other and the world.
         srdf : path, optional
-            Its ``disable_collisions`` are obeyed.
+            SRDF file whose ``disable_collisions`` are respected.
         limits : bool
             Whether position limits of the model are enforced.
         clip : bool
-            Move the initial configuration into the limits.
+            Whether to move the initial configuration into the limits.
         restitution : float
-            Newton's coefficient of the limits.
+            Newton's coefficient of the joint limits.
         friction, damping, armature : sequences, shape (nv,)
-            Dry friction, viscous damping and inertia of the joints, in place of those in the model. Against sliding of
-            a planar joint friction is a disk, ‖τ‖ ≤ τ_c, against turning of a ball joint a ball, for which all its axes
-            have the same τ_c; of free joints it must be 0. So must armature, and along the axes of a planar joint: what
-            is along axes that turn with a body would bend its way; about those of a ball joint it must be the same.
-            Efforts in the file are the default limit of `nsdyn.PD` control.
+            Dry friction, viscous damping and inertia of the joints, in place of those in the model. Friction against
+            sliding of a planar joint lies in a disk, ‖τ‖ ≤ τ_c. Friction against turning of a ball joint lies in a
+            ball, so that all its axes must have the same τ_c. Friction of free joints must be 0. Armature must be 0 in
+            free joints and along both axes of a planar joint, since inertia along axes that turn with a body would
+            bend the body's path. Armature must be the same about all axes of a ball joint. Efforts in the file are the
+            default limit of `nsdyn.PD` control.
         stiffness, rest : sequences, shape (nv,)
             Springs τ = -stiffness (q - rest) in revolute and prismatic joints.
         inertias : {"check", "trust"}
@@ -270,8 +273,8 @@ class Scene:
         Warns
         -----
         UserWarning
-            Once, of what the file contains that changes the motion and is not used. Everything that is not used is in
-            ``scene.articulations[name].report``.
+            Once, naming contents of the file that change the motion and are not used. The full list of unused contents
+            is in ``scene.articulations[name].report``.
         """
         self._add_articulation(name, robot_files.read_model(name, model, geometry_model), keywords)
 
@@ -290,9 +293,9 @@ class Scene:
         name : str
         path : path
         base : {"fixed", "free"}
-            A free base adds Pinocchio's free-flyer as first joint.
+            With "free", Pinocchio's free-flyer is the first joint.
         package_dirs : sequence of paths
-            Where ``package://`` meshes are looked up, besides the file's own folder.
+            Folders in which ``package://`` meshes are looked up, besides the folder of the file.
         """
         folders = checks.folders(package_dirs, f"package_dirs of {name!r}")
         description = robot_files.read_urdf(name, as_path(path, f"path of {name!r}"), base, folders)
@@ -307,10 +310,11 @@ class Scene:
         ----------
         name : str
         path : path
-            Its bases are fixed or free as it says. The geoms of its world, and of bodies there that carry no joint, are
-            fixed bodies of the scene, "name/geom"; its body "world" has the former in `material` and `collisions`.
+            The file decides which bases are fixed or free. The geoms of its world, and of bodies in the world that
+            carry no joint, become fixed bodies of the scene, "name/geom". In `material` and `collisions` the geoms of
+            the world belong to the body "world".
         keyframe : str, optional
-            Name of the one to start from.
+            Name of the keyframe to start from.
         """
         description = robot_files.read_mjcf(name, as_path(path, f"path of {name!r}"), keyframe)
         self._add_articulation(name, description, keywords)
@@ -328,9 +332,9 @@ class Scene:
         ----------
         name : str
         path : path
-            Its base is fixed if a joint to the world holds it or the model is static, else free.
+            The base is fixed if a joint to the world holds it or the model is static, and free otherwise.
         package_dirs : sequence of paths
-            Where ``model://`` meshes are looked up, besides the file's own folder.
+            Folders in which ``model://`` meshes are looked up, besides the folder of the file.
         """
         folders = checks.folders(package_dirs, f"package_dirs of {name!r}")
         description = robot_files.read_sdf(name, as_path(path, f"path of {name!r}"), folders)
@@ -352,11 +356,11 @@ class Scene:
         ----------
         articulation, name : str
         frame1, frame2 : str
-            Frames of its Pinocchio model, for instance bodies, on two links; "universe" is the world.
+            Frames of the articulation's Pinocchio model, for instance bodies, on two links; "universe" is the world.
         position, quaternion : sequences
-            Of the closure in `frame1`; in `frame2` it is where it lies in the initial configuration.
+            Pose of the closure in `frame1`. Its pose in `frame2` follows from the initial configuration.
         kind : {"point", "frame"}
-            Hold the points together, or points and axes.
+            Whether the loop holds the origins together, or origins and axes.
         """
         choice(articulation, self.articulations, "articulation")
         self.articulations[articulation] = couplings.close_loop(
@@ -364,18 +368,19 @@ class Scene:
         )
 
     def add_gear(self, articulation: str, joint1: str, joint2: str, ratio: float, offset: float | None = None) -> None:
-        """Join two revolute or prismatic joints of an articulation by q2 = ratio q1 + offset, as a URDF `mimic` does.
+        """Couple two revolute or prismatic joints of an articulation by q2 = ratio q1 + offset, as a URDF `mimic` does.
 
         Parameters
         ----------
         articulation : str
         joint1, joint2 : str
-            Joints of its Pinocchio model.
+            Joints of the articulation's Pinocchio model.
         ratio : float
-            Of the coordinates, in rad and m: for instance -r1 / r2 of two wheels that mesh, r of a wheel (joint1) and
-            its rack. Between two continuous joints, whose turns are not counted, a fraction of whole numbers.
+            Ratio of the coordinates, in rad and m: for instance -r1 / r2 for two wheels that mesh, r for a wheel
+            (joint1) and its rack. Between two continuous joints it must be a fraction of whole numbers, because their
+            turns are not counted.
         offset : float, optional
-            In rad or m; by default that of the initial configuration.
+            In rad or m; by default the offset that the initial configuration has.
         """
         choice(articulation, self.articulations, "articulation")
         self.articulations[articulation] = couplings.put_gear(
@@ -395,24 +400,25 @@ class Scene:
     def set_motion(self, name: str, velocity: Velocity | None = None, surface_velocity: Velocity | None = None) -> None:
         """Prescribe the motion of a fixed body, of its surface, or of a joint; its work is in the ledger.
 
-        It pushes what gives way. Where it goes into what does not, a fixed body, another prescribed motion or the limit
-        of its own joint, a step raises a ValueError that names both, the depth and the time.
+        A body or joint with prescribed motion pushes free bodies out of its way. If it moves into a fixed body, another
+        prescribed motion or the limit of its own joint, a step raises a ValueError that names both, the depth and the
+        time.
 
         Parameters
         ----------
         name : str
             A fixed body, or "articulation/joint" for a joint with one coordinate.
         velocity : array or callable
-            Constant, or a function of the time in s. Of a body: linear (3,) [m/s] of its centre, or (linear, angular
-            [rad/s]), world axes; the body moves with it and pushes what it meets. Of a joint: rad/s or m/s.
+            Constant, or a function of the time in s. For a body: linear (3,) [m/s] of its centre, or (linear, angular
+            [rad/s]), world axes; the body moves and pushes bodies in its way. For a joint: rad/s or m/s.
         surface_velocity : array or callable
-            The same for a surface that slides in itself while the body stays: a conveyor, a turning drum. What of it
-            is along the normal of a contact does nothing.
+            The same for a surface that moves while the body stays at rest: a conveyor, a turning drum. The component
+            along the normal of a contact has no effect.
 
         Raises
         ------
         ValueError
-            If nothing of that name can be driven, or a value does not fit.
+            If no fixed body or joint has the name, or a value does not fit.
         """
         if (velocity is None) == (surface_velocity is None):
             raise ValueError(f"motion of {name!r} needs either velocity or surface_velocity")
@@ -444,10 +450,11 @@ class Scene:
     # -- materials ---------------------------------------------------------------------------------------------
 
     def set_pair(self, a: str, b: str, mu: float | None = None, restitution: float | None = None) -> None:
-        """Give two bodies their own coefficients, which beat the combination rule; None leaves the rule's value.
+        """Give two bodies their own coefficients, in place of the combination rule; None leaves the value of the rule.
 
-        A whole articulation goes by its name, a body of it by "articulation/body", which beats the whole. ValueError
-        for bodies that are not there, for one body twice, which never touches itself, and without a coefficient.
+        The name of an articulation means all its bodies; "articulation/body" means one of them and takes precedence.
+        Raise ValueError for unknown bodies, without a coefficient, and for the same body twice, since a body never
+        touches itself.
         """
         links = [
             f"{robot.name}/{body}" for robot in self.articulations.values() for body in dict.fromkeys(robot.bodies)
@@ -462,16 +469,16 @@ class Scene:
             raise ValueError(f"the pair of {a!r} and itself never touches: only parts of an articulation do")
         self.pairs[frozenset((a, b))] = (mu, restitution)
 
-    # -- what the stepper needs --------------------------------------------------------------------------------
+    # -- data for the stepper ----------------------------------------------------------------------------------
 
     @property
     def free_bodies(self) -> list[Body]:
-        """Bodies that move, in the order they were added."""
+        """Free bodies, in the order they were added."""
         return [b for b in self.bodies.values() if not b.fixed]
 
     @property
     def driven_bodies(self) -> list[Body]:
-        """Fixed bodies that move as prescribed; their frames are the last."""
+        """Fixed bodies with a prescribed motion; their frames come last."""
         return [b for b in self.bodies.values() if b.name in self.motions and self.motions[b.name].kind == "body"]
 
     def link_frames(self) -> list[tuple[str, int]]:
@@ -503,5 +510,5 @@ class Scene:
         return out
 
     def describe(self) -> dict[str, Any]:
-        """Everything needed to replay a recording, as nested lists (see `nsdyn.recording.columns`)."""
+        """Return everything needed to replay a recording, as nested lists (see `nsdyn.recording.columns`)."""
         return description.describe(self)

@@ -1,4 +1,4 @@
-"""Parameters of scenes as text: ``name=value`` of named ones, JSON in recordings."""
+"""Parameters of scenes as text: ``name=value`` for named scenes, JSON in recordings."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ __all__ = ["as_json", "as_text", "lists", "parameters", "values"]
 
 
 def parameters(name: str) -> dict[str, Any]:
-    """Parameters of a named scene with their default values."""
+    """Return the parameters of a named scene with their default values."""
     return {p.name: p.default for p in inspect.signature(scenes.load(name)).parameters.values()}
 
 
 def values(name: str, assignments: list[str]) -> dict[str, Any]:
-    """Values of ``name=value`` settings, each of the type of its default; ValueError naming what is wrong."""
+    """Parse ``name=value`` settings, each value with the type of its default; ValueError names the mistake."""
     return {key: parse(text, default, key) for key, text, default in _assignments(name, assignments)}
 
 
 def lists(name: str, assignments: list[str]) -> dict[str, list[Any]]:
-    """Lists of values of ``name=value,value,...`` settings, as `values`."""
+    """Parse ``name=value,value,...`` settings into lists of values, as `values` does."""
     return {
         key: [parse(value, default, key) for value in text.split(",")]
         for key, text, default in _assignments(name, assignments)
@@ -34,7 +34,7 @@ def lists(name: str, assignments: list[str]) -> dict[str, list[Any]]:
 
 
 def _assignments(name: str, assignments: list[str]) -> Iterator[tuple[str, str, Any]]:
-    """(name, text, default) of every setting of a scene."""
+    """Yield (name, text, default) for every setting of a scene."""
     known = parameters(name)
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
@@ -44,7 +44,7 @@ def _assignments(name: str, assignments: list[str]) -> Iterator[tuple[str, str, 
 
 
 def parse(text: str, default: Any, name: str) -> Any:
-    """Text as a value of the type of the default; whole numbers count things, of which some are needed."""
+    """Parse text as a value of the type of the default; a whole number is a count and at least min(default, 1)."""
     if isinstance(default, bool):
         if text.lower() not in ("true", "false"):
             raise ValueError(f"{name} must be true or false, got {text!r}")
@@ -63,17 +63,17 @@ def parse(text: str, default: Any, name: str) -> Any:
 
 
 def as_text(value: Any) -> str:
-    """How a value is written after ``--set name=``."""
+    """Return a value as text that can follow ``--set name=``."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def as_json(parameters: Mapping[str, Any]) -> str:
-    """Parameters of any kind as JSON; equal ones give equal text."""
+    """Return parameters of any type as JSON; equal parameters give equal text."""
     return json.dumps({str(name): value for name, value in parameters.items()}, default=_plain)
 
 
 def _plain(value: Any) -> Any:
-    """What stands in JSON for a value that it does not know: never an address in memory."""
+    """Return a JSON value for a Python value that JSON cannot hold; it never contains an address in memory."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     text = repr(value)

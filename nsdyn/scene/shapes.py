@@ -1,10 +1,10 @@
 """Collision shapes: convex, homogeneous, with their origin at the centre of mass.
 
-A `Shape` carries what the three users need: Coal its geometry object, the contact kernels the exact features
-(vertices, faces, sizes), the dynamics the mass properties. Lengths in m, volumes in m³.
+A `Shape` carries data for three users: a geometry object for Coal, the exact features (vertices, faces, sizes) for
+the contact kernels, and the mass properties for the dynamics. Lengths in m, volumes in m³.
 
-To add one that is a polytope, return what `convex` makes of its corners. For a curved one
-`demos/guide/extending.md` has the recipe; here it is a kind, its line in `CURVED` and a function that returns it.
+To add a polytope, write a function that returns `convex` of its corners. To add a curved shape, follow the recipe in
+`demos/guide/extending.md`; this module needs a kind, a line in `CURVED` and a function that returns the shape.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ __all__ = [
 ]
 
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
-"""Kinds; `nsdyn._kernels.collision.kinds` has the same, and what each of them answers."""
+"""Kinds of shapes; `nsdyn._kernels.collision.kinds` has the same kinds and the functions that each provides."""
 
 CURVED: dict[int, tuple[str, Callable[[Array], Any]]] = {
     SPHERE: ("sphere", lambda size: coal.Sphere(size[0])),
@@ -54,18 +54,18 @@ CURVED: dict[int, tuple[str, Callable[[Array], Any]]] = {
     CYLINDER: ("cylinder", lambda size: coal.Cylinder(size[0], 2.0 * size[1])),
     ELLIPSOID: ("ellipsoid", lambda size: coal.Ellipsoid(*size)),
 }
-"""Name of each curved kind, and Coal's solid of its `Shape.size`."""
+"""Name of each curved kind, and the function that makes Coal's solid from its `Shape.size`."""
 
 ROUND = (SPHERE, CAPSULE)
-"""Kinds of all points within a radius of a point or a segment: contacts of two of them need no answer of Coal's."""
+"""Kinds that are all points within a radius of a point or a segment: contacts of two such shapes do not need Coal."""
 
 CONCAVE = 1.02
-"""A mesh whose hull has more than this times its volume is reported as not convex."""
+"""Ratio of the volumes of hull and mesh above which a mesh is reported as not convex."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A convex solid in its own frame; the origin is the centre of mass (of a half-space: anywhere).
+    """A convex solid in its own frame; the origin is the centre of mass (for a half-space, any point).
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Shape:
         Half-space: outward unit normal. Box: full edge lengths; other polytopes: zeros. Sphere: (radius, 0, 0).
         Capsule and cylinder: (radius, half length, 0), axis along z. Ellipsoid: the three radii. m.
     vertices : ndarray, shape (nv, 3)
-        Corners of a polytope, m; empty for the others.
+        Corners of a polytope, m; empty for other kinds.
     face_normals, face_offsets : ndarray, shapes (nf, 3), (nf,)
         A polytope is {x : face_normals @ x ≤ face_offsets}; normals point outwards.
     face_ptr : ndarray, shape (nf + 1,)
@@ -91,7 +91,7 @@ class Shape:
     moment : ndarray, shape (3, 3)
         Inertia at density 1 about the origin, shape axes, m⁵; zeros for a half-space.
     bounding_radius, inscribed_radius : float
-        Of the smallest sphere about the origin that contains the shape and the largest one inside it, m.
+        Radius of the smallest sphere about the origin that contains the shape, and of the largest one inside it, m.
     """
 
     kind: int
@@ -119,7 +119,9 @@ class Shape:
         return "halfspace" if self.kind == HALFSPACE else "box" if self.size.any() else "convex"
 
     def core(self, fraction: float) -> Any:
-        """Coal's geometry of a shape smaller by a fraction of its inscribed radius, normals kept; round ones stay.
+        """Return Coal's geometry of the shape shrunk by a fraction of its inscribed radius, with the same normals.
+
+        Half-spaces, spheres and capsules are returned unchanged.
 
         Parameters
         ----------
@@ -140,7 +142,7 @@ class Shape:
         return coal_convex(self.vertices * (1.0 - fraction), self.face_loop, self.face_ptr)
 
     def inertia(self, mass: float) -> Array:
-        """Inertia of the homogeneous solid about its centre of mass, shape axes, shape (3, 3), in kg m².
+        """Return the inertia of the homogeneous solid about its centre of mass, shape axes, shape (3, 3), in kg m².
 
         Parameters
         ----------
@@ -150,7 +152,7 @@ class Shape:
         Raises
         ------
         ValueError
-            For a half-space, which has none.
+            For a half-space, which has no inertia.
         """
         if self.kind == HALFSPACE:
             raise ValueError("a halfspace has no inertia: it can only be fixed")
@@ -158,9 +160,9 @@ class Shape:
         return out
 
     def describe(self) -> dict[str, Any]:
-        """Name and dimensions as JSON values: ``shape``, ``size``, and for a polytope ``vertices`` and ``faces``.
+        """Return name and dimensions as JSON values: ``shape``, ``size``, for a polytope ``vertices`` and ``faces``.
 
-        A half-space has ``offset`` too; ``shape`` is `name`, ``size`` as in the attribute of that name.
+        A half-space also has ``offset``. ``shape`` is the property `name`, ``size`` the attribute `size`.
         """
         out: dict[str, Any] = {"shape": self.name, "size": self.size.tolist()}
         if self.kind == HALFSPACE:
@@ -177,7 +179,7 @@ _NO_FACES = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(1, dtype=n
 def _curved(
     kind: int, size: Sequence[float], bounding: float, inscribed: float, solid: tuple[float, Array] | None = None
 ) -> Shape:
-    """A shape of a kind of `CURVED`; `solid` is its (volume, moment) where Coal's are not those of the whole solid."""
+    """Return a shape of a kind in `CURVED`; `solid` is (volume, moment), where Coal's are not of the whole solid."""
     array = np.array(size, dtype=float)
     geometry = CURVED[kind][1](array)
     volume, moment = solid or (geometry.computeVolume(), _moment(geometry))
@@ -185,18 +187,18 @@ def _curved(
 
 
 def _moment(geometry: Any) -> Array:
-    """Coal's inertia of a solid at density 1 about its centre of mass, symmetric to the last bit."""
+    """Return Coal's inertia of a solid at density 1 about its centre of mass, made symmetric to the last bit."""
     inertia: Array = geometry.computeMomentofInertiaRelatedToCOM()
     return 0.5 * (inertia + inertia.T)
 
 
 def halfspace(normal: ArrayLike, offset: float) -> Shape:
-    """Solid {x : normal·x ≤ offset} below a plane.
+    """Return the solid {x : normal·x ≤ offset} below a plane.
 
     Parameters
     ----------
     normal : array, shape (3,)
-        Outwards; any length but zero, normalised here. The plane itself is kept: `offset` is scaled alike.
+        Outward normal of any length but zero. It is normalised and `offset` divided by its length: the plane stays.
     offset : float
         m, for a unit normal.
     """
@@ -210,7 +212,7 @@ def halfspace(normal: ArrayLike, offset: float) -> Shape:
 
 
 def box(size: ArrayLike) -> Shape:
-    """Box of the full edge lengths `size`, shape (3,), in m."""
+    """Return a box with the full edge lengths `size`, shape (3,), in m."""
     lengths = checks.lengths(size, "size")
     half = 0.5 * lengths
     # Vertex 4 i + 2 j + k has the signs of (i, j, k).
@@ -237,44 +239,44 @@ def box(size: ArrayLike) -> Shape:
 
 
 def sphere(radius: float) -> Shape:
-    """Ball of the given radius in m."""
+    """Return a solid sphere of the given radius in m."""
     r = checks.positive(radius, "radius")
     return _curved(SPHERE, (r, 0.0, 0.0), r, r)
 
 
 def capsule(radius: float, length: float) -> Shape:
-    """Points within `radius` of a segment of the given length along z (the distance of the two sphere centres), m."""
+    """Return the solid within `radius` of a segment along z; `length` is the distance of the sphere centres, m."""
     r, full = checks.positive(radius, "radius"), checks.positive(length, "length")
     return _curved(CAPSULE, (r, 0.5 * full, 0.0), r + 0.5 * full, r)
 
 
 def cylinder(radius: float, length: float) -> Shape:
-    """Cylinder of full height `length` along z, in m."""
+    """Return a cylinder of full height `length` along z, in m."""
     r, full = checks.positive(radius, "radius"), checks.positive(length, "length")
     bounding = float(np.hypot(r, 0.5 * full))
     return _curved(CYLINDER, (r, 0.5 * full, 0.0), bounding, min(r, 0.5 * full))
 
 
 def ellipsoid(radii: ArrayLike) -> Shape:
-    """Ellipsoid with the given semi-axes along x, y, z, shape (3,), in m."""
+    """Return an ellipsoid with the given semi-axes along x, y, z, shape (3,), in m."""
     r = checks.lengths(radii, "radii")
     return _curved(ELLIPSOID, r.tolist(), float(r.max()), float(r.min()))
 
 
 def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
-    """Convex hull of points.
+    """Return the convex hull of points.
 
     Parameters
     ----------
     vertices : array, shape (n, 3)
-        m, at least four points not in one plane.
+        m, at least four points that do not lie in one plane.
 
     Returns
     -------
     Shape
-        In a frame parallel to that of the points with its origin at the centroid of the hull.
+        The hull, in a frame parallel to the frame of the points, with its origin at the centroid of the hull.
     centroid : ndarray, shape (3,)
-        In the frame of the points.
+        Centroid of the hull in the frame of the points.
     """
     try:
         points = np.array(vertices, dtype=float)
@@ -288,7 +290,7 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     used, flat = np.unique(np.concatenate(loops), return_inverse=True)
     face_ptr = np.cumsum([0, *map(len, loops)])
     corners = points[used]
-    # Twice: the centroid of a solid far from the origin loses digits.
+    # Computed twice, because the centroid of a solid far from the origin loses digits.
     centroid = corners.mean(axis=0)
     try:
         for _ in range(2):
@@ -296,7 +298,7 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
             centroid = centroid + geometry.computeCOM()
         corners = corners - centroid
         geometry = coal_convex(corners, flat, face_ptr)
-    except RuntimeError as failure:  # for instance of a corner with more neighbours than Coal counts
+    except RuntimeError as failure:  # for instance a corner with more neighbours than Coal can count
         raise ValueError(f"vertices must make a simpler hull: {noise.told(failure, [])}") from None
     normals = np.array([_area_vector(corners[flat[a:b]]) for a, b in pairwise(face_ptr)])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -320,13 +322,13 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
 
 
 def _area_vector(loop: Array) -> Array:
-    """Area times normal of a polygon (Newell), shape (3,)."""
+    """Return area times normal of a polygon (Newell), shape (3,)."""
     out: Array = 0.5 * np.cross(loop - loop[0], np.roll(loop, -1, axis=0) - loop[0]).sum(axis=0)
     return out
 
 
 def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
-    """Coal's polytope: the faces cut into fans of triangles."""
+    """Return Coal's polytope, with each face cut into a fan of triangles."""
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for v in vertices:
         points.append(v)
@@ -337,23 +339,23 @@ def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
 
 
 def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
-    """Convex hull of a mesh file: STL, OBJ, PLY or COLLADA, whose unit and upward axis are not looked at.
+    """Return the convex hull of a mesh file: STL, OBJ, PLY or COLLADA, whose unit and upward axis are ignored.
 
     Parameters
     ----------
     path : str or Path
     scale : float, or 3 floats
-        Multiplies the file's lengths to give m; one per axis, where a negative one mirrors.
+        Factor from lengths in the file to m; one for all axes, or one per axis. A negative factor mirrors.
 
     Returns
     -------
     Shape, ndarray
-        As `convex`.
+        The hull and its centroid, as from `convex`.
 
     Warns
     -----
     UserWarning
-        When the hull has more than 1.02 times the volume of the mesh: its hollows are filled.
+        When the hull has more than 1.02 times the volume of the mesh: hollows of the mesh are filled.
     """
     words = "a number or 3 numbers other than 0"
     factor = np.full(3, checks.positive(scale, "scale")) if np.ndim(scale) == 0 else numbers(scale, words, "scale")
@@ -369,7 +371,7 @@ def mesh(path: str | Path, scale: ArrayLike = 1.0) -> tuple[Shape, Array]:
 
 
 def hull_of_surface(vertices: Array, volume: float, name: str) -> tuple[Shape, Array]:
-    """Hull of a triangulated surface of vertices (n, 3), m, and volume, m³, as `convex`; warns if it is not convex."""
+    """Return the hull of a surface with vertices (n, 3), m, and volume, m³, as `convex`; warn if it is not convex."""
     shape, centroid = convex(vertices)
     volume = abs(volume)
     if shape.volume > CONCAVE * volume:
@@ -382,10 +384,11 @@ def hull_of_surface(vertices: Array, volume: float, name: str) -> tuple[Shape, A
 
 
 def _settle_boxes() -> None:
-    """Ask Coal about a box, whose answer decides what it says of all boxes until the process ends.
+    """Call Coal once with a box, so that its later results for boxes do not depend on earlier calls.
 
-    Its support function keeps whether the first direction that it ever sees has a zero, and makes the lower sides of
-    boxes wider by 1e-10 if so: the bits of a run would hang on what was asked before it. This one has none.
+    Until the process ends, Coal's support function remembers whether the first direction it was called with has a zero
+    component. If so, it makes the lower sides of boxes wider by 1e-10. The bits of a run would then depend on the calls
+    before it. The direction of this call has no zero component.
     """
     turn = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3.0
     there = coal.Transform3s(turn, np.array([3.0, 0.0, 0.0]))

@@ -1,4 +1,4 @@
-"""Surfaces with fewer triangles: corners in the same cell of a grid become one.
+"""Surfaces with fewer triangles: all corners in one cell of a grid are merged into one corner.
 
 References
 ----------
@@ -20,22 +20,22 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["simpler"]
 
 FINEST = 2.0**-14
-"""Side of a cell, of the surface: corners within one are the same, and coordinates are rounded to a quarter of it."""
+"""Side of a cell over the extent of the surface: corners in one cell are merged, and rounded to a quarter of a cell."""
 
 GROWTH = 1.25
-"""Of the cells, until there are few enough triangles."""
+"""Factor by which the cells grow until the number of triangles is small enough."""
 
 WORTH = 0.8
-"""Triangles that a surface keeps at most where it is simplified: it would lose more than it saves."""
+"""Greatest share of its triangles that a simplified surface keeps; above it simplification costs more than it saves."""
 
 
 def simpler(surfaces: Sequence[tuple[float, Surface]], most: int) -> list[Surface]:
-    """Surfaces with no more triangles than `most` in all, in cells of one size.
+    """Simplify surfaces to at most `most` triangles in all, with cells of one size.
 
     Parameters
     ----------
     surfaces : sequence of (float, Surface)
-        With the length in m of a unit of each.
+        Each surface after the length of its unit in m.
     most : int
     """
     whole = [_welded(surface) for _, surface in surfaces]
@@ -54,7 +54,7 @@ def _area(surface: Surface) -> float:
 
 
 def _welded(surface: Surface) -> Surface:
-    """The same with every corner once, in numbers that deflate well."""
+    """Return the same surface with every corner once, with coordinates rounded so that they compress well."""
     corners = surface.vertices[np.unique(surface.triangles)]
     extent = float(np.ptp(corners, axis=0).max())
     grid = 2.0 ** np.floor(np.log2(max(FINEST * extent, 1e-300)))
@@ -71,7 +71,7 @@ def _clustered(surface: Surface, cell: float) -> Surface:
 
 
 def _merged(surface: Surface, cells: Array) -> tuple[Array, Index]:
-    """(vertices, triangles) where corners in the same cell are one, in their middle."""
+    """Merge the corners in each cell into their mean; return (vertices, triangles)."""
     used, corners = np.unique(surface.triangles, return_inverse=True)
     _, cell = np.unique(_numbers(cells[used]), return_inverse=True)
     triangles = cell[corners].reshape(-1, 3)
@@ -86,7 +86,7 @@ def _merged(surface: Surface, cells: Array) -> tuple[Array, Index]:
 
 
 def _numbers(rows: NDArray[Any]) -> Index:
-    """One number for each row of whole numbers, equal for equal rows; less than 2²¹ apart in each column."""
+    """Return one number for each row of whole numbers, equal for equal rows; columns must span less than 2²¹."""
     low = rows.min(axis=0, initial=0)
     x, y, z = (rows - low).astype(np.int64).T
     out: Index = (x << 42) + (y << 21) + z

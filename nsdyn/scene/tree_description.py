@@ -1,7 +1,7 @@
-"""An articulation as plain values, from which its motion can be computed anew by whoever reads a recording.
+"""An articulation as plain values, from which a reader of a recording can compute its motion again.
 
-The values are JSON and no format of Pinocchio's, which changes with its versions: joints by their kind, their place and
-the inertia that they carry. `nsdyn.recording.mechanism` builds the model again.
+The values are JSON, because Pinocchio's own format changes with its versions. They give the kind of each joint, its
+pose and the inertia that it carries. `nsdyn.recording.mechanism` builds the model again.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from nsdyn.tools.arrays import Array
 __all__ = ["describe_tree"]
 
 GIVEN = ("axis", "axis1", "axis2", "pitch", "radius_x", "radius_y", "radius_z")
-"""What tells joints of one kind apart."""
+"""Attributes by which joints of one kind differ."""
 
 
 def describe_tree(a: Articulation, motions: Mapping[str, Motion]) -> dict[str, Any]:
-    """Joints, inertias, loops and laws of an articulation as JSON values; SI units, null for no limit.
+    """Return joints, inertias, loops and joint laws of an articulation as JSON values; SI units, null for no limit.
 
     Parameters
     ----------
     a : Articulation
     motions : mapping of str to Motion
-        All prescribed ones of its scene.
+        All prescribed motions of the scene.
 
     Returns
     -------
     dict
-        joints, one after the other with their parents before them (kind, parent, pose in its frame, mass, com, inertia
-        about it); armature, friction, damping, stiffness, rest, effort, lower, upper, each (nv,); restitution of the
-        limits; loops; gears; driven, {joint: its velocity, null if it varies}.
+        joints, parents before children: kind, parent, pose in the parent's frame, mass, com, inertia about the com;
+        armature, friction, damping, stiffness, rest, effort, lower, upper, each (nv,); restitution of the limits;
+        loops; gears; driven, {joint: its velocity, null if it varies}.
     """
     m, laws = a.model, ("armature", "friction", "damping", "stiffness", "rest", "effort")
     prefix = f"{a.name}/"
@@ -80,10 +80,10 @@ def _joint(model: Any, k: int) -> dict[str, Any]:
 
 
 def _kind(model: Any, k: int) -> dict[str, Any]:
-    """Pinocchio's name of a joint's kind and what it needs besides; the parts of a composite one."""
+    """Return Pinocchio's name of a joint's kind and the attributes in `GIVEN`; of a composite joint its parts."""
     joint = model.joints[k]
     out = _told(joint.extract())
-    if out["kind"] == "JointModelRevoluteUnboundedUnaligned":  # its axis is not told
+    if out["kind"] == "JointModelRevoluteUnboundedUnaligned":  # Pinocchio does not expose its axis
         J = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), k)
         out["axis"] = J.reshape(6, -1, order="A")[3:, joint.idx_v].tolist()
     return out
@@ -98,7 +98,7 @@ def _told(joint: Any) -> dict[str, Any]:
 
 
 def _limits(a: Articulation) -> tuple[Array, Array]:
-    """Lower and upper limits that are enforced, (nv,) each."""
+    """Return the lower and upper limits that are enforced, (nv,) each."""
     m = a.model
     lower, upper = np.full(m.nv, -np.inf), np.full(m.nv, np.inf)
     for joint in list(m.joints)[1:] if a.limits else []:

@@ -1,4 +1,4 @@
-"""What robots look like: the visual shapes of their files, which pages and films show and nothing else looks at."""
+"""Visual shapes of robot files; only pages and films use them."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ Colour = tuple[float, float, float, float]
 """Red, green, blue and alpha in [0, 1]."""
 
 TRIANGLES = 60_000
-"""Most of all robots of a scene, about half a megabyte of a recording or page: more are simplified to as many."""
+"""Most triangles of all robots of a scene, about half a megabyte of a recording or page; more are simplified to it."""
 
 LARGEST = 64_000_000
-"""Bytes of a mesh file that is still read."""
+"""Size of the largest mesh file that is read, bytes."""
 
 
 class MeshFile(NamedTuple):
-    """A mesh file, and what its lengths are multiplied with along its axes to give m."""
+    """A mesh file, and the factors from its lengths to m, one per axis."""
 
     path: Path
     scale: tuple[float, float, float]
 
 
 class Visual(NamedTuple):
-    """A visual shape: its body, its joint (0 for the world), its SE3 in the joint's frame, its shape, its colour."""
+    """A visual shape: its body, its joint (0 for the world), its SE3 in the joint's frame, its solid, its colour."""
 
     body: str
     joint: int
@@ -46,7 +46,7 @@ class Visual(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """What a mesh file has of one colour: texts of corners and triangles, the largest coordinates, the colour."""
+    """The part of a mesh file in one colour: texts of corners and triangles, the largest coordinates, the colour."""
 
     vertices: str
     triangles: str
@@ -55,7 +55,7 @@ class _Piece(NamedTuple):
 
 
 def mesh_visual(path: Path, scale: Array) -> MeshFile:
-    """Mesh of a visual shape; ValueError where its format is not read or its scale is none."""
+    """Return the mesh of a visual shape; ValueError for a format that is not read or an invalid scale."""
     if path.suffix.lower() not in meshes.READERS:
         raise ValueError(f"{path.name} is not in one of {', '.join(meshes.READERS)}")
     if not (np.isfinite(scale).all() and scale.all()):
@@ -65,19 +65,19 @@ def mesh_visual(path: Path, scale: Array) -> MeshFile:
 
 
 def describe_visuals(placed: Iterable[tuple[str, int, Visual]]) -> dict[str, list[dict[str, Any]]]:
-    """Visual shapes as JSON values.
+    """Return visual shapes as JSON values.
 
     Parameters
     ----------
     placed : iterable of (str, int, Visual)
-        With the name of the link and the moving frame that carries it, -1 for the world.
+        Each visual shape, after the name of the link and the moving frame that carries the link, -1 for the world.
 
     Returns
     -------
     dict
-        visuals (link, frame, placement, which holds the scale of a mesh too, colour, and shape and size as of a
-        collision shape; "mesh" has the number of its mesh and as size the largest coordinates in m) and meshes
-        (vertices and triangles, texts of `nsdyn.tools.array_text`, "<f4" and "<u4", three to a row).
+        visuals: link, frame, placement (including the scale of a mesh), colour, and shape and size as of a collision
+        shape; the shape "mesh" also has the number of its mesh, and its size are the largest coordinates in m.
+        meshes: vertices and triangles, texts of `nsdyn.tools.array_text`, "<f4" and "<u4", three to a row.
     """
     shown = list(placed)
     scales = {v.shape.path: v.shape.scale for _, _, v in shown if isinstance(v.shape, MeshFile)}
@@ -101,7 +101,7 @@ def describe_visuals(placed: Iterable[tuple[str, int, Visual]]) -> dict[str, lis
 
 
 def _stamp(path: Path) -> tuple[Path, int, int]:
-    """The path, and what changes with the file."""
+    """Return the path with the time of change and the size of the file, which differ once the file has changed."""
     try:
         found = path.stat()
     except OSError:
@@ -111,7 +111,7 @@ def _stamp(path: Path) -> tuple[Path, int, int]:
 
 @lru_cache(maxsize=16)
 def _pieces(files: tuple[tuple[Path, int, int, tuple[float, float, float]], ...]) -> tuple[tuple[_Piece, ...], ...]:
-    """Pieces of mesh files by their colours, with no more triangles in all than TRIANGLES; none of one that fails."""
+    """Return the pieces of mesh files by colour, at most TRIANGLES in all; a file that cannot be read has none."""
     found: list[tuple[int, float, Colour | None, meshes.Surface]] = []
     for k, (path, _, size, scale) in enumerate(files):
         try:
@@ -131,7 +131,7 @@ def _pieces(files: tuple[tuple[Path, int, int, tuple[float, float, float]], ...]
 
 
 def _by_colour(surface: meshes.Surface) -> list[tuple[Colour | None, meshes.Surface]]:
-    """The parts of a surface that have one colour each."""
+    """Split a surface into parts of one colour each."""
     if surface.colours is None:
         return [(None, surface)]
     colours, which = np.unique(np.nan_to_num(surface.colours, nan=-1.0), axis=0, return_inverse=True)

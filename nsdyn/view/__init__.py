@@ -1,1 +1,1 @@
-"""What people see of a recording: page, pictures, plots."""
+"""Views of a recording: page, pictures, plots."""

@@ -1,4 +1,4 @@
-"""Contact forces to draw: summed over the steps between keyframes, in the axes of the bodies they push."""
+"""Contact forces to draw: summed over the steps between keyframes, in the axes of the bodies on which they act."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ __all__ = ["Forces", "between"]
 
 
 class Forces(NamedTuple):
-    """Mean forces of the steps before keyframes.
+    """Mean forces of the steps before each keyframe.
 
     Attributes
     ----------
     keyframe : ndarray, shape (n,)
         The keyframe, from 1 on, that ends the steps.
     frame : ndarray, shape (n,)
-        Moving frame of the body that is pushed: body 2, or body 1 where 2 is fixed.
+        Moving frame of the body on which the force acts: body 2, or body 1 if body 2 is fixed.
     point, force : ndarray, shape (n, 3)
-        m and N, in the axes and from the origin of that frame.
+        m and N, in the axes and from the origin of the frame.
     """
 
     keyframe: Index
@@ -37,17 +37,17 @@ class Forces(NamedTuple):
 
 
 def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
-    """Contact forces between the recorded states `rows`, ascending.
+    """Return the contact forces between the recorded states `rows`, ascending.
 
     Parameters
     ----------
     trajectory : Trajectory
     rows : ndarray of int
-        Indices of states; to each keyframe belong the steps since the one before.
+        Indices of states; each keyframe has the steps since the previous keyframe.
     by : {"pair", "point"}
-        One force for each pair of bodies, at their centre of pressure, both by the solver's impulses, of which on flat
-        faces no way to share them changes either; or one for each contact point, of redundant ones those of least
-        norm in each step (`nsdyn.recording.shares`).
+        "pair": one force for each pair of bodies, at its centre of pressure. Force and centre follow from the solver's
+        impulses; on flat faces neither depends on how redundant contacts share the impulses. "point": one force for
+        each contact point; redundant contacts get the impulses of least norm in each step (`nsdyn.recording.shares`).
 
     Raises
     ------
@@ -90,5 +90,5 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
 
     weights = np.maximum(np.bincount(member, weight, n), 1e-300)[:, None]
     force, mean = total(push), total(weight[:, None] * point) / weights
-    length = np.diff(trajectory.t[rows])[groups[:, 0] - 1] / trajectory.every  # of the steps that are recorded
+    length = np.diff(trajectory.t[rows])[groups[:, 0] - 1] / trajectory.every  # of the recorded steps
     return Forces(groups[:, 0], groups[:, 3], mean, force / length[:, None])

@@ -1,6 +1,6 @@
-"""A headless Chromium, asked over a pair of pipes by its DevTools protocol; no server, no port.
+"""A headless Chromium, driven over a pair of pipes by its DevTools protocol, without a server or a port.
 
-Why not `playwright`: a wheel of 51 MB with a Node of its own, for what takes 170 lines here.
+`playwright` is not used: it is a wheel of 51 MB with its own Node, and this module needs 170 lines.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 __all__ = ["Browser", "browsing", "chromium"]
 
 PATIENCE = 120.0
-"""Seconds that an answer may take: software rendering of a large page is slow."""
+"""Longest time of an answer, s: software rendering of a large page is slow."""
 
 FLAGS = [
     "--headless",
@@ -43,11 +43,11 @@ FLAGS = [
 ]
 
 SOFTWARE = {"EGL_PLATFORM": "surfaceless", "LIBGL_ALWAYS_SOFTWARE": "1"}
-"""Mesa's llvmpipe draws, which takes little more than half of SwiftShader's time for what has many triangles; where
-there is none, Chromium takes SwiftShader of itself. To compose pages with it would cost what is gained."""
+"""Environment by which Mesa's llvmpipe draws: with many triangles it takes little more than half of SwiftShader's time.
+Without llvmpipe, Chromium uses SwiftShader by default. Composing pages with llvmpipe too would cost the time gained."""
 
 OF_THE_BROWSER = ("Target.", "SystemInfo.")
-"""What commands begin with that go to no page."""
+"""Prefixes of commands that go to the browser, not to a page."""
 
 _WITH_PIPES = """
 import os, sys
@@ -55,11 +55,11 @@ for there, here in enumerate(sys.argv[1:3], 3):
     os.dup2(int(here), there)
 os.execv(sys.argv[3], sys.argv[3:])
 """
-# Chromium reads requests from its file 3 and writes answers to its file 4, which only the child can make of the pipes.
+# Chromium reads requests from file descriptor 3 and writes answers to 4; only the child can connect them to the pipes.
 
 
 def chromium() -> str | None:
-    """Path of Chromium or Chrome, if there is one."""
+    """Return the path of Chromium or Chrome, None without either."""
     return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
@@ -69,7 +69,7 @@ class Browser:
     Attributes
     ----------
     events : list of dict
-        What the browser reported of the page besides answers, for instance requests and exceptions.
+        Reports of the browser about the page besides answers, for instance requests and exceptions.
     """
 
     def __init__(self, requests: int, answers: int) -> None:
@@ -80,7 +80,7 @@ class Browser:
         self._count, self._rest = 0, b""
 
     def open(self, page: str | Path, size: tuple[int, int]) -> None:
-        """Open a page of this package, in place of any before, in a window of that many pixels, until it is ready."""
+        """Open a page of this package in a window of `size` pixels, close any page before, wait until it is ready."""
         if self._target:
             self.call("Target.closeTarget", targetId=self._target)
         self.events.clear()
@@ -97,13 +97,13 @@ class Browser:
         )
 
     def resize(self, size: tuple[int, int]) -> None:
-        """Give the window that many pixels."""
+        """Set the size of the window in pixels."""
         self.call(
             "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
         )
 
     def run(self, script: str) -> Any:
-        """Value of a JavaScript expression in the page, of what it promises if it does; ValueError if it throws."""
+        """Evaluate a JavaScript expression in the page, and await a promise; ValueError if it throws."""
         done = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
         if "exceptionDetails" in done:
             details = done["exceptionDetails"]
@@ -111,12 +111,12 @@ class Browser:
         return done["result"].get("value")
 
     def picture(self, **kind: Any) -> bytes:
-        """What the window shows: a PNG, or as the parameters of ``Page.captureScreenshot`` say."""
+        """Return a picture of the window: a PNG, or another format by parameters of ``Page.captureScreenshot``."""
         asked = {"format": "png", "optimizeForSpeed": True} | kind
         return base64.b64decode(self.call("Page.captureScreenshot", **asked)["data"])
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Answer of the browser to a command of its protocol; ValueError with its message if it fails."""
+        """Send a command of the protocol and return the browser's answer; ValueError with its message if it fails."""
         self._count += 1
         request = {"id": self._count, "method": method, "params": parameters}
         if not method.startswith(OF_THE_BROWSER):
@@ -134,7 +134,7 @@ class Browser:
                 return result
 
     def _message(self, end: float) -> dict[str, Any]:
-        """Next message, which ends with a zero."""
+        """Return the next message; a zero byte ends a message."""
         while b"\0" not in self._rest:
             ready = select.select([self._answers], [], [], max(0.0, end - time.monotonic()))[0]
             if not ready:
@@ -150,7 +150,7 @@ class Browser:
 
 @contextmanager
 def browsing() -> Iterator[Browser]:
-    """Yield a headless browser that reaches no network and is ended afterwards; ValueError where there is none."""
+    """Yield a headless browser without network access, and end it afterwards; ValueError if none is installed."""
     program = chromium()
     if program is None:
         raise ValueError("pictures need Chromium or Chrome on the PATH, as from 'apt-get install chromium'")
@@ -170,7 +170,7 @@ def browsing() -> Iterator[Browser]:
         try:
             yield Browser(ours_out, ours_in)
         finally:
-            os.close(ours_out)  # at which the browser ends
+            os.close(ours_out)  # the browser ends when the pipe closes
             try:
                 process.wait(10)
             except subprocess.TimeoutExpired:

@@ -29,14 +29,14 @@ __all__ = [
 Json = dict[str, Any]
 
 UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""Turns y, the axis of three.js, to z."""
+"""Rotation of y, the vertical axis of three.js, to z."""
 
 
 def set_object(path: str, content: Json) -> Json:
-    """Command that puts a three.js object, in its JSON format 4, at a path.
+    """Return the command that puts a three.js object, in JSON format 4, at a path.
 
-    `content` has a node tree whose ``geometry`` and ``material`` are themselves JSON; three.js wants them in
-    lists and referred to by identifiers, which are made from the path here.
+    `content` is a node tree whose ``geometry`` and ``material`` are JSON. three.js needs them in lists, referred to by
+    identifiers; this function makes the identifiers from the path.
     """
     lists: dict[str, list[Json]] = {"geometries": [], "materials": []}
 
@@ -55,22 +55,22 @@ def set_object(path: str, content: Json) -> Json:
 
 
 def set_property(path: str, name: str, value: Any) -> Json:
-    """Command that sets a property of what is at a path."""
+    """Return the command that sets a property of the object at a path."""
     return {"type": "set_property", "path": path, "property": name, "value": value}
 
 
 def uuid_of(name: str) -> str:
-    """Identifier made from a name: equal recordings give equal bytes."""
+    """Return an identifier made from a name, so that equal recordings give equal bytes."""
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"nsdyn:{name}"))
 
 
 def float_list(values: ArrayLike) -> umsgpack.Ext:
-    """Float32Array of the viewer's MessagePack dialect."""
+    """Return a Float32Array in the viewer's MessagePack dialect."""
     return umsgpack.Ext(0x17, np.ascontiguousarray(values, dtype="<f4").tobytes())
 
 
 def as_buffer(**attributes: Array) -> Json:
-    """BufferGeometry with attributes of three components."""
+    """Return a BufferGeometry with attributes of three components."""
     data = {
         name: {"itemSize": 3, "type": "Float32Array", "array": float_list(values), "normalized": False}
         for name, values in attributes.items()
@@ -79,25 +79,25 @@ def as_buffer(**attributes: Array) -> Json:
 
 
 def as_hex(colour: Iterable[float]) -> int:
-    """RGB in [0, 1] as the number 0xrrggbb."""
+    """Return RGB in [0, 1] as the number 0xrrggbb."""
     r, g, b = (round(255 * c) for c in list(colour)[:3])
     return r << 16 | g << 8 | b
 
 
 def shaded(colour: Iterable[float], factor: float) -> tuple[float, ...]:
-    """Colour darkened (factor < 1) or lightened towards white (> 1); alpha stays."""
+    """Darken (factor < 1) or lighten (factor > 1, towards white) a colour; alpha stays."""
     r, g, b, *alpha = colour
     mixed = [c * factor if factor <= 1 else 1 - (1 - c) / factor for c in (r, g, b)]
     return (*mixed, *alpha)
 
 
 def by_columns(matrix: Array) -> list[float]:
-    """Column by column, as three.js stores it."""
+    """Return the entries of a matrix column by column, as three.js stores it."""
     out: list[float] = matrix.T.ravel().tolist()
     return out
 
 
 def as_three(vector: Array) -> list[float]:
-    """World coordinates of the viewer, y up."""
+    """Return a vector in the viewer's world coordinates, y up."""
     x, y, z = (float(c) for c in vector)
     return [x, z, -y]

@@ -1,4 +1,4 @@
-"""Contacts of some states of a recording, as a page shows them."""
+"""Contacts at selected states of a recording, as a page shows them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EDGE = 4
 
 
 def counts(trajectory: Trajectory, rows: Index) -> Index:
-    """How many contacts the steps have that end at the states `rows`; none ends at the first."""
+    """Return the number of contacts of the steps that end at the states `rows`; no step ends at the first state."""
     need_contacts(trajectory)
     sizes = np.concatenate([[0], np.diff(trajectory.columns["contacts/offset"])])
     out: Index = sizes[rows]
@@ -29,15 +29,15 @@ def counts(trajectory: Trajectory, rows: Index) -> Index:
 
 
 def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
-    """Contacts of the steps that end at the states `rows`, ascending.
+    """Return the contacts of the steps that end at the states `rows`, ascending.
 
     Returns
     -------
     dict of str to ndarray
-        offset (len(rows) + 1), and for each contact, by state and identity: id; state, 0 open, 1 stick, 2 slip, and
-        EDGE where |r_T| = μ r_N to 1e-4; point, normal (., 3), world; r (., 3), N·s, in the normal and its `axes`, as
-        `nsdyn.recording.tables.impulses` has them; u_N, u_T, m/s, the size of the latter; gap, m; taken, what it
-        dissipated since the recording began, J. For each identity, the same features of the same pair of shapes:
+        offset (len(rows) + 1), and for each contact, sorted by state and identity: id; state, 0 open, 1 stick, 2 slip,
+        plus EDGE where |r_T| = μ r_N to 1e-4; point, normal (., 3), world; r (., 3), N·s, along the normal and its
+        `axes`, as in `nsdyn.recording.tables.impulses`; u_N, u_T, m/s, u_T as a magnitude; gap, m; taken, its
+        dissipation since the recording began, J. For each identity (the same features of the same pair of shapes):
         geoms (., 2) and mu.
 
     Raises
@@ -55,7 +55,7 @@ def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
     k = k[np.lexsort((identity[k], frame))]
     known, first, number = np.unique(identity[k], return_index=True, return_inverse=True)
     t1, r = c["tangent"][k], impulses(trajectory, k)
-    normal = payload.rounded(c["normal"][k]).astype(float)  # as the page has it, whose axes follow from it
+    normal = payload.rounded(c["normal"][k]).astype(float)  # as in the page, which computes the axes from it
     drag = r[:, 1:2] * t1 + r[:, 2:] * np.cross(c["normal"][k], t1)
     own1, own2 = axes(normal)
     edge = (r[:, 0] > 0.0) & (np.hypot(r[:, 1], r[:, 2]) >= (1.0 - 1e-4) * c["mu"][k] * r[:, 0])
@@ -77,7 +77,7 @@ def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
 
 
 def axes(normal: Array) -> tuple[Array, Array]:
-    """Two unit vectors (n, 3) that make right-handed frames with unit normals, from the normals alone."""
+    """Return two unit vectors (n, 3) that make right-handed frames with unit normals, from the normals alone."""
     flat = np.abs(normal[:, 2:]) < 0.9
     t1 = np.cross(np.where(flat, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), normal)
     t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
@@ -85,7 +85,7 @@ def axes(normal: Array) -> tuple[Array, Array]:
 
 
 def identities(c: dict[str, NDArray[Any]]) -> Index:
-    """One number for each pair of shapes and key of the warm start."""
+    """Return one number for each pair of shapes and key of the warm start."""
     g1, g2 = c["geom1"].astype(np.int64), c["geom2"].astype(np.int64)
     keys, key = np.unique(c["key"], return_inverse=True)
     shapes = int(max(g1.max(initial=0), g2.max(initial=0))) + 1
@@ -95,7 +95,7 @@ def identities(c: dict[str, NDArray[Any]]) -> Index:
 
 
 def _so_far(group: Index, values: Array) -> Array:
-    """Sums of the values of each group up to and with each one."""
+    """Return cumulative sums of the values within each group."""
     order = np.argsort(group, kind="stable")
     total = np.cumsum(values[order])
     first = np.searchsorted(group[order], group[order])

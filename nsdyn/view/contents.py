@@ -1,4 +1,4 @@
-"""What a page has to know of a recording: names and arrays, as one text."""
+"""Contents of a page: the names and arrays of a recording, as one text."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 __all__ = ["packed"]
 
 MAX_CONTACTS = 150_000
-"""Of all frames of a page, up to 10 MB: of every other frame, every third and so on where there are more."""
+"""Most contacts in all frames of a page, up to 10 MB; with more, only every second, third, ... frame has contacts."""
 
 MAX_IMPACTS = 200
-"""Marks on the time axis, of the strongest."""
+"""Most impacts that are marked on the time axis, the strongest first."""
 
 FPS = 30.0
-"""States a second of recordings of which not all are kept."""
+"""States per second in the page, if not all states of the recording are kept."""
 
 CHEAP = 1_000_000
-"""Letters of a page that all states may cost beyond those."""
+"""Most characters by which a page with all states may exceed a page with FPS states per second."""
 
 UNPACKED = 8e6
-"""Bytes of bodies and contacts in all states from which on that is not tried: browsers would be slow to open them."""
+"""Bytes of bodies and contacts above which a page with all states is not tried: browsers would be slow to open it."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -53,9 +53,9 @@ def packed(
     label: str = "",
     view: View | None = None,
 ) -> str:
-    """Text of `nsdyn.view.payload`; parameters and errors are those of `nsdyn.view.viewer.html`.
+    """Return the contents as text of `nsdyn.view.payload`; parameters and errors as in `nsdyn.view.viewer.html`.
 
-    Where it is shown beside another, the recording has a `label` and a `view` that serves both.
+    A recording shown beside another has a `label` and the common `view`.
     """
     usual = _packed(trajectory, FPS if fps is None else fps, forces, max_frames, at, label, view)
     states = trajectory.t.size
@@ -75,14 +75,14 @@ def _packed(
     label: str,
     view: View | None,
 ) -> str:
-    """The same of so many states a second, of all if that is infinite."""
+    """Return the contents with `fps` states per second, or with all states if `fps` is infinite."""
     t = trajectory.t
     finite = np.isfinite(trajectory.q).all(axis=1)
     if not finite.all():
         raise ValueError(f"the state is not finite from t = {t[np.argmin(finite)]:g} s on")
     hits = marks.find(trajectory)
     strongest = np.argsort(-hits.impulse * hits.speed, kind="stable")[:MAX_IMPACTS]
-    # Of an impact the states before and after: between others speeds would not reach what they were.
+    # Keep the states before and after each impact: interpolation between other states would lower the speeds.
     around = [row for step in hits.step[strongest].tolist() for row in (step, step - 1)]
     rows = _chosen(t, fps, max_frames, at, around)
     view = view or View([trajectory])
@@ -121,7 +121,7 @@ def _packed(
 
 
 def _contacts_of(trajectory: Trajectory, rows: Index, forces: bool | str, view: View) -> tuple[Arrays, Json, list[str]]:
-    """Contacts and forces of the states shown, how to show them, and what is left out."""
+    """Return contacts and forces of the states shown, values for showing them, and notes on omissions."""
     notes: list[str] = []
     stride = max(1, -(-int(contact_points.counts(trajectory, rows).sum()) // MAX_CONTACTS))
     if stride > 1:
@@ -137,7 +137,7 @@ def _contacts_of(trajectory: Trajectory, rows: Index, forces: bool | str, view: 
 
 
 def _chosen(t: Array, fps: float, most: int, at: float | None, needed: list[int]) -> Index:
-    """The states shown: so many a second, with those needed, all if that is infinite; or the one at a time, s."""
+    """Return the states shown: `fps` per second and those `needed`, all for infinite `fps`, or the one at time `at`."""
     rows = np.arange(t.size) if math.isinf(fps) and fps > 0 else keyframes.choose(t, fps, most, needed)
     if at is None:
         return rows
@@ -147,7 +147,7 @@ def _chosen(t: Array, fps: float, most: int, at: float | None, needed: list[int]
 
 
 def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
-    """Names, masses and places of what is shown."""
+    """Return names, masses and frames of the bodies shown, as JSON values and arrays."""
     scene = trajectory.scene
     labels = [geom.get("link", geom["name"]) for geom in scene["geoms"]]
     looks = scene.get("visuals", [])
@@ -207,9 +207,9 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
 
 
 def _joints(scene: Mapping[str, Any]) -> dict[str, Json]:
-    """Joints by name: short name, place among all, units of their coordinate and of what acts along it.
+    """Return joints by name: short name, index among all joints, units of coordinate and force.
 
-    None in recordings before format 7, which do not tell their kinds.
+    Recordings before format 7 have no kinds of joints: the result is then empty.
     """
     if not all("model" in a for a in scene["articulations"]):
         return {}
@@ -220,7 +220,7 @@ def _joints(scene: Mapping[str, Any]) -> dict[str, Json]:
 
 
 def _made(trajectory: Trajectory) -> dict[str, str]:
-    """How to make the recording again, where it is known."""
+    """Return how to make the recording again, as far as the recording has it."""
     meta = trajectory.meta
     out = {
         "parameters": titles.parameters(trajectory),
@@ -233,7 +233,7 @@ def _made(trajectory: Trajectory) -> dict[str, str]:
 
 
 def _contacts(found: Arrays) -> Arrays:
-    """Contacts with as many digits as are shown."""
+    """Return contacts with the digits that are shown."""
     whole = {"offset": "<u4", "id": "<u4", "state": "u1", "geoms": "<u4"}
     return {
         f"contacts/{name}": x.astype(whole[name]) if name in whole else payload.rounded(x) for name, x in found.items()
@@ -241,12 +241,12 @@ def _contacts(found: Arrays) -> Arrays:
 
 
 def _forces(trajectory: Trajectory, rows: Index, by: str) -> tuple[Arrays, float, int]:
-    """Mean forces since the state before each; what is usual among them, N, and how many are left out."""
+    """Return mean forces since the previous state, their usual size, N, and the number of omitted forces."""
     since = rows if rows.size > 1 else np.array([max(0, rows[0] - 1), rows[0]])
     found = arrows.between(trajectory, since, by)
     size = np.linalg.norm(found.force, axis=1)
     pushing = int((size > 0.0).sum())
-    order = np.sort(np.argsort(-size, kind="stable")[: min(MAX_CONTACTS, pushing)])  # by keyframe, as they are
+    order = np.sort(np.argsort(-size, kind="stable")[: min(MAX_CONTACTS, pushing)])  # stay sorted by keyframe
     frame = found.keyframe[order] - (since.size - rows.size)
     arrays: Arrays = {
         "forces/offset": np.searchsorted(frame, np.arange(rows.size + 1)).astype("<u4"),
@@ -258,12 +258,12 @@ def _forces(trajectory: Trajectory, rows: Index, by: str) -> tuple[Arrays, float
 
 
 def _usual(size: Array) -> float:
-    """90 % quantile of those that are positive, 0 if none is."""
+    """Return the 90 % quantile of the positive sizes, 0 if none is positive."""
     return float(np.quantile(size[size > 0.0], 0.9)) if (size > 0.0).any() else 0.0
 
 
 def _notes(trajectory: Trajectory, frames: int, points: int, hits: int) -> list[str]:
-    """What a reader of the page has to know of what it leaves out."""
+    """Return notes for the reader of the page on data that the page leaves out."""
     states = trajectory.t.size
     recorded = counted(states, "recorded state")
     notes = [f"{frames} of {recorded}" if frames < states else f"all {recorded}" if states > 1 else recorded]

@@ -1,4 +1,4 @@
-"""Curves a page draws over time: the energy ledger, and what vouches for the steps."""
+"""Curves that a page draws over time: the energy ledger, residuals and bounds of the steps, motion of the bodies."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 __all__ = ["MAX_POINTS", "bodies", "joints", "ledger"]
 
 MAX_POINTS = 2000
-"""Of a curve."""
+"""Most points of a curve."""
 
 
 def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array]:
-    """Energies and works so far at states, and the worst figures since the point before.
+    """Return energies and cumulative works at states, and the largest errors since the previous point.
 
-    The states are no more than MAX_POINTS if they are not given.
+    Without `rows`, at most MAX_POINTS states are used.
 
     Returns
     -------
     dict of str to ndarray
-        t, s; kinetic and potential, the latter from its smallest value, and each work so far, J, of which those of
-        drives and loads are in `put_in` while their sum is positive, in `drives` while it is negative; residual, m/s,
-        bound, √J, and penetration by the recorded gaps, m: the largest since the point before, NaN at the first and
-        where they are not recorded.
+        t, s; kinetic and potential energy, the latter above its smallest value, and each cumulative work, J. The works
+        of drives and loads are in `put_in` while their sum is positive, in `drives` while it is negative. residual,
+        m/s, bound, √J, and penetration by the recorded gaps, m: the largest since the previous point, NaN at the first
+        point and where they are not recorded.
     """
     rows = thinned(trajectory.t.size, MAX_POINTS) if rows is None else rows
     e = trajectory.energy
@@ -60,9 +60,9 @@ def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array
 
 
 def bodies(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
-    """Speed of the centre of mass, m/s, and kinetic energy, J, of what moves with each frame; shape (states, frames).
+    """Return speed of the centre of mass, m/s, and kinetic energy, J, of each frame; shape (states, frames).
 
-    NaN where masses are not known: of driven bodies, and of links in old recordings.
+    NaN where masses are not known: for driven bodies, and for links in old recordings.
     """
     out = np.full((2, rows.size, len(trajectory.scene["frames"])), np.nan)
     for frame, of_body in energies(trajectory, rows, twists(trajectory, rows)).items():
@@ -71,13 +71,13 @@ def bodies(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
 
 
 def joints(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
-    """Position, velocity and torque of joints of one coordinate, sizes of reactions of all; shape (states, joints).
+    """Return position, velocity and torque of joints of one coordinate, and reactions; shape (states, joints).
 
-    In rad or m, per s, N m or N; force, N, and moment, N m, as of `nsdyn.recording.joint_tables.JointMotion`. What
-    belongs to steps is of those that end at the states. NaN for other joints, at the initial state and where it is not
-    recorded.
+    In rad or m, per s, N m or N. Magnitudes of the reactions of all joints: force, N, and moment, N m, as in
+    `nsdyn.recording.joint_tables.JointMotion`. Values of steps belong to the step that ends at the state. NaN for other
+    joints, at the initial state and where a value is not recorded.
     """
-    from nsdyn.recording.reactions import reactions  # Pinocchio, which only scenes with joints need
+    from nsdyn.recording.reactions import reactions  # imports Pinocchio, which only joints need
 
     names, begun = link_names.joints(trajectory.scene), rows > 0
     found = {what: np.full((rows.size, len(names)), np.nan) for what in ("position", "velocity", "torque")}

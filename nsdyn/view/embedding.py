@@ -1,4 +1,4 @@
-"""The page of a recording inside of a notebook, which keeps it with the cell."""
+"""The page of a recording inside a notebook, saved with the cell."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 __all__ = ["LARGEST", "iframe"]
 
 LARGEST = 2_000_000
-"""Letters of a page in a notebook; files of notebooks grow by as many."""
+"""Most characters of a page in a notebook; the notebook file grows by as many."""
 
 HEIGHT = 560
-"""Of the frame, pixels."""
+"""Height of the frame, pixels."""
 
 OPENING = """<script>(async () => {
   const packed = Uint8Array.from(atob("%s"), letter => letter.charCodeAt(0));
@@ -28,11 +28,11 @@ OPENING = """<script>(async () => {
   document.write(page);
   document.close();
 })();</script>"""
-"""A page that replaces itself by the one it has packed."""
+"""A page that replaces itself by the page packed in it."""
 
 
 def iframe(trajectory: Trajectory) -> str:
-    """Frame with the page of a recording, which plays without a network; words in its place if it is over LARGEST."""
+    """Return a frame with the page of a recording, which needs no network; a text instead if it exceeds LARGEST."""
     packed = base64.b64encode(zlib.compress(html(trajectory).encode(), 6)).decode()
     if len(packed) > LARGEST:
         return f"<p>Its page of {len(packed) / 1e6:.1f} MB is too large for a notebook: write it with to_html.</p>"

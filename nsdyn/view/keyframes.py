@@ -1,4 +1,4 @@
-"""Which of the recorded states a page shows."""
+"""Selection of the recorded states that a page shows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["choose", "nearest", "thinned"]
 
 
 def choose(t: Array, fps: float, max_frames: int, wanted: Sequence[int]) -> Index:
-    """Rows of the times `t`: about `fps` a second, and those `wanted` as far as `max_frames` leaves room, first first.
+    """Choose rows of the times `t`: about `fps` per second, and the first of `wanted` as far as `max_frames` allows.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def choose(t: Array, fps: float, max_frames: int, wanted: Sequence[int]) -> Inde
 
 
 def nearest(t: Array, wanted: Array) -> Index:
-    """Find the indices of the recorded times nearest to those wanted, each once."""
+    """Return the indices of the recorded times nearest to the times `wanted`, each once."""
     right = np.clip(np.searchsorted(t, wanted), 1, max(1, t.size - 1))
     left = right - 1
     right = np.minimum(right, t.size - 1)
@@ -39,5 +39,5 @@ def nearest(t: Array, wanted: Array) -> Index:
 
 
 def thinned(count: int, most: int) -> Index:
-    """At most so many of the indices below `count`, evenly, the first and the last among them."""
+    """Return at most `most` of the indices below `count`, evenly spaced, including the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

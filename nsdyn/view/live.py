@@ -1,4 +1,4 @@
-"""A scene while it is simulated, in a notebook or a browser: a process of meshcat serves it."""
+"""A live view of a simulation in a notebook or a browser, served by a process of meshcat."""
 
 from __future__ import annotations
 
@@ -28,23 +28,24 @@ __all__ = ["Live"]
 
 
 class Live:
-    """A window that follows a `Stepper`, seen from where its page would begin.
+    """A window that follows a `Stepper`, with the same initial camera as the page.
 
-    Robots look as their files say, their meshes by flat triangles.
+    Robots have the visual shapes of their files, with meshes drawn as flat triangles.
 
-    A cell of a notebook that ends with it has the window, anything else opens `url` in a browser. Cells that run later
-    move what it shows. It is served by a process of meshcat on this machine until `close`, or this process ends.
+    In a notebook, a cell that ends with the object shows the window; elsewhere, open `url` in a browser. Cells that run
+    later update the window. A process of meshcat on this machine serves the window until `close` is called or this
+    process ends.
 
     Parameters
     ----------
     stepper : Stepper
     fps : float
-        Most pictures a second of wall time, so that the simulation does not wait for them.
+        Most pictures per second of wall time, so that the simulation does not wait for pictures.
 
     Attributes
     ----------
     url : str
-        Where a browser of this machine finds it.
+        Address of the window for a browser on this machine.
 
     Examples
     --------
@@ -58,12 +59,12 @@ class Live:
 
     def __init__(self, stepper: Stepper, fps: float = 30.0) -> None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of what it imports from zmq
+            warnings.simplefilter("ignore", DeprecationWarning)  # from its imports of zmq
             from meshcat.visualizer import ViewerWindow
 
         scene, start = stepper.scene.describe(), stepper.start()
         view = View([Recorder(None, {"dt": stepper.dt}, scene, start).trajectory()])
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints its address
+        with contextlib.redirect_stdout(io.StringIO()):  # ViewerWindow prints its address
             self._window = ViewerWindow(None, True, [])
         self.url: str = self._window.web_url
         self._paths = [body_path(name) for name in scene["frames"]]
@@ -72,7 +73,7 @@ class Live:
         commands = stage_commands(view) + shape_commands(scene, view) + visual_commands(scene, whole=True)
         for command in commands + [set_property(path, "visible", False) for path in hidden]:
             self._send(command)
-        # Camera and sun look at the origin; from farther off than a page, for it is not known where bodies will go.
+        # Camera and sun look at the origin, from farther away than in a page, because the motion is not yet known.
         centre = np.eye(4)
         centre[:3, 3] = -view.centre
         self._send(_transform("/nsdyn", centre))
@@ -82,12 +83,12 @@ class Live:
         self.show(start)
 
     def show(self, state: Step) -> None:
-        """Show a state, unless the last is shown for less than a picture's time."""
+        """Show a state, unless the last picture is more recent than 1 / fps."""
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + self._wait
         x, turn = state.frames_x, state.frames_quat
-        # Of free bodies alone q has all.
+        # Without articulations and driven bodies, q has all poses.
         poses = state.q.reshape(-1, 7) if x is None or turn is None else np.column_stack([x, turn])
         matrix = np.eye(4)
         for path, pose in zip(self._paths, poses, strict=True):
@@ -95,7 +96,7 @@ class Live:
             self._send(_transform(path, matrix))
 
     def close(self) -> None:
-        """End the process that serves it."""
+        """End the process that serves the window."""
         self._window.zmq_socket.close(linger=0)
         self._window.server_proc.kill()
         self._window.server_proc.communicate()

@@ -1,4 +1,4 @@
-"""Visual shapes of robots on a page, which shows them in place of the collision shapes of their links."""
+"""Visual shapes of robots, which a page shows in place of the collision shapes of their links."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from nsdyn.view.solids import body_path, solid, surface
 __all__ = ["look_path", "mesh_arrays", "veiled", "visual_commands"]
 
 PLAIN = (0.72, 0.73, 0.75)
-"""Where a file gives no colour."""
+"""Colour if the file gives none."""
 
 DETAIL = 16
 """Sides of half circles."""
 
 BACK_SIDE, DOUBLE_SIDE = 1, 2
-"""Of three.js: files have triangles that are to be seen from behind. What turns away from the sun casts the shadows, as
-of all other bodies: what turns to it would lie in its own, in stripes."""
+"""Constants of three.js: triangles of files must be visible from behind. As for all bodies, the sides that face away
+from the sun cast the shadows; the sides that face it would show stripes of their own shadow."""
 
 
 def look_path(scene: Json, k: int) -> str:
-    """Path of a visual shape in the page's tree: under its moving frame, or fixed."""
+    """Return the path of a visual shape in the page's tree: under its moving frame, or fixed."""
     frame = scene["visuals"][k]["frame"]
     return f"{body_path(scene['frames'][frame]) if frame >= 0 else '/nsdyn/fixed'}/look {k}"
 
 
 def veiled(scene: Json) -> list[bool]:
-    """Which collision shapes are not shown, for their link has visual ones."""
+    """Return which collision shapes are hidden because their link has visual shapes."""
     seen = {(look["link"].partition("/")[0], look["frame"]) for look in scene.get("visuals", ())}
     return [(geom.get("body"), geom["frame"]) in seen for geom in scene["geoms"]]
 
 
 def visual_commands(scene: Json, whole: bool = False) -> list[Json]:
-    """Objects of all visual shapes.
+    """Return commands for all visual shapes.
 
-    Those of meshes get their triangles, which may be shared, on the page; without its script they are `whole`, of flat
-    triangles.
+    The page's script adds the triangles of meshes, which shapes may share. Without the script, meshes are `whole`, with
+    flat triangles.
     """
     commands = []
     for k, visual in enumerate(scene.get("visuals", ())):
@@ -58,7 +58,7 @@ def visual_commands(scene: Json, whole: bool = False) -> list[Json]:
 
 
 def mesh_arrays(scene: Json) -> dict[str, NDArray[Any]]:
-    """Corners and triangles of the meshes of a page, one after the other, and where each ends."""
+    """Return corners and triangles of the meshes of a page, one mesh after the other, and where each ends."""
     meshes = scene.get("meshes", ())
     corners = [np.empty((0, 3), "<f4"), *(from_text(mesh["vertices"], "<f4", 3) for mesh in meshes)]
     triangles = [np.empty((0, 3), "<u4"), *(from_text(mesh["triangles"], "<u4", 3) for mesh in meshes)]

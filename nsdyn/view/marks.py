@@ -1,4 +1,4 @@
-"""Impacts of a recording: contacts that push and closed before they did."""
+"""Impacts of a recording: contacts with a normal impulse whose gap was closing before."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["Impacts", "find"]
 
 HELD = 1e-6
-"""m/s, a hundred times the solver's default tolerance: what parts no faster is held."""
+"""m/s, a hundred times the solver's default tolerance: a contact that separates no faster stays closed."""
 
 
 class Impacts(NamedTuple):
@@ -25,13 +25,13 @@ class Impacts(NamedTuple):
     Attributes
     ----------
     step : ndarray, shape (n,)
-        From 1 on, ascending; it ends at t[step].
+        Number of the step, from 1 on, ascending; the step ends at t[step].
     speed : ndarray, shape (n,)
-        At which the contact closed, m/s.
+        Speed at which the contact closed, m/s.
     impulse : ndarray, shape (n,)
-        Normal impulse, N·s, of redundant contacts that of least norm.
+        Normal impulse, N·s; for redundant contacts the one of least norm.
     geoms : ndarray, shape (n, 2)
-        The shapes.
+        The two shapes.
     """
 
     step: Index
@@ -41,18 +41,19 @@ class Impacts(NamedTuple):
 
 
 def find(trajectory: Trajectory) -> Impacts:
-    """Impacts of a recording: contacts that push, closed faster than |g| h before, and carried no such load before.
+    """Find the impacts of a recording: pushing contacts that closed faster than |g| h and carried no load before.
 
-    How fast a contact closed, where its shapes were nearest then, follows from the work of its normal impulse, which is
-    r_N times the mean of the velocities before and after: -u_N⁻ = u_N - 2 w_N / r_N. So what rolls closes at no speed,
-    however fast, and an impact located within a step has the speed of its instant. h is the length of the step: what
-    gravity gives within it is not told from rest.
+    The speed at which a contact closed, at the point where its shapes were nearest at that time, follows from the work
+    of its normal impulse. This work is r_N times the mean of the normal velocities before and after:
+    -u_N⁻ = u_N - 2 w_N / r_N. A rolling contact therefore closes at zero speed, however fast it rolls, and an impact
+    located within a step has the speed of its instant. h is the length of the step: a speed that gravity gives within
+    one step cannot be distinguished from rest.
 
-    A contact that pushed at least half as much when it last acted, in this step or the one before, and did not part,
-    goes on to carry a load: by what its gap still closes, of second order in h, it does not strike. Under loads of many
-    times the weight, and without gravity, that would be more than |g| h.
+    A contact carries a load already if it had at least half the impulse when it last acted, in the same step or the
+    step before, and did not separate. Such a contact is no impact. Its gap still closes by an amount of second order in
+    h, which would exceed |g| h under loads of many times the weight and without gravity.
 
-    Nothing is found where contacts are not recorded, or not of every step.
+    Nothing is found if contacts are not recorded, or not in every step.
     """
     none = Impacts(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty((0, 2), np.int64))
     if not trajectory.has_contacts or trajectory.every > 1:
@@ -63,7 +64,7 @@ def find(trajectory: Trajectory) -> Impacts:
     push = impulse > 0.0
     speed = np.zeros(u.size)
     speed[push] = u[push] - 2.0 * c["work_normal"][push] / impulse[push]
-    # Round-off of velocities is no impact where there is no gravity.
+    # Without gravity, round-off of velocities must not count as an impact.
     least = np.linalg.norm(trajectory.scene["gravity"]) * trajectory.dt + 1e-9 * speed.max(initial=0.0)
     held = _before(identities(c), step, np.where(push & (u <= HELD), impulse, 0.0)) >= 0.5 * impulse
     rolls = np.nan_to_num(c["couple"]).any(axis=1)
@@ -77,7 +78,7 @@ def find(trajectory: Trajectory) -> Impacts:
 
 
 def _before(identity: Index, step: Index, values: Array) -> Array:
-    """Values of the same contacts when they last acted, in the same step or the one before, else 0."""
+    """Return the values of the same contacts when they last acted, in the same step or the one before, else 0."""
     order = np.argsort(identity, kind="stable")
     last, now = order[:-1], order[1:]
     out = np.zeros(step.size)

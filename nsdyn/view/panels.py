@@ -1,7 +1,7 @@
-"""Panels of a figure: what they show, and how every one is drawn.
+"""Panels of a figure: their contents and how they are drawn.
 
-Legends stand beside the panels, round-off is not drawn at full scale, and panels in which nothing happens are left out
-where another has something to show.
+Legends are outside the panels, and round-off is not drawn at full scale. Panels with nothing but round-off are left out
+if another panel has more to show.
 """
 
 from __future__ import annotations
@@ -22,45 +22,45 @@ from nsdyn.view.solids import PALETTE
 __all__ = ["LEDGER", "OTHERS", "PALETTE", "Curve", "Panel", "draw", "look", "looks"]
 
 LEDGER = {name: layer.colour for name, layer in LAYERS.items()}
-"""Colours of energies and of who took them."""
+"""Colours of energies and works."""
 
 OTHERS = "#b9c2cb"
-"""Of what has no colour of its own."""
+"""Colour of curves without their own colour."""
 
 GREYS = {layer.colour: layer.grey for layer in LAYERS.values()} | {OTHERS: "0.8"}
-"""In styles that have no colours."""
+"""Greys in place of colours, for styles of matplotlib without colours."""
 
 DASHES = "-", "--", ":", "-."
-"""Of as many curves of one colour."""
+"""Line styles of curves of one colour, one after the other."""
 
 TURN = 4.0
-"""Length of a dash over its width, of curves on each other."""
+"""Length of a dash over its width, for curves that lie on each other."""
 
 SAME, MOST = 5e-3, 0.9
-"""Curves that are no further apart, of the range of a panel, for that much of their time lie on each other."""
+"""Curves lie on each other if they differ by at most SAME of a panel's range for more than MOST of their time."""
 
 NOISE = 1e-6
-"""What spans less of what is at play is round-off, or the solver's tolerance."""
+"""Fraction of a panel's scale below which a range is round-off or the solver's tolerance."""
 
 FLOOR, LOST = 1e-12, 1e-11
-"""Of logarithmic axes: where they begin at the lowest, and curves below which are left out, in the unit of the axis."""
+"""Lowest value at which logarithmic axes begin, and value below which curves are left out, in the unit of the axis."""
 
 ROWS, PILED, LETTER = 3, 6, 0.55
-"""Most rows of a legend above its panels, with these together, and width of a letter over the size of its font."""
+"""Most rows of a legend above its panels, most rows and panels together, and width of a letter over its font size."""
 
 CROWD = 3
-"""Panels of which more have smaller letters at their axes."""
+"""Number of panels above which the labels of axes are smaller."""
 
 APART = 1.5
-"""Ticks of a logarithmic axis at its values are at least by this factor."""
+"""Smallest factor between ticks of a logarithmic axis whose ticks are at the values."""
 
 PEAK, USUAL = 5.0, 0.9
-"""Peaks of impacts, which a short step makes arbitrarily high, are cut at so much of what that part stays below."""
+"""Peaks of impacts, which a short step makes arbitrarily high, are cut at PEAK times the quantile USUAL."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A curve and its name in the legend, which curves may share; `look` is what `Axes.plot` takes."""
+    """A curve and its name in the legend, which curves may share; `look` has the keywords of `Axes.plot`."""
 
     label: str
     x: Array
@@ -70,23 +70,23 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """What one pair of axes shows.
+    """Contents of one pair of axes.
 
     Attributes
     ----------
     ylabel : str
-        With a unit.
+        Label with a unit.
     curves : sequence of Curve
     scale : float
-        What is at play, in the unit of the curves; 0 where they tell it.
+        Typical size of the quantity, in the unit of the curves; 0 to take it from the curves.
     zero : bool
-        Whether the axis begins at, or includes, 0: what is less than `NOISE` of the scale is none.
+        Whether the axis begins at, or includes, 0; values below `NOISE` of the scale then count as 0.
     cut : bool
         Whether peaks are cut.
     log : {"", "y", "xy"}
         Logarithmic axes.
     areas : sequence of Curve
-        Stacked, under the curves.
+        Curves drawn as stacked areas below `curves`.
     xlabel : str
     """
 
@@ -101,7 +101,7 @@ class Panel:
     note: str = ""
 
     def range(self) -> tuple[float, float]:
-        """Least and largest value, (0, 0) where there is none."""
+        """Return the least and largest value, (0, 0) without values."""
         heights: Any = np.cumsum([c.y for c in self.areas], axis=0) if self.areas else []
         drawn = [c.y for c in self.curves if not self._lost(c)]
         values = np.concatenate([[0.0] if self.zero else [], *drawn, *heights])
@@ -109,18 +109,18 @@ class Panel:
         return (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
 
     def _lost(self, curve: Curve) -> bool:
-        """Whether a logarithmic axis leaves a curve out."""
+        """Whether a logarithmic axis leaves out a curve."""
         return bool(self.log) and not (curve.y > LOST).any()
 
     @property
     def quiet(self) -> bool:
-        """Whether nothing but noise is to be seen."""
+        """Whether the panel shows nothing but round-off."""
         low, high = self.range()
         return high == 0.0 if self.log else high - low <= self._noise
 
     @property
     def _noise(self) -> float:
-        """What is no more than this is round-off."""
+        """Largest value that counts as round-off."""
         return LOST if self.log else NOISE * max(self.scale, *map(abs, self.range()))
 
     @property
@@ -128,7 +128,7 @@ class Panel:
         return self.ylabel.partition("[")[2].rstrip("]")
 
     def draw(self, ax: Any) -> None:
-        """Draw it on matplotlib axes."""
+        """Draw the panel on matplotlib axes."""
         if self.areas:
             colours = [_shade(c.look["color"]) for c in self.areas]
             ax.stackplot(
@@ -158,8 +158,8 @@ class Panel:
             self._say_quiet(ax)
 
     def take_turns(self, ax: Any) -> None:
-        """Dash whole curves that lie on others for nearly all of the time in which they are not 0: all are seen."""
-        if any(c.look.get("ls", "-") != "-" for c in self.curves):  # of many, dashes are names
+        """Dash solid curves that lie on another nearly all the time in which they are not 0, so that all are seen."""
+        if any(c.look.get("ls", "-") != "-" for c in self.curves):  # with many curves, dashes identify curves
             return
         low, high = self.range()
         near, piles = SAME * (min(high, self.top) - low), list[list[int]]()
@@ -187,7 +187,7 @@ class Panel:
             ax.set_xlim(0.0, max((c.x[-1] for c in (*self.curves, *self.areas) if c.x.size), default=0.0) or 1.0)
 
     def _say_quiet(self, ax: Any) -> None:
-        """Words, and of the numbers on the axis, which would be those of noise, only 0."""
+        """Write that only round-off is seen, and keep only the tick 0, because other ticks would show round-off."""
         if self.zero:
             ax.set_yticks([0.0], ["0"])
         low, high = self.range()
@@ -200,7 +200,7 @@ class Panel:
         ax.text(0.5, 0.7, words, transform=ax.transAxes, ha="center", va="center")
 
     def _limits(self) -> tuple[float, float]:
-        """What the axis spans: whole decades, with a margin, or what would be no noise."""
+        """Return the limits of the axis: whole decades, the range with a margin, or the smallest range above noise."""
         low, high = self.range()
         if self.quiet and self.zero:
             return -0.1 * (self._noise or 1.0), self._noise or 1.0
@@ -216,7 +216,7 @@ class Panel:
 
     @cached_property
     def top(self) -> float:
-        """What is drawn of the largest values where peaks are cut; infinite where they are not."""
+        """Value at which peaks are cut; infinite if they are not cut."""
         values = np.concatenate(
             [c.y for c in self.curves] or [np.atleast_1d(np.sum([c.y for c in self.areas], axis=0))]
         )
@@ -225,13 +225,13 @@ class Panel:
 
     @property
     def peak(self) -> str:
-        """What is said of peaks that are cut, empty where none is."""
+        """Text about peaks that are cut, empty if none is cut."""
         most = self.range()[1]
         return f"peaks reach {with_unit(most, self._unit)}" if most > self.top and not self.quiet else ""
 
 
 def _lies_on(curve: Curve, other: Curve, near: float) -> bool:
-    """Whether two curves of the same times are no further apart at nearly all of those at which one is not 0."""
+    """Whether two curves with the same times differ by at most `near` at nearly all times at which one is not 0."""
     if not np.array_equal(curve.x, other.x):
         return False
     some = np.maximum(np.abs(curve.y), np.abs(other.y)) > near
@@ -239,7 +239,7 @@ def _lies_on(curve: Curve, other: Curve, near: float) -> bool:
 
 
 def _lone(curve: Curve) -> dict[str, Any]:
-    """Its look, with dots where a line would show nothing: at values between what is not known."""
+    """Return the look of a curve, with dots at single values between unknown ones, where a line shows nothing."""
     known = np.pad(np.isfinite(curve.y), 1)
     alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
     shown = "marker" in curve.look or not alone.size
@@ -248,7 +248,7 @@ def _lone(curve: Curve) -> dict[str, Any]:
 
 
 def _cycle() -> list[Any]:
-    """Colours of curves: the page's colours of bodies, or those that the style of matplotlib has of its own."""
+    """Return the colours of curves: the page's colours of bodies, or the colours of a changed matplotlib style."""
     import matplotlib
 
     cycles = [params["axes.prop_cycle"] for params in (matplotlib.rcParams, matplotlib.rcParamsDefault)]
@@ -257,7 +257,7 @@ def _cycle() -> list[Any]:
 
 
 def _shade(colour: Any) -> Any:
-    """A colour, or in styles of greys the grey in its place; for black the ink of the style, which may be on black."""
+    """Return a colour, or its grey in grey styles; for black the text colour, as styles may have a dark background."""
     from matplotlib import rcParams
     from matplotlib.colors import to_rgb
 
@@ -268,15 +268,15 @@ def _shade(colour: Any) -> Any:
 
 
 def look(k: int) -> dict[str, Any]:
-    """Colour and dashes of the k-th of several curves: the page's colours of bodies, dashed from the seventh on."""
+    """Return colour and dashes of the k-th curve: the page's colours of bodies, dashed from the seventh curve on."""
     colours = _cycle()
     return {"color": colours[k % len(colours)], "ls": DASHES[k // len(colours) % len(DASHES)]}
 
 
 def looks(numbers: Mapping[str, int]) -> dict[str, dict[str, Any]]:
-    """Looks of curves by name, no two the same while there are any: that of its number, or the next that none has.
+    """Return looks of curves by name, all different while possible: the look of its number, or the next free one.
 
-    Numbers are those of the page's colours, so that what is one colour there is no other here unless it has to be.
+    The numbers are those of the page's colours, so that a body keeps its colour from the page if possible.
     """
     own = dict[int, str]()
     for name, k in sorted(numbers.items(), key=lambda item: item[1]):
@@ -286,7 +286,7 @@ def looks(numbers: Mapping[str, int]) -> dict[str, dict[str, Any]]:
 
 
 def draw(figure: Any, panels: Sequence[Panel]) -> Any:
-    """Draw panels one over the other on a matplotlib figure, their legend beside them; return their axes."""
+    """Draw panels in a column on a matplotlib figure, with one legend beside them; return their axes."""
     shown = [panel for panel in panels if not panel.quiet] or panels[:1]
     same = len({panel.xlabel for panel in shown}) == 1
     axes = figure.subplots(len(shown), 1, sharex=same, squeeze=False)[:, 0]
@@ -304,14 +304,14 @@ def draw(figure: Any, panels: Sequence[Panel]) -> Any:
         _legend(figure, handles, min(ROWS, PILED - len(shown)))
     elif handles:
         axes[0].set_title(next(iter(handles)), loc="left", fontsize="small")
-    for ax, panel in zip(axes, shown, strict=True):  # of which the legend has nothing
+    for ax, panel in zip(axes, shown, strict=True):  # after the legend, which shows solid lines
         panel.take_turns(ax)
     return axes
 
 
 def _legend(figure: Any, handles: Mapping[str, Any], rows: int) -> None:
-    """Above the panels in so many rows at most, else to their right where there is room."""
-    from matplotlib import font_manager  # heavy, and for pictures only
+    """Put the legend above the panels in at most `rows` rows, else to their right if there is room."""
+    from matplotlib import font_manager  # slow import, needed for pictures only
 
     size = font_manager.FontProperties(size="small").get_size_in_points() / 72.0
     entries = [(4.0 + LETTER * len(label)) * size for label in handles]

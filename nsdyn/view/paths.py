@@ -1,4 +1,4 @@
-"""Motion of the bodies of a page: where they begin, and keyframes of those that move."""
+"""Motion of the bodies of a page: initial poses, and keyframes of the bodies that move."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 __all__ = ["keys", "start_commands"]
 
 INVISIBLE = 1e-6
-"""Differences below this part of the scene, or of a unit quaternion."""
+"""Differences below this fraction of the scene's radius, or of a unit quaternion, are invisible."""
 
 
 def start_commands(trajectory: Trajectory, row: int) -> list[Json]:
-    """Commands that put all moving frames where they are in a row."""
+    """Return commands that set the poses of all moving frames to those of a row of the recording."""
     commands = []
     for name in trajectory.scene["frames"]:
         motion, path = trajectory.body(name), body_path(name)
@@ -30,18 +30,18 @@ def start_commands(trajectory: Trajectory, row: int) -> list[Json]:
 
 
 def keys(trajectory: Trajectory, rows: Index, radius: float) -> dict[str, Array]:
-    """Keyframes in a scene of that radius.
+    """Return the keyframes of a scene of the given radius at the states `rows`.
 
     Returns
     -------
     dict of str to ndarray
-        position (k, len(rows), 3), m, and quaternion (m, len(rows), 4) xyzw of the frames that change theirs, rounded
-        to what can be seen; moving (k,) and turning (m,), which frames these are.
+        position (k, len(rows), 3), m, and quaternion (m, len(rows), 4) xyzw of the frames whose position or quaternion
+        changes, rounded to visible digits; moving (k,) and turning (m,), the indices of the frames.
     """
     out: dict[str, Array] = {}
     motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
     for name, which, scale in (("position", "moving", radius), ("quaternion", "turning", 1.0)):
-        grid = 2.0 ** np.floor(np.log2(INVISIBLE * scale))  # exact in binary: its multiples deflate well
+        grid = 2.0 ** np.floor(np.log2(INVISIBLE * scale))  # a power of 2: its multiples compress well
         values = [grid * np.round(getattr(motion, name)[rows] / grid) for motion in motions]
         changing = [k for k, x in enumerate(values) if (x != x[0]).any()]
         width = 3 if name == "position" else 4

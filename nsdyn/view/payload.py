@@ -1,4 +1,4 @@
-"""Values and arrays as one text that a page unpacks by itself: JSON and bytes, deflated, in base64."""
+"""Values and arrays packed into one text that a page can unpack: JSON and bytes, deflated, in base64."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["pack", "rounded", "unpack"]
 
 ALIGNMENT = 8
-"""Bytes at whose multiples arrays begin, as views of a browser's buffers want it."""
+"""Arrays begin at multiples of this number of bytes, as views of a browser's buffers require."""
 
 BITS = 15
-"""Of the mantissa of what is shown as numbers: four and a half digits."""
+"""Bits of the mantissa of values that are shown as numbers: four and a half digits."""
 
 
 def pack(values: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Text of JSON values and of arrays, of which bytes of equal weight stand together: so they deflate best."""
+    """Pack JSON values and arrays into a text; bytes of equal weight are stored together and so compress best."""
     table, parts, at = {}, [], 0
     for name, array in arrays.items():
         array = np.ascontiguousarray(array)
@@ -36,7 +36,7 @@ def pack(values: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
 
 
 def unpack(text: str) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Values and arrays, the latter flat, of the text of `pack`."""
+    """Unpack the text of `pack` into values and flat arrays."""
     data = zlib.decompress(base64.b64decode(text))
     start = ALIGNMENT + int.from_bytes(data[:ALIGNMENT], "little")
     head = json.loads(data[ALIGNMENT:start])
@@ -49,7 +49,7 @@ def unpack(text: str) -> tuple[Any, dict[str, NDArray[Any]]]:
 
 
 def rounded(values: ArrayLike) -> NDArray[np.float32]:
-    """Single precision with BITS of mantissa, of 23: what is cut is zero and deflates to nothing."""
+    """Round to single precision with BITS of 23 bits of mantissa: the remaining bits are zero and compress well."""
     whole = np.ascontiguousarray(values, dtype="<f4").view(np.uint32)
     cut = 23 - BITS
     finite = np.isfinite(whole.view("<f4"))

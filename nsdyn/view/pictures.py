@@ -14,7 +14,7 @@ from nsdyn.view.browser import browsing
 __all__ = ["FRAME", "FilmLook", "check_film", "film", "screenshot"]
 
 FRAME = {"format": "jpeg", "quality": 97}
-"""Of a film: PNG takes browser and ffmpeg twice the time, and H.264 cannot tell."""
+"""Format of the pictures of a film: PNG takes browser and ffmpeg twice the time, with no visible gain in H.264."""
 
 
 def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1280, 720)) -> None:
@@ -23,7 +23,7 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
     Parameters
     ----------
     page : path
-        A page of this package, best one made with `at`.
+        A page of this package, preferably made with `at`.
     picture : path
         PNG file to write.
     size : (int, int)
@@ -32,7 +32,7 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
     Raises
     ------
     ValueError
-        If there is no Chromium, or no picture came of it.
+        If there is no Chromium, or it returned no picture.
     """
     with browsing() as browser, files.writing(picture, files.FRAME) as part:
         browser.open(_as_picture(page), size)
@@ -47,23 +47,23 @@ def check_film() -> None:
 
 @dataclass(frozen=True)
 class FilmLook:
-    """How a film looks.
+    """Look of a film.
 
     Attributes
     ----------
     fps : float
-        Pictures a second.
+        Pictures per second.
     size : (int, int)
         Width and height in pixels, even numbers.
     speed : float
-        Simulated seconds in a second of the film.
+        Simulated seconds per second of the film.
     curves : str, optional
-        Those drawn below the bodies: "energy", "power", "motion" or "checks".
+        Curves drawn below the bodies: "energy", "power", "motion" or "checks".
 
     Raises
     ------
     ValueError
-        If one of them is out of range.
+        If a value is out of range.
     """
 
     fps: float = 30.0
@@ -80,7 +80,7 @@ class FilmLook:
 
 
 def film(page: str | Path, target: str | Path, look: FilmLook | None = None) -> None:
-    """Save a film, H.264 in MP4, of a page as it plays.
+    """Save a film of a page as it plays, H.264 in MP4.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def film(page: str | Path, target: str | Path, look: FilmLook | None = None) -> 
     Raises
     ------
     ValueError
-        If there is no Chromium or no ffmpeg, or it fails.
+        If there is no Chromium or no ffmpeg, or one of them fails.
     """
     check_film()
     look = look or FilmLook()
@@ -111,7 +111,7 @@ def film(page: str | Path, target: str | Path, look: FilmLook | None = None) -> 
             for k in range(math.floor((end - begin) / step * (1.0 + 1e-12)) + 1):
                 browser.run(f"nsdyn.show({begin + k * step!r})")
                 ffmpeg.stdin.write(browser.picture(**FRAME))
-        except BrokenPipeError:  # it tells why below
+        except BrokenPipeError:  # its message is read below
             pass
         message = ffmpeg.communicate()[1].decode(errors="replace")
         if ffmpeg.returncode:

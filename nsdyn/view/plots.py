@@ -1,4 +1,4 @@
-"""Pictures of what a recording shows besides its motion: `draw` draws one of `KINDS`, ``nsdyn plot RUN.h5`` several."""
+"""Plots of quantities of a recording over time: `draw` draws one of `KINDS`, ``nsdyn plot RUN.h5`` several."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from nsdyn.view.panels import LEDGER, OTHERS, PALETTE, Curve, Panel
 __all__ = ["KINDS", "draw", "usual"]
 
 SHOWN = 12
-"""Most curves that all have names of their own."""
+"""Greatest number of curves at which all of them are named."""
 
 NAMED = len(PALETTE)
-"""Of more those that move or carry most have names, each with a colour of its own; the others are grey."""
+"""Named curves if there are more than SHOWN: those that move or carry most, each in its own colour; the rest grey."""
 
 NEGLIGIBLE = 1e-9
-"""Works of this part of the largest energy are left out, as on the page."""
+"""Works below this fraction of the largest energy are left out, as on the page."""
 
 APART = 5e-3
-"""Of the height of a stack, what two lines have to be apart to be seen as two."""
+"""Fraction of the height of a stack by which two lines must differ to be seen as two."""
 
 SIDES = " | "
-"""Between the names of two bodies."""
+"""Separator between the names of two bodies."""
 
 LONGEST = 2.0
-"""Frictions up to so many times what 90 % stay below are drawn as they are, like the forces on the page."""
+"""Friction is drawn to scale up to this factor times its 90 % quantile, like the forces on the page."""
 
 OF_JOINTS = "joint", "phase"
 OF_CONTACTS = "force", "slip", "gap", "power", "friction", "penetration"
-"""Kinds that draw nothing of a recording without those."""
+"""Kinds that need a recording with contacts."""
 
 UNITS = {"rad": ("angle", "torque [N m]"), "m": ("position", "force [N]")}
-"""Of coordinates of joints: what they are and what drives them."""
+"""Names of the coordinate of a joint and of the force along it, by the unit of the coordinate."""
 
 Shown = dict[str, tuple[str, dict[str, Any]]]
 
@@ -57,16 +57,16 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     trajectory : Trajectory
     kind : str
         position, speed : of bodies [m, m/s].
-        force, slip, gap : of the bodies that touch: normal force and net friction [N], largest slip [m/s], gap [m].
+        force, slip, gap : of pairs that touch: normal force and net friction [N], largest slip [m/s], gap [m].
         joint, phase : angle or position, velocity and torque of joints; velocity over angle.
-        energy, power : where the energy is and who took it, as on the page [J]; what each pair dissipates [W].
-        friction : of every contact, over the most that Coulomb's law allows [N].
-        certificate, penetration : error of each step and its bound; of shapes, by the recorded gaps [m].
+        energy, power : energies and the works that changed them, as on the page [J]; dissipation of each pair [W].
+        friction : of every contact, over the greatest friction that Coulomb's law allows [N].
+        certificate, penetration : error of each step and its bound; penetration of shapes, by the recorded gaps [m].
     name : str
-        Which bodies, pairs or joints, as of `nsdyn.Trajectory.table`.
+        Selected bodies, pairs or joints, as in `nsdyn.Trajectory.table`.
     figure : matplotlib Figure or SubFigure, optional
-        A new one of pyplot by default, in a notebook one that is shown where a cell ends with it. Its layout should be
-        constrained.
+        Default: a new figure of pyplot; in a notebook, a cell shows it if the cell ends with it. The layout of a given
+        figure should be constrained.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     Raises
     ------
     ValueError
-        For an unknown kind or name, for what was not recorded, and what is no recording or no figure.
+        For an unknown kind or name, for data that were not recorded, and for a trajectory or figure of another type.
 
     Examples
     --------
@@ -98,14 +98,14 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
         import matplotlib.pyplot as plt
 
         figure = plt.figure(layout="constrained")
-        if plt.get_backend().endswith("inline"):  # a notebook shows what a cell returns, and then all that is open
+        if plt.get_backend().endswith("inline"):  # else a notebook shows it twice: as result and as open figure
             plt.close(figure)
     panels.draw(figure, found)
     return figure
 
 
 def usual(trajectory: Trajectory) -> list[str]:
-    """The kinds that are drawn where none is asked for."""
+    """Return the kinds that are drawn by default."""
     return [
         "energy",
         "speed",
@@ -115,29 +115,29 @@ def usual(trajectory: Trajectory) -> list[str]:
 
 
 def _missing(trajectory: Trajectory) -> dict[str, tuple[str, ...]]:
-    """What a recording does not have, and the kinds that would draw it."""
+    """Return the names of data that a recording does not have, with the kinds that need them."""
     joints = any(a.get("sizes") for a in trajectory.scene["articulations"])
     return ({} if joints else {"joints": OF_JOINTS}) | ({} if trajectory.has_contacts else {"contacts": OF_CONTACTS})
 
 
 def _rows(table: Table, key: Any) -> dict[str, Table]:
-    """The rows of every name in `key`."""
+    """Return the rows of the table for every name in `key`."""
     names, which = np.unique(np.asarray(key, dtype=str), return_inverse=True)
     parts = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which)))
     return {name: table[part] for name, part in zip(names.tolist(), parts, strict=False)}
 
 
 def _most(table: Table, key: Any, *columns: str, size: Callable[[Array], Any] = np.max) -> set[str]:
-    """Names by `key` that are told apart: all, of many those with the largest `size` of columns of one unit."""
+    """Return names in `key` with their own look: all, or of many those with the largest `size` of the columns."""
     rows = _rows(table.select(*columns), key)
     sizes = {n: max(float(size(np.nan_to_num(some[c]))) for c in columns) for n, some in rows.items()}
     return set(sorted(sizes, key=lambda n: -sizes[n])[: NAMED if len(sizes) > SHOWN else SHOWN])
 
 
 def _shown(numbers: dict[str, int], most: set[str]) -> Shown:
-    """The label and the look of every curve; those that are not told apart are drawn below.
+    """Return label and look of every curve; curves without their own look are drawn below the others.
 
-    A robot that all of several names begin with is left out.
+    If several names all begin with the same robot, the name of the robot is left out.
     """
     looks = panels.looks({n: k for n, k in numbers.items() if n in most})
     others = f"and {counted(len(numbers) - len(looks), 'other')}", {"color": OTHERS, "lw": 0.6, "zorder": 1}
@@ -148,13 +148,13 @@ def _shown(numbers: dict[str, int], most: set[str]) -> Shown:
 
 
 def _curves(table: Table, shown: Shown, key: Any, column: str) -> list[Curve]:
-    """A column over time of every name that is in the table."""
+    """Return the curves of a column over time, one for every name in the table."""
     rows = _rows(table.select("t", column), key)
     return [Curve(label, rows[n]["t"], rows[n][column], own) for n, (label, own) in shown.items() if n in rows]
 
 
 def _bodies(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int]]:
-    """The table of some bodies, and the number of each one's frame, after which the page colours it."""
+    """Return the table of some bodies, and the number of each body's frame, by which the page colours it."""
     table, frames = tabulated(trajectory, "bodies", name), trajectory.scene["frames"]
     links = {link["name"]: link["frame"] for link in trajectory.scene.get("links", ())}
     names = dict.fromkeys(table["body"].tolist())
@@ -168,13 +168,13 @@ def _position(trajectory: Trajectory, name: str) -> list[Panel]:
     spans = {axis: max(float(np.ptp(c.y)) for c in curves) for axis, curves in moved.items()}
     scale = max(*spans.values(), _fallen(trajectory)[0])
     out = {axis: Panel(f"{axis} [m]", curves, scale, zero=False) for axis, curves in moved.items()}
-    # Where nothing moves, bodies can be told apart along one axis.
+    # If nothing moves, show the axis along which the bodies are farthest apart.
     apart = max(out, key=lambda axis: float(np.ptp(out[axis].range())))
     return [out[axis] for axis in "xyz" if spans[axis] > panels.NOISE * scale] or [out[apart]]
 
 
 def _fallen(trajectory: Trajectory) -> tuple[float, float]:
-    """How far and how fast what falls would have got, m, m/s: beside it round-off and what is at rest are seen as 0."""
+    """Return distance and speed of a free fall over the recording, m, m/s: on this scale, round-off looks like 0."""
     g, t = float(np.linalg.norm(trajectory.scene["gravity"])), float(trajectory.t[-1])
     return 0.5 * g * t * t, g * t
 
@@ -186,14 +186,14 @@ def _speed(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _pairs(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int], Any]:
-    """The table of some pairs, their numbers, and the name of the pair of every row."""
+    """Return the table of some pairs, their numbers, and the name of the pair in every row."""
     table = tabulated(trajectory, "pairs", name)
     key = np.array([f"{a}{SIDES}{b}" for a, b in zip(table["body1"], table["body2"], strict=True)], dtype=object)
     return table, _numbered(key), key
 
 
 def _numbered(key: Any) -> dict[str, int]:
-    """Names by their first appearance."""
+    """Number names by their first appearance."""
     return {n: k for k, n in enumerate(dict.fromkeys(key.tolist()))}
 
 
@@ -237,7 +237,7 @@ def _joint(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _joints(trajectory: Trajectory, name: str) -> tuple[dict[str, tuple[Table, Any]], Shown]:
-    """Coordinates by their unit, with the name of that of every row, and how they are shown: as what they carry is."""
+    """Return coordinates by unit, with the name in every row, and their looks: the colour of the carried body."""
     table = tabulated(trajectory, "joints", name)
     pairs = zip(table["joint"].tolist(), table["coordinate"].tolist(), strict=True)
     key = np.array([f"{joint} {axis}".rstrip() for joint, axis in pairs], dtype=object)
@@ -299,7 +299,10 @@ def _power(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _friction(trajectory: Trajectory, name: str) -> list[Panel]:
-    """Impacts, beside which what carries a load would be one dot, are marked where their ray from 0 leaves the rest."""
+    """Draw friction over its limit; impacts beyond the axes are marked where their ray from 0 leaves the panel.
+
+    On the scale of impacts, contacts that carry a load would be a single dot.
+    """
     table = tabulated(trajectory, "contacts", name)
     most, drag = (table["mu"] * table["impulse_N"] / trajectory.dt, table["impulse_T"] / trajectory.dt)
     pushes = most > 0.0
@@ -336,9 +339,9 @@ def _penetration(trajectory: Trajectory, name: str) -> list[Panel]:
 
 
 def _dots(trajectory: Trajectory, label: str, values: Array, colour: str) -> Curve:
-    """What each step has of its own, which may be nothing in the next: dots, for lines between them would be a comb.
+    """Return a curve of values per step as dots: values may vanish in the next step, and lines would look like a comb.
 
-    What is below the axis does not stretch it.
+    Values below the axis are left out, so that they do not stretch it.
     """
     look = {"color": LEDGER[colour], "ls": "", "marker": ".", "ms": 3}
     return Curve(label, trajectory.t_steps, np.where(values > panels.FLOOR, values, np.nan), look)
@@ -358,4 +361,4 @@ KINDS: dict[str, Callable[[Trajectory, str], list[Panel]]] = {
     "certificate": _certificate,
     "penetration": _penetration,
 }
-"""What `draw` draws."""
+"""Kinds that `draw` draws."""

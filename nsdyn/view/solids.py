@@ -12,42 +12,42 @@ from nsdyn.view.stage import BEHIND_LINES, GROUND, View, corner_object, halfspac
 
 __all__ = ["FIXED_COLOUR", "PALETTE", "body_path", "colour", "geom_path", "shape_commands", "solid", "surface"]
 
-# Paul Tol's "bright" scheme, which colour-blind readers can tell apart.
+# Paul Tol's "bright" scheme, whose colours colour-blind readers can tell apart.
 PALETTE = [(68, 119, 170), (238, 102, 119), (34, 136, 51), (204, 187, 68), (102, 204, 238), (170, 51, 119)]
 
 FEW = 20
-"""Shapes that may be drawn in detail: the triangles of many round ones are slow where software draws them."""
+"""Most shapes that are drawn in detail: with software rendering, the triangles of many round shapes are slow."""
 
 FIXED_COLOUR = (0.62, 0.65, 0.68)
 
 HALF, SECTOR = (np.pi, 0.72), (np.pi / 16, 0.3)
-"""Angle and tone of the part of a round shape that shows how it turns. Half of a flat end would look like a shadow."""
+"""Angle and tone of the part of a round shape that shows its rotation; half of a flat end would look like a shadow."""
 
 
 def body_path(frame: str) -> str:
-    """Path of a moving frame in the page's tree."""
+    """Return the path of a moving frame in the page's tree."""
     return f"/nsdyn/bodies/{frame.replace('/', '.')}"
 
 
 def geom_path(scene: Json, geom: Json) -> str:
-    """Path of a shape: under its moving frame, or fixed."""
+    """Return the path of a shape: under its moving frame, or fixed."""
     name, k = geom["name"].replace("/", "."), geom["frame"]
     return f"{body_path(scene['frames'][k])}/{name}" if k >= 0 else f"/nsdyn/fixed/{name}"
 
 
 def colour(geom: Json) -> tuple[float, ...]:
-    """Red, green, blue and perhaps alpha of a shape: what is given, else by the number of its frame."""
+    """Return red, green, blue and perhaps alpha of a shape: as given, else by the number of its frame."""
     if geom["colour"]:
         return tuple(geom["colour"])
     k = geom["frame"]
     if k < 0:
         return GROUND if geom["shape"] == "halfspace" else FIXED_COLOUR
-    # Every further round through the palette is lighter.
+    # Each further pass through the palette is lighter.
     return shaded(np.array(PALETTE[k % len(PALETTE)]) / 255, 1.0 + 0.35 * (k // len(PALETTE) % 4))
 
 
 def shape_commands(scene: Json, view: View) -> list[Json]:
-    """Objects of all collision shapes, those that move under the node of their frame."""
+    """Return commands for all collision shapes; moving shapes are under the node of their frame."""
     commands = []
     detail = 32 if len(scene["geoms"]) <= FEW else 16
     for geom in scene["geoms"]:
@@ -57,14 +57,14 @@ def shape_commands(scene: Json, view: View) -> list[Json]:
             commands.append(set_object(path, plane))
             continue
         commands.append(set_object(path, solid(geom, colour(geom), detail)))
-    corners = corner_object(halfspaces(scene["geoms"]), view)  # not those of a recording beside it
+    corners = corner_object(halfspaces(scene["geoms"]), view)  # of this recording only
     return commands + ([set_object("/nsdyn/corners", corners)] if corners else [])
 
 
 def solid(geom: Json, colour: Iterable[float], detail: int, marked: bool = True) -> Json:
-    """Node of a bounded shape where it is placed: a polytope and its edges, or a round one.
+    """Return the node of a bounded shape at its placement: a polytope with its edges, or a round shape.
 
-    Half circles have `detail` sides; a part of a round shape is darker, if it is `marked`.
+    Half circles have `detail` sides; a part of a round shape is darker if it is `marked`.
     """
     children = _nodes(geom, colour, detail, marked)
     return {"type": "Group", "matrix": by_columns(np.array(geom["placement"])), "children": children}
@@ -121,7 +121,7 @@ def _polytope(vertices: Array, faces: list[list[int]], colour: Iterable[float]) 
 
 
 def surface(geometry: Json, colour: Iterable[float]) -> Json:
-    """Node of a geometry of three.js in a colour."""
+    """Return the node of a three.js geometry in a colour."""
     alpha = [*colour, 1.0][3]
     material = {
         "type": "MeshPhongMaterial",

@@ -1,4 +1,4 @@
-"""What a page shows besides the bodies: camera, lights, ground and the planes of half-spaces."""
+"""Parts of a page besides the bodies: camera, lights, ground and the planes of half-spaces."""
 
 from __future__ import annotations
 
@@ -37,24 +37,25 @@ GROUND = (0.83, 0.845, 0.86)
 FIELD_OF_VIEW = 32.0  # degrees
 
 LINES = {"color": 0.9, "night": 2.2}
-"""How bright the lines of a ground are by its own colour: darker by day, brighter at night, when it is nearly black."""
+"""Brightness of the lines of a ground over its own: darker by day, brighter at night, when it is nearly black."""
 
 OUTLINE, SPANNED = 200, 40
-"""Directions in which the outline of a scene, and of a shape, is taken."""
+"""Number of directions in which the outline of a scene, and of a shape, is computed."""
 
 BESIDE = 2.0
-"""Radii of what moves, so much of which is shown of a larger fixed body: of a pole that a toy goes down."""
+"""Radius of the shown part of a larger fixed body, in radii of the moving bodies: of a pole that a toy goes down."""
 
 MANY, RARE, SMALL = 12, 0.1, 0.7
-"""Of more shapes that move, places where they are for less than a tenth of all their time are left out of the picture
-where it then need show less than 0.7 of the radius: what fell onto a heap, not the corners of a wall."""
+"""With more than MANY moving shapes, the positions farthest out, where shapes are for less than RARE of all their time,
+are left out of the picture if it then needs less than SMALL of the radius: bodies that fall onto a heap, but not the
+corners of a wall."""
 
 BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 20.0}
-"""Moves a surface back in depth, so that lines on it stay whole."""
+"""Shift of a surface backwards in depth, so that it does not hide lines on it."""
 
 
 class View:
-    """Where scenes are: a ball around fixed bodies and what moving ones reach (see `MANY`); camera and sun."""
+    """View of scenes: a ball around fixed bodies and the paths of moving ones (see `MANY`), camera and sun."""
 
     def __init__(self, trajectories: Sequence[Trajectory]) -> None:
         points: list[Array] = []
@@ -62,7 +63,7 @@ class View:
         sizes: list[float] = []
         fixed: list[Bools] = []
         for trajectory in trajectories:
-            every = 1 + trajectory.steps // 1000  # enough to see where a body goes
+            every = 1 + trajectory.steps // 1000  # enough to cover the path of a body
             motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
             for geom in (*trajectory.scene["geoms"], *_visuals(trajectory.scene)):
                 if geom["shape"] == "halfspace":
@@ -79,7 +80,7 @@ class View:
                     fixed.append(np.full(len(points[-1]), not moves))
                 sizes += [_radius(geom)] * moves
         self.planes = halfspaces(geom for trajectory in trajectories for geom in trajectory.scene["geoms"])
-        # Where there is nothing, the unit ball.
+        # The unit ball for an empty scene.
         x, r = np.concatenate(points or [np.zeros((1, 3))]), np.concatenate(reach or [np.ones(1)])[:, None]
         held = np.concatenate(fixed or [np.zeros(1, dtype=bool)])[:, None]
         often = _often(x, r, held[:, 0]) if len(sizes) > MANY else slice(None)
@@ -87,7 +88,7 @@ class View:
         self.centre, self.radius = _ball(x, r)
         self.body_radius = float(np.median(sizes)) if sizes else self.radius
         self.outline = _outline(x, r)
-        # From the front right, unless that is behind a half-space, which would be seen from its back.
+        # View from the front right, unless the camera would be inside a half-space and see its back.
         azimuths = np.radians([35.0, -35.0, 215.0, 145.0])
         cameras = [self._camera(a, x - self.centre, r[:, 0]) for a in azimuths]
         outside = [min([0.0, *(float(n @ eye) - d for n, d in self.planes)]) for eye in cameras]
@@ -96,7 +97,7 @@ class View:
         self.sun = self.centre + 4.0 * self.radius * _direction(azimuths[best] - 1.1, 0.9)
 
     def _camera(self, azimuth: float, x: Array, r: Array) -> Array:
-        """Position from which all balls are in the picture, also in one a third wider than high."""
+        """Return a camera position from which all balls are in a picture with width to height of 4/3 or more."""
         back = _direction(azimuth, 0.3)
         right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
         up = np.cross(back, right)
@@ -107,13 +108,13 @@ class View:
 
 
 def _ball(x: Array, r: Array) -> tuple[Array, float]:
-    """Centre and radius of the ball around the box that holds balls."""
+    """Return centre and radius of the ball around the bounding box of balls."""
     lower, upper = (x - r).min(axis=0), (x + r).max(axis=0)
     return 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
 
 
 def _often(x: Array, r: Array, fixed: Bools) -> Bools:
-    """Which balls are to be in the picture: all fixed ones, and moving ones as `MANY` says."""
+    """Return which balls must be in the picture: all fixed ones, and moving ones by the rule of `MANY`."""
     away = np.linalg.norm(x - np.median(x[~fixed], axis=0), axis=1)
     near = away <= np.quantile(away[~fixed], 1.0 - RARE)
     moving, most = ~fixed, ~fixed & near
@@ -123,7 +124,7 @@ def _often(x: Array, r: Array, fixed: Bools) -> Bools:
 
 
 def _cut(x: Array, r: Array, fixed: Bools) -> tuple[Array, Array]:
-    """Balls, of which those of large fixed bodies are no larger than is shown, within them and near to what moves."""
+    """Replace balls of large fixed bodies by smaller balls inside them, near the moving bodies (see `BESIDE`)."""
     moving = ~fixed[:, 0]
     if not moving.any():
         return x, r
@@ -135,20 +136,20 @@ def _cut(x: Array, r: Array, fixed: Bools) -> tuple[Array, Array]:
 
 
 def halfspaces(geoms: Iterable[Json]) -> list[tuple[Array, float]]:
-    """Normals and offsets of the half-spaces among shapes, each once."""
+    """Return normals and offsets of the half-spaces among shapes, each once."""
     planes = {(*geom["size"], float(geom["offset"])): None for geom in geoms if geom["shape"] == "halfspace"}
     return [(np.array(normal), offset) for *normal, offset in planes]
 
 
 def _outline(x: Array, r: Array, count: int = OUTLINE) -> Array:
-    """Centres and radii (., 4) of the balls that reach farthest in some of many directions."""
+    """Return centres and radii (., 4) of the balls that reach farthest in at least one of `count` directions."""
     farthest = np.unique([int(np.argmax(x @ d + r[:, 0])) for d in _directions(count)])
     out: Array = np.column_stack([x, r])[farthest]
     return out
 
 
 def _directions(count: int) -> Array:
-    """Unit vectors on a spiral, evenly on the sphere."""
+    """Return unit vectors on a spiral, evenly distributed on the sphere."""
     k = np.arange(count) + 0.5
     z, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + math.sqrt(5.0)) * k
     flat = np.sqrt(1.0 - z * z)
@@ -162,7 +163,7 @@ def _direction(azimuth: float, elevation: float) -> Array:
 
 
 def _visuals(scene: Json) -> list[Json]:
-    """Visual shapes, those of meshes with the corners that reach farthest."""
+    """Return the visual shapes; meshes have only the corners that reach farthest."""
     corners = [from_text(mesh["vertices"], "<f4", 3).astype(float) for mesh in scene.get("meshes", ())]
     ends = [_outline(x, np.zeros((len(x), 1)), SPANNED)[:, :3] for x in corners]
     shapes = scene.get("visuals", ())
@@ -170,7 +171,7 @@ def _visuals(scene: Json) -> list[Json]:
 
 
 def _radius(geom: Json) -> float:
-    """Radius of a ball about the shape's origin that contains it."""
+    """Return the radius of a ball about the shape's origin that contains the shape."""
     size = geom["size"]
     if "vertices" in geom:
         return float(np.linalg.norm(geom["vertices"], axis=1).max())
@@ -180,7 +181,7 @@ def _radius(geom: Json) -> float:
 
 
 def _balls(geom: Json) -> Array:
-    """Centres and radii (., 4), in the axes of a shape, of balls between which it lies."""
+    """Return centres and radii (., 4), in the axes of a shape, of balls that span the shape."""
     size, kind = geom["size"], geom["shape"]
     if "vertices" in geom:
         corners = np.array(geom["vertices"])
@@ -197,11 +198,11 @@ def _balls(geom: Json) -> Array:
 
 
 def stage_commands(view: View) -> list[Json]:
-    """Background, camera and lights, in proportion to the scene."""
+    """Return commands for background, camera and lights, in proportion to the scene."""
     R, camera = view.radius, "/Cameras/default/rotated/<object>"
     shadow = {
         "bias": -0.0002,
-        "normalBias": 3.2 * R / 2048,  # a point of the map; by less, plates would be dotted with their own shadows
+        "normalBias": 3.2 * R / 2048,  # 1 point of the map; with less, plates show dots of their own shadow
         "mapSize": [2048, 2048],
         "camera": {
             "type": "OrthographicCamera",
@@ -232,7 +233,7 @@ def stage_commands(view: View) -> list[Json]:
 
 
 def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view: View) -> Json:
-    """Disc with a grid that fades into the background, seen from outside only; it receives shadows."""
+    """Return a disc with a grid that fades into the background, visible from outside only, with shadows on it."""
     R = view.radius
     foot = view.centre - (normal @ view.centre - offset) * normal
     t1 = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [0.0, 0.0, 1.0], normal)
@@ -260,7 +261,7 @@ def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view
     parts, shadows = [floor], _shadow(normal, offset, view)
     if shadows is not None:
         parts.append(_receiver(frame @ (shadows[0] - foot), shadows[1]))
-    if normal[2] > 0.3:  # no grid on walls: lines, unlike surfaces, would be seen from behind too
+    if normal[2] > 0.3:  # no grid on walls: unlike surfaces, lines are visible from behind too
         reach = 6.0 * R
         grid = _grid(-(frame[:2] @ foot), _round_number(R / 2.5), reach)
         ground = faded(grid, colour, BACKGROUND, rings[-1])
@@ -275,7 +276,7 @@ def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view
 
 
 def _receiver(centre: Array, radius: float) -> Json:
-    """Disc in the plane z = 0 that shows nothing but shadows."""
+    """Return a disc in the plane z = 0 that shows only shadows."""
     return {
         "type": "Mesh",
         "matrix": by_columns(_moved(centre)),
@@ -292,9 +293,9 @@ def _receiver(centre: Array, radius: float) -> Json:
 
 
 def _shadow(normal: Array, offset: float, view: View) -> tuple[Array, float] | None:
-    """Centre and radius of a disc on a half-space with all shadows, which cost time wherever they may be.
+    """Return centre and radius of a disc on a half-space that holds all shadows; its whole area costs drawing time.
 
-    None where the sun is behind the half-space.
+    Return None if the sun is behind the half-space.
     """
     R = view.radius
     rays = (view.centre - view.sun) / np.linalg.norm(view.sun - view.centre)
@@ -317,7 +318,7 @@ def _moved(by: Array) -> Array:
 
 
 def corner_object(planes: Sequence[tuple[Array, float]], view: View) -> Json | None:
-    """Lines along which half-spaces meet, so that a room of them can be told from its background; None if none do."""
+    """Return the lines where half-spaces meet, so that a room stands out from its background; None without lines."""
     ends: list[Array] = []
     for k, (n1, d1) in enumerate(planes):
         for n2, d2 in planes[:k]:
@@ -327,7 +328,7 @@ def corner_object(planes: Sequence[tuple[Array, float]], view: View) -> Json | N
             along /= np.linalg.norm(along)
             point = np.linalg.solve(np.array([n1, n2, along]), [d1, d2, float(along @ view.centre)])
             low, high = -6.0 * view.radius, 6.0 * view.radius
-            for n, d in planes:  # the part that no other covers
+            for n, d in planes:  # the part that no other half-space covers
                 rate, left = float(n @ along), float(n @ point) - d
                 if abs(rate) > 1e-9:
                     low, high = (max(low, -left / rate), high) if rate > 0 else (low, min(high, -left / rate))
@@ -357,6 +358,6 @@ def _grid(origin: Array, step: float, reach: float) -> Array:
 
 
 def _round_number(x: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not above x."""
+    """Return the largest of 1, 2, 5 times a power of ten that is not above x."""
     power = 10.0 ** math.floor(math.log10(x))
     return power * max(k for k in (1.0, 2.0, 5.0) if k * power <= x * (1 + 1e-12))

@@ -1,4 +1,4 @@
-"""What recordings are called: by what tells two of them apart where they are shown beside each other."""
+"""Titles of recordings; recordings shown beside each other are named by the parameters in which they differ."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
 __all__ = ["differing", "document", "labels", "parameters", "words"]
 
 UNTOLD = {"parameters", "command", "checksums"}
-"""Of the attributes of a recording, what is no option of its run."""
+"""Attributes of a recording that are not options of its run."""
 
 SHOWN = {"dt": " s", "theta": "", "impact": "", "solver": ""}
-"""Options that make a motion another, and their units."""
+"""Options that change the motion, and their units."""
 
 
 LONG = 60
-"""Letters of a value; what a longer one has beyond is left out."""
+"""Most characters of a value; longer values are cut."""
 
 
 def differing(a: Trajectory, b: Trajectory) -> dict[str, tuple[Any, Any]]:
-    """Parameters of the scenes and options of the runs that are not equal, by name; None where one has none."""
+    """Return the parameters of the scenes and options of the runs that differ, by name; None for a missing value."""
     one, other = _settings(a), _settings(b)
     names = sorted(one.keys() | other.keys())
     return {name: (one.get(name), other.get(name)) for name in names if one.get(name) != other.get(name)}
 
 
 def labels(shown: list[Trajectory]) -> list[str]:
-    """Names that tell recordings apart; of equal ones what differs, as "mu=0.2", their names if nothing does."""
+    """Return names that distinguish recordings; of equal scenes the differing values, as "mu=0.2", else their names."""
     names = [str(t.meta["scene_name"]) for t in shown]
     if len(set(names)) > 1:
         same = {name: iter(labels([t for t in shown if t.meta["scene_name"] == name])) for name in names}
@@ -49,25 +49,25 @@ def labels(shown: list[Trajectory]) -> list[str]:
 
 
 def document(shown: list[Trajectory]) -> str:
-    """Name of a page: "slide: mu=0.2 | mu=0.5"."""
+    """Return the title of a page: "slide: mu=0.2 | mu=0.5"."""
     names, parts = [str(t.meta["scene_name"]) for t in shown], labels(shown)
     common = f"{names[0]}: " if len(set(names)) == 1 and parts != names else ""
     return common + " | ".join(parts)
 
 
 def parameters(trajectory: Trajectory) -> str:
-    """All parameters of a scene: "mu=0.2, speed=2.0"."""
+    """Return all parameters of a scene: "mu=0.2, speed=2.0"."""
     return ", ".join(f"{name}={_text(value)}" for name, value in _parameters(trajectory).items())
 
 
 def _power(tol: str) -> str:
-    """As "1e-8"."""
+    """Return a tolerance as text, for instance "1e-8"."""
     digits, _, power = f"{float(tol):e}".partition("e")
     return f"{float(digits):g}e{int(power)}"
 
 
 def words(trajectory: Trajectory) -> str:
-    """Step and solver of a run: "steps of 1 ms, contacts solved to 1e-8 m/s by auto, 130 of 200 steps to 1e-4"."""
+    """Describe step and solver: "steps of 1 ms, contacts solved to 1e-8 m/s by auto, 130 of 200 steps to 1e-4"."""
     dt = f"{1e3 * trajectory.dt:g} ms" if trajectory.dt < 1.0 else f"{trajectory.dt:g} s"
     name, tol = re.findall(r"^(\w*)(?:\(tol=([^,)]*))?", str(trajectory.meta.get("solver", "")))[0]
     solved = f", contacts solved{f' to {_power(tol)} m/s' if tol else ''} by {name.lower()}" if name else ""
@@ -75,7 +75,7 @@ def words(trajectory: Trajectory) -> str:
 
 
 def _short_of(trajectory: Trajectory) -> list[str]:
-    """How many steps met a looser tolerance than that of the solver, and how many none."""
+    """Return how many steps met only the solver's looser tolerance, and how many met none."""
     status, steps = trajectory.solver.status, "steps" if trajectory.every == 1 else "recorded steps"
     loose = re.findall(r"loose=([^,)]*)", str(trajectory.meta.get("solver", "")))
     found = {
@@ -86,7 +86,7 @@ def _short_of(trajectory: Trajectory) -> list[str]:
 
 
 def _settings(trajectory: Trajectory) -> dict[str, Any]:
-    """Parameters of the scene and options of the run."""
+    """Return the parameters of the scene and the options of the run."""
     return _parameters(trajectory) | {k: v for k, v in trajectory.meta.items() if k not in UNTOLD}
 
 
@@ -101,7 +101,7 @@ def _text(value: Any) -> str:
 
 
 def _told(name: str, *values: Any) -> list[str]:
-    """One setting of each recording as text, with as many digits as tell them apart."""
+    """Return one setting of each recording as text, with enough digits to distinguish the values."""
     if name in ("solver", "impact"):
         kinds, inner = zip(*(re.findall(r"^(\w*)\(?(.*?)\)?$", str(value), re.S)[0] for value in values), strict=True)
         if len(set(kinds)) > 1:

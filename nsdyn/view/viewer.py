@@ -1,9 +1,9 @@
 """A recording as one self-contained web page: meshcat's viewer, the scene, its motion, energies, contacts; no network.
 
 Everything is drawn from the collision shapes of the recording. The 3D part is a list of meshcat commands (set_object,
-set_property) in MessagePack, as in meshcat's `static_html`, but built without its server and with identifiers made from
-names instead of random ones: equal recordings give equal bytes. The rest, in the folder `page`, is the page's own
-script, which reads the arrays made here; the keyframes among them become an animation of meshcat.
+set_property) in MessagePack, as in meshcat's `static_html`. It is built without meshcat's server and with identifiers
+made from names instead of random ones, so that equal recordings give equal bytes. The folder `page` has the page's own
+script, which reads the arrays made in this package and turns the keyframes into an animation of meshcat.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["PageOptions", "html", "write_html"]
 
 
 class PageOptions(TypedDict, total=False):
-    """Keywords of `html`; see there."""
+    """Keywords of `html`."""
 
     fps: float | None
     forces: bool | str
@@ -42,17 +42,17 @@ class PageOptions(TypedDict, total=False):
 
 
 LARGE_PAGE = 50e6
-"""Bytes; browsers get slow."""
+"""Size of a page, bytes, above which a warning is given: browsers get slow."""
 
 SCRIPTS = (
     "format theme recording clock timeline sight meshes backs coarse film stage blind overlay chart ledger motion"
     " inspector pane tools main"
 ).split()
-"""Of the folder `page`, in the order of their use."""
+"""Scripts of the folder `page`, in the order of their use."""
 
 
 def write_html(trajectory: Trajectory, path: str | Path, **options: Unpack[PageOptions]) -> None:
-    """Write the page of `html` to a file, which replaces one of that name once complete.
+    """Write the page of `html` to a file; an existing file is replaced once the new one is complete.
 
     Raises
     ------
@@ -73,25 +73,26 @@ def html(
     at: float | None = None,
     beside: Trajectory | Sequence[Trajectory] | None = None,
 ) -> str:
-    """Self-contained page that plays a recording in any browser.
+    """Return a self-contained page that plays a recording in any browser.
 
     Parameters
     ----------
     trajectory : Trajectory
     fps : float, optional
-        Keyframes per second of simulated time, and before and after every impact; the browser interpolates between.
-        By default all states where that makes the page no more than 1 MB larger than 30 would, else 30.
+        Keyframes per second of simulated time, besides keyframes before and after every impact; the browser
+        interpolates between keyframes. Default: all states, if the page is then at most 1 MB larger than with 30 per
+        second, else 30.
     forces : bool or {"pair", "point"}
-        Whether the contact forces are drawn when the page opens, which a button changes. They are the mean since the
-        keyframe before, on the moving body, on body 2 when both move: one for each pair of bodies (False, True,
-        "pair"), or for each contact point. Their 90 % quantile is as long as a fifth of the scene's radius; arrows are
-        cut at twice that.
+        Whether the contact forces are drawn when the page opens; a button changes it. Forces are means since the
+        previous keyframe. They act on the moving body, or on body 2 if both move. There is one for each pair of bodies
+        (False, True, "pair"), or one for each contact point. Their 90 % quantile is as long as a fifth of the scene's
+        radius; arrows are cut at twice this length.
     max_frames : int
         Most keyframes; long recordings get fewer per second.
     at : float, optional
-        Show only the recorded state nearest to this time, s, for a picture: without controls.
+        Show only the recorded state nearest to this time, s, without controls, for a picture.
     beside : Trajectory or sequence of them, optional
-        More recordings, shown beside the first on the same clock and from the same place.
+        More recordings, shown beside the first with the same clock and the same camera.
 
     Raises
     ------
@@ -101,13 +102,13 @@ def html(
     Warns
     -----
     UserWarning
-        If the page has over 50 MB.
+        If the page has more than 50 MB.
     """
     if not isinstance(forces, bool):
         choice(forces, ("pair", "point"), "forces")
     shown = [(trajectory, at)]
     for other in beside if isinstance(beside, Sequence) else [beside] if beside is not None else []:
-        # Before it begins and after it ends it shows its first and last state.
+        # Before its begin and after its end, a recording shows its first or last state.
         shown.append((other, None if at is None else float(np.clip(at, other.t[0], other.t[-1]))))
     trajectories = [t for t, _ in shown]
     view, labels = View(trajectories), titles.labels(trajectories)
@@ -136,7 +137,7 @@ def _part(name: str) -> str:
 
 @lru_cache(maxsize=1)
 def _meshcat_script() -> str:
-    """JavaScript of meshcat's viewer; the package is not imported, for that would load its server."""
+    """Return the JavaScript of meshcat's viewer; the package is not imported, because that would load its server."""
     spec = importlib.util.find_spec("meshcat")
     if spec is None or not spec.submodule_search_locations:
         raise ModuleNotFoundError("the page needs the viewer of the package meshcat: pip install meshcat")

@@ -1,1 +1,1 @@
-"""Scripts that `nsdyn.bench.profiles` and `nsdyn.bench.engines` run in processes of their own: ours, and the peers."""
+"""Scripts of nsdyn and its peers that `nsdyn.bench.profiles` and `nsdyn.bench.engines` run in separate processes."""

@@ -1,8 +1,8 @@
 """Worker of Bullet, run as a script; it runs in the Python that nsdyn runs in.
 
-Variants: ``default``, the world as it comes, damping included; ``cone``, sequential impulses with cones, 1000
-iterations (200 from five bodies on), no slop and no damping; ``dantzig``, its pivoting solver, maximal coordinates, no
-damping.
+Variants: ``default``, the world with default settings, including damping; ``cone``, sequential impulses with cones,
+1000 iterations (200 from five bodies on), no slop and no damping; ``dantzig``, its pivoting solver, maximal
+coordinates, no damping.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from stepping import serve
 
 
 class Simulation:
-    """A physics server in this process, which holds one world at a time."""
+    """A physics server of Bullet in this process, with one world at a time."""
 
     def __init__(self, scene: dict[str, Any], variant: str, dt: float) -> None:
         pybullet.resetSimulation()
@@ -29,7 +29,7 @@ class Simulation:
             )
         if variant == "dantzig":
             pybullet.setPhysicsEngineParameter(constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG)
-        # Of two friction or restitution coefficients it takes the product.
+        # Bullet multiplies the friction or restitution coefficients of two bodies.
         material = {
             "lateralFriction": math.sqrt(scene["mu"]),
             "restitution": math.sqrt(scene["restitution"]),
@@ -50,7 +50,7 @@ class Simulation:
 
     @staticmethod
     def add(body: dict[str, Any], material: dict[str, float], maximal: bool) -> int:
-        """Add a body; Bullet's inertia is that of the shape."""
+        """Add a body; Bullet computes the inertia from the shape."""
         if body["shape"] == "box":
             shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=np.array(body["size"]) / 2)
         else:
@@ -63,18 +63,18 @@ class Simulation:
         return out
 
     def advance(self, steps: int) -> None:
-        """Steps, one call each."""
+        """Take steps, one call each."""
         step = pybullet.stepSimulation
         for _ in range(steps):
             step()
 
     def poses(self) -> Any:
-        """Of the free bodies."""
+        """Return the poses of the free bodies."""
         return [[*position, *turn] for position, turn in map(pybullet.getBasePositionAndOrientation, self.bodies)]
 
 
 def variants(scene: dict[str, Any]) -> list[str]:
-    """Settings that can do the scene."""
+    """Return the settings that can simulate the scene."""
     return ["default", "cone", "dantzig"]
 
 

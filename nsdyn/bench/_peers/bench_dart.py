@@ -1,8 +1,8 @@
 """Worker of DART, run as a script; it runs in the Python that nsdyn runs in.
 
-Variants: ``default``, a world as it comes, where bodies at rest fall asleep; without sleep and with DART's own
-collision detector ``dantzig``, the same pivoting solver with friction in boxes, and ``nsgs``, its Gauss–Seidel solver
-with Coulomb's cones.
+Variants: ``default``, a world with default settings, where bodies at rest are put to sleep. The other two have no sleep
+and DART's own collision detector: ``dantzig``, the same pivoting solver with friction in boxes, and ``nsgs``, its
+Gauss–Seidel solver with Coulomb's cones.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from dartpy import collision, constraint, dynamics, math, simulation
 from stepping import serve
 
-WIDTH, THICKNESS = 20.0, 1.0  # m, of the box that stands for a half-space: the detector is weak on planes
+WIDTH, THICKNESS = 20.0, 1.0  # m, of the box that replaces a half-space: the detector is weak on planes
 
 
 class Simulation:
-    """A world."""
+    """A DART world made from a scene."""
 
     def __init__(self, scene: dict[str, Any], variant: str, dt: float) -> None:
         self.world = simulation.World()
@@ -62,21 +62,21 @@ class Simulation:
 
     @staticmethod
     def give(node: Any, shape: Any, scene: dict[str, Any]) -> None:
-        """Give a body a shape with its material."""
+        """Add a shape with its material to a body."""
         part = node.createShapeNode(shape)
         part.createCollisionAspect()
         part.createDynamicsAspect()
         part.getDynamicsAspect().setFrictionCoeff(scene["mu"])
-        part.getDynamicsAspect().setRestitutionCoeff(scene["restitution"] ** 0.5)  # of the two it takes the product
+        part.getDynamicsAspect().setRestitutionCoeff(scene["restitution"] ** 0.5)  # DART multiplies the two
 
     def advance(self, steps: int) -> None:
-        """Steps, one call each."""
+        """Take steps, one call each."""
         step = self.world.step
         for _ in range(steps):
             step()
 
     def poses(self) -> Any:
-        """Of the free bodies."""
+        """Return the poses of the free bodies."""
         out = []
         for body in self.bodies:
             pose = body.getWorldTransform()
@@ -86,7 +86,7 @@ class Simulation:
 
 
 def turned(normal: Any) -> Any:
-    """Rotation that takes z to a unit normal."""
+    """Return a rotation that takes z to a unit normal."""
     other = np.eye(3)[np.argmin(np.abs(normal))]
     x = np.cross(other, normal)
     x /= np.linalg.norm(x)
@@ -94,7 +94,7 @@ def turned(normal: Any) -> Any:
 
 
 def variants(scene: dict[str, Any]) -> list[str]:
-    """Settings that can do the scene."""
+    """Return the settings that can simulate the scene."""
     return ["default", "dantzig", "nsgs"] if scene["grounds"] else ["default"]
 
 

@@ -1,9 +1,9 @@
 """Worker of Drake, run as a script; it runs in the Python that nsdyn runs in.
 
-Variants: ``default``, a multibody plant as it comes; ``sap``, ``similar`` and ``tamsi``, the contact approximations of
-these names with a stiction tolerance of 1e-6 m/s, relaxation times of one step and stiff contacts: compliant
-hydroelastic boxes of 1e7 Pa, which touch in areas, or spheres of 1e7 N/m, which touch in points; ``rk5``, a continuous
-plant with Runge–Kutta steps of fifth order, where nothing can touch. It has no restitution.
+Variants: ``default``, a multibody plant with default settings; ``sap``, ``similar`` and ``tamsi``, the contact
+approximations of these names with a stiction tolerance of 1e-6 m/s, relaxation times of one step and stiff contacts:
+compliant hydroelastic boxes of 1e7 Pa, which touch in areas, or spheres of 1e7 N/m, which touch in points; ``rk5``, a
+continuous plant with Runge–Kutta steps of fifth order, for scenes without contact. Drake has no restitution.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ STICTION = 1e-6  # m/s
 
 
 class Simulation:
-    """A diagram of one plant."""
+    """A Drake diagram of one plant."""
 
     def __init__(self, scene: dict[str, Any], variant: str, dt: float) -> None:
         builder = DiagramBuilder()
@@ -85,18 +85,18 @@ class Simulation:
         self.plant.RegisterCollisionGeometry(link, RigidTransform(), shape, name, properties)
 
     def advance(self, steps: int) -> None:
-        """Steps in Drake's own loop."""
+        """Take steps in Drake's own loop."""
         self.count += steps
         self.simulator.AdvanceTo(self.count * self.dt)
 
     def poses(self) -> Any:
-        """Of the free bodies; Drake's quaternions begin with w and come before positions."""
+        """Return the poses of the free bodies; Drake's quaternions begin with w and come before positions."""
         q = self.plant.GetPositions(self.context).reshape(-1, 7)
         return q[:, [4, 5, 6, 1, 2, 3, 0]]
 
 
 def material(mu: float, relaxation: float | None) -> ProximityProperties:
-    """Friction, and what a stiff contact needs if a relaxation time is given."""
+    """Return friction, and the properties of a stiff contact if a relaxation time is given."""
     out = ProximityProperties()
     friction = CoulombFriction(mu, mu)
     if relaxation is None:
@@ -108,7 +108,7 @@ def material(mu: float, relaxation: float | None) -> ProximityProperties:
 
 
 def variants(scene: dict[str, Any]) -> list[str]:
-    """Settings that can do the scene."""
+    """Return the settings that can simulate the scene."""
     if scene["restitution"]:
         return []
     return ["default", "sap", "similar", "tamsi"] if scene["grounds"] else ["default", "rk5"]

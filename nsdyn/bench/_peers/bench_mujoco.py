@@ -1,9 +1,9 @@
 """Worker of MuJoCo, run as a script; it runs in the Python that nsdyn runs in.
 
-Variants: ``default``, MuJoCo as it comes; ``elliptic``, elliptic cones with impratio 1e4 and a solver tolerance of
-1e-12; ``stiff``, besides that the stiffest contacts that do not chatter (solref of three steps), and where there is
-restitution one that rebounds as Newton's law says, from a damped spring that holds contact for ten steps; ``rk4`` where
-nothing can touch.
+Variants: ``default``, MuJoCo with default settings; ``elliptic``, elliptic cones with impratio 1e4 and a solver
+tolerance of 1e-12; ``stiff``, in addition the stiffest contacts that do not chatter (solref of three steps), and for
+restitution a damped spring that holds contact for ten steps and rebounds by Newton's law; ``rk4`` for scenes without
+contact.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-MUJOCO_XYZW = [4, 5, 6, 3]  # its quaternions begin with w
+MUJOCO_XYZW = [4, 5, 6, 3]  # MuJoCo's quaternions begin with w
 
 
 class Simulation:
-    """Model and data, stepped in one call."""
+    """Model and data of MuJoCo, stepped in one call."""
 
     def __init__(self, scene: dict[str, Any], variant: str, dt: float) -> None:
         self.model = mujoco.MjModel.from_xml_string(mjcf(scene, variant, dt))
@@ -31,11 +31,11 @@ class Simulation:
             self.data.qvel[6 * k + 3 : 6 * k + 6] = R.reshape(3, 3).T @ body["angular_velocity"]
 
     def advance(self, steps: int) -> None:
-        """Steps in MuJoCo's own loop."""
+        """Take steps in MuJoCo's own loop."""
         mujoco.mj_step(self.model, self.data, nstep=steps)
 
     def poses(self) -> Any:
-        """Of the free bodies; RuntimeError if MuJoCo found the state bad, for then it begins anew."""
+        """Return the poses of the free bodies; RuntimeError after a bad state, for which MuJoCo starts again."""
         bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
         if any(self.data.warning[k].number for k in bad):
             raise RuntimeError("the state is not finite")
@@ -43,14 +43,14 @@ class Simulation:
 
 
 def variants(scene: dict[str, Any]) -> list[str]:
-    """Settings that can do the scene."""
+    """Return the settings that can simulate the scene."""
     if not scene["grounds"]:
         return ["default", "rk4"]
     return ["default", "elliptic", "stiff"]
 
 
 def mjcf(scene: dict[str, Any], variant: str, dt: float) -> str:
-    """Scene as MJCF text."""
+    """Return the scene as MJCF text."""
     options = {"default": "", "rk4": 'integrator="RK4"'}.get(
         variant, 'cone="elliptic" impratio="1e4" tolerance="1e-12"'
     )
@@ -78,12 +78,12 @@ def mjcf(scene: dict[str, Any], variant: str, dt: float) -> str:
 
 
 def text(vector: Any) -> str:
-    """Numbers as MJCF has them, with all their digits."""
+    """Return numbers in the format of MJCF, with all their digits."""
     return " ".join(repr(float(x)) for x in vector)
 
 
 def solref(restitution: float, dt: float) -> str:
-    """Time constant and damping ratio of a contact.
+    """Return time constant and damping ratio of a contact.
 
     A spring with damping ratio ζ rebounds by e = exp(-πζ/√(1 - ζ²)) after half a period π/ω = 10 dt.
     """
@@ -96,5 +96,5 @@ def solref(restitution: float, dt: float) -> str:
 if __name__ == "__main__":
     from stepping import serve
 
-    mujoco.set_mju_user_warning(lambda message: None)  # else it writes a log where the user is
+    mujoco.set_mju_user_warning(lambda message: None)  # else it writes a log to the working folder
     serve(variants, Simulation)

@@ -1,4 +1,4 @@
-"""Worker of our own stepper, run as a script; a variant is a tolerance of the default solver."""
+"""Worker of nsdyn's stepper, run as a script; a variant is a tolerance of the default solver."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ import nsdyn as nd
 from nsdyn.tools.arrays import Array
 
 TOLERANCES = "1e-4", "1e-8"
-WARMING = 10.0  # s spent at most before a scene is timed
+WARMING = 10.0  # most s of simulation before a scene is timed
 
 
 class Simulation:
-    """A stepper, stepped."""
+    """A stepper of nsdyn on a scene."""
 
     def __init__(self, scene: nd.Scene, dt: float, tol: float) -> None:
         self.stepper = nd.Stepper(scene, dt=dt, solver=nd.solvers.Auto(tol=tol))
 
     def advance(self, steps: int) -> None:
-        """Whole steps, each with its ledger and its certificate."""
+        """Take complete steps, each with its ledger and its certificate."""
         for _ in range(steps):
             self.stepper.step()
 
     def poses(self) -> Array:
-        """Of the free bodies."""
+        """Return the poses of the free bodies."""
         return self.stepper.start().q.reshape(-1, 7)
 
 
 def variants(scene: dict[str, Any]) -> list[str]:
-    """Tolerances, for any scene."""
+    """Return the tolerances, which apply to any scene."""
     return [f"tol {tol}" for tol in TOLERANCES]
 
 
 @lru_cache(maxsize=1)
 def load(model: str, parameters: str, gravity: tuple[float, float, float]) -> nd.Scene:
-    """The named scene, simulated for a while, so that nothing is compiled later."""
+    """Return the named scene after a first simulation, so that nothing is compiled later."""
     setup = nd.scenes.setup(model, **json.loads(parameters))
     setup.scene.gravity = np.array(gravity)
     simulation, end = Simulation(setup.scene, setup.dt, 1e-8), time.monotonic() + WARMING
@@ -50,7 +50,7 @@ def load(model: str, parameters: str, gravity: tuple[float, float, float]) -> nd
 
 
 def build(scene: dict[str, Any], variant: str, dt: float) -> Simulation:
-    """Scenes of ours come by name."""
+    """Build a simulation of a scene of nsdyn, given by name."""
     loaded = load(scene["model"], json.dumps(scene["parameters"]), tuple(scene["gravity"]))
     return Simulation(loaded, dt, float(variant.removeprefix("tol ")))
 

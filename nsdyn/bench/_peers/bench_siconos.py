@@ -1,7 +1,7 @@
 """Worker of Siconos, for the system's Python and Debian's python3-siconos; imports nothing of nsdyn.
 
-The objects that ``siconos.io.mechanics_run`` builds, without its files: Moreau–Jean's scheme with θ = 0.50001, contacts
-from Bullet, block Gauss–Seidel. Variants: ``default``, its own settings; ``accurate``, the solver's tolerance at 1e-10
+It builds the objects of ``siconos.io.mechanics_run`` without its files: Moreau–Jean's scheme with θ = 0.50001, contacts
+from Bullet, block Gauss–Seidel. Variants: ``default``, its default settings; ``accurate``, a solver tolerance of 1e-10
 with up to 10 000 sweeps, no perturbed contacts.
 """
 
@@ -17,12 +17,12 @@ from siconos.mechanics.collision import bullet
 from stepping import serve
 
 THETA = 0.50001
-WIDTH, THICKNESS = 20.0, 1.0  # m, of what stands for a half-space
-MARGIN = 0.02  # of a shape's smallest dimension, by which Bullet shrinks it before it looks for contacts
+WIDTH, THICKNESS = 20.0, 1.0  # m, of the box that replaces a half-space
+MARGIN = 0.02  # fraction of a shape's smallest dimension by which Bullet shrinks it to find contacts
 
 
 class Simulation:
-    """A nonsmooth dynamical system and its time-stepping."""
+    """A nonsmooth dynamical system of Siconos and its time-stepping."""
 
     def __init__(self, scene: dict[str, Any], variant: str, dt: float) -> None:
         accurate = variant == "accurate"
@@ -33,7 +33,7 @@ class Simulation:
         manager = bullet.SiconosBulletCollisionManager(options)
         manager.useEqualityConstraints(False)
         manager.insertNonSmoothLaw(sk.NewtonImpactFrictionNSL(scene["restitution"], 0.0, scene["mu"], 3), 0, 0)
-        # Siconos holds some of these without owning them.
+        # Siconos refers to some of the objects without owning them.
         self.kept: list[Any] = [options, manager]
         for ground in scene["grounds"]:
             self.insert(manager, ground)
@@ -56,7 +56,7 @@ class Simulation:
         self.kept += [osi, problem, steps]
 
     def insert(self, manager: Any, ground: dict[str, Any]) -> None:
-        """Add a fixed half-space, a box with z upwards turned to its normal: a plane keeps contacts that are gone."""
+        """Add a fixed half-space as a box whose z axis is its normal: a plane would keep contacts that have ended."""
         normal = np.array(ground["normal"])
         x, y, z = normal
         q = np.array([1.0 + z, -y, x, 0.0]) if z > -1.0 else np.array([0.0, 1.0, 0.0, 0.0])
@@ -90,18 +90,18 @@ class Simulation:
         return out
 
     def advance(self, steps: int) -> None:
-        """The loop of mechanics_run."""
+        """Take steps with the loop of mechanics_run."""
         for _ in range(steps):
             self.stepping.computeOneStep()
             self.stepping.nextStep()
 
     def poses(self) -> Any:
-        """Of the bodies."""
+        """Return the poses of the bodies."""
         return np.array([np.array(body.q())[[0, 1, 2, 4, 5, 6, 3]] for body in self.bodies])
 
 
 def rotation(quaternion: Any) -> Any:
-    """Matrix of a quaternion xyzw."""
+    """Return the rotation matrix of a quaternion xyzw."""
     x, y, z, w = quaternion
     u = np.array([x, y, z])
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -109,7 +109,7 @@ def rotation(quaternion: Any) -> Any:
 
 
 def variants(scene: dict[str, Any]) -> list[str]:
-    """Settings, for any scene."""
+    """Return the settings, which apply to any scene."""
     return ["default", "accurate"]
 
 

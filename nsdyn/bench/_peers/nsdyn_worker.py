@@ -1,4 +1,4 @@
-"""Worker of our own solvers, run as a script."""
+"""Worker of nsdyn's solvers, run as a script."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ read = lru_cache(maxsize=1)(fclib.read)
 
 
 def prepare(path: str, name: str, tol: float) -> Callable[[], Callable[[], tuple[Any, int]]]:
-    """Every call gets a problem that has computed nothing yet, and solvers that remember no contact graph."""
+    """Return a function that gives every call a new problem without computed data, and forgets contact graphs."""
     given, solver = read(path), by_name(name, tol)
 
     def fresh() -> Callable[[], tuple[Any, int]]:

@@ -1,7 +1,7 @@
 """Worker of Pinocchio's own constraint solvers, run as a script on W, q and mu.
 
-A block is ordered (T1, T2, N) and the operator must be symmetric: it gets the symmetric part of W, the judge measures
-with W itself. Only `solve` is timed.
+Pinocchio's blocks are ordered (T1, T2, N), and its operator must be symmetric. It gets the symmetric part of W, while
+`FC3D.error` is measured with W itself. Only `solve` is timed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ DENSE = 60  # contacts up to which a dense operator is faster
 
 
 def settings(solver: str, tol: float) -> Any:
-    """Absolute tolerances; of ADMM the penalty rule that solves most, without a full Lanczos in every solve."""
+    """Return settings: absolute tolerances; for ADMM the penalty rule of `solver`, and no full Lanczos per solve."""
     if solver == "PGS":
         out = pin.PGSSolverSettings()
         out.max_iterations = 10**8
@@ -34,7 +34,7 @@ def settings(solver: str, tol: float) -> Any:
 
 
 def prepare(path: str, solver: str, tol: float) -> Callable[[], Callable[[], tuple[Any, int]]]:
-    """Operator, constraints and solver are built anew for every call."""
+    """Return a function that builds operator, constraints and solver anew for every call."""
     with np.load(path) as file:
         W = sp.csc_matrix(sp.bsr_matrix((file["data"], file["indices"], file["indptr"])))
         q, mu = file["q"], file["mu"]
@@ -70,6 +70,6 @@ def prepare(path: str, solver: str, tol: float) -> Callable[[], Callable[[], tup
     return fresh
 
 
-# PGS puts its matrix on the stack.
+# PGS stores its matrix on the stack.
 resource.setrlimit(resource.RLIMIT_STACK, (resource.getrlimit(resource.RLIMIT_STACK)[1],) * 2)
 serve(prepare, warm=False)

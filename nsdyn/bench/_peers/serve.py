@@ -1,4 +1,4 @@
-"""The loop of a worker: requests on stdin, one JSON object a line; replies on what was stdout.
+"""The loop of a worker: it reads requests on stdin, one JSON object per line, and replies on the original stdout.
 
 Plain Python and NumPy, for any interpreter.
 """
@@ -17,8 +17,8 @@ import numpy as np
 Call = Callable[[], tuple[Any, int]]
 
 REPEAT, SHORT, TOGETHER = 0.05, 1e-3, 20
-"""Seconds for which calls are repeated, below which they are short, and how many of those follow each other at once:
-the first few find nothing in the processor's caches."""
+"""Seconds for which calls are repeated, seconds below which a call is short, and number of short calls in direct
+succession, because the first few find the processor's caches empty."""
 
 
 def serve(prepare: Callable[..., Callable[[], Call]], warm: bool) -> None:
@@ -27,15 +27,16 @@ def serve(prepare: Callable[..., Callable[[], Call]], warm: bool) -> None:
     Parameters
     ----------
     prepare : callable
-        ``prepare(problem, solver, tol)`` returns a function that builds everything afresh and returns the call to be
-        timed, which returns the impulse and the iterations.
+        ``prepare(problem, solver, tol)`` returns a function that builds everything anew and returns the call to be
+        timed. The call returns the impulse and the iterations.
     warm : bool
-        Whether the first call of a request is not counted: it may compile.
+        Whether to ignore the first call of a request, which may compile.
 
     Notes
     -----
-    A call is timed as often as `REPEAT` allows, three times at least, and the best counts; once if it takes more than a
-    second. Before and after each call, or some short ones, a line says so, for whoever watches the clock.
+    A call is timed as often as `REPEAT` allows, at least three times, but only once if it takes more than a second. The
+    best time counts. A line is written before and after each call, or group of short calls, so that the process that
+    reads the replies can apply a time limit.
     """
     replies = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # solvers that print must not garble the replies
@@ -63,5 +64,5 @@ def serve(prepare: Callable[..., Callable[[], Call]], warm: bool) -> None:
                     break
             np.save(request["answer"], r)
             say(seconds=best, iterations=int(iterations))
-        except Exception as failure:  # whatever a peer raises is its result
+        except Exception as failure:  # any error of a peer is its result
             say(failure=f"{type(failure).__name__}: {failure}")

@@ -1,7 +1,7 @@
 """Worker of Siconos's solvers, for the system's Python and Debian's python3-siconos; imports nothing of nsdyn.
 
-A solver is named ``NAME`` or ``NAME/dense``: W in 3 x 3 blocks, Siconos's fast storage, or dense, which wins on small
-problems. Only the driver is timed. ``--list`` prints the names.
+A solver is named ``NAME``, with W in 3 x 3 blocks, Siconos's fast storage, or ``NAME/dense``, with dense W, which is
+faster on small problems. Only the driver is timed. ``--list`` prints the names.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import scipy.sparse as sp
 import siconos.numerics as sn
 from serve import serve
 
-MANY = 10**8  # iterations: the time limit ends what does not converge
+MANY = 10**8  # iterations: the time limit ends solves that do not converge
 
 # Solver, iteration limit, integer options by index, local solver with its tolerance and iterations.
 SOLVERS: dict[str, tuple[str, int, Mapping[int, int], tuple[Any, ...]]] = {
@@ -47,7 +47,7 @@ SOLVERS: dict[str, tuple[str, int, Mapping[int, int], tuple[Any, ...]]] = {
 
 
 def options(name: str, tol: float) -> Any:
-    """Fresh options: a solve modifies them."""
+    """Return new options, because a solve modifies them."""
     solver, iterations, integers, local = SOLVERS[name]
     out = sn.SolverOptions(getattr(sn, f"SICONOS_FRICTION_3D_{solver}"))
     out.dparam[0], out.iparam[0] = tol, iterations
@@ -62,7 +62,7 @@ def options(name: str, tol: float) -> Any:
 
 
 def prepare(path: str, solver: str, tol: float) -> Callable[[], Callable[[], tuple[Any, int]]]:
-    """Problem and options are built anew for every call, since both are modified."""
+    """Return a function that builds problem and options anew for every call, because a solve modifies both."""
     name, _, storage = solver.partition("/")
     with np.load(path) as file:
         W = sp.csc_matrix(sp.bsr_matrix((file["data"], file["indices"], file["indptr"])))

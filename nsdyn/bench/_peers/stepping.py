@@ -1,6 +1,7 @@
-"""The loop of a worker that steps scenes: requests on stdin, one JSON object a line; replies on what was stdout.
+"""The loop of a worker that steps scenes: it reads requests on stdin, one JSON object per line, and writes replies.
 
-Plain Python and NumPy, for any interpreter. A scene is what `nsdyn.bench.cases.describe` makes of it.
+Replies go to the original stdout. Plain Python and NumPy, for any interpreter. A scene is the result of
+`nsdyn.bench.cases.describe`.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-MOST, ENOUGH = 5, 0.2  # runs of one request: at most so many, none more after so many seconds
+MOST, ENOUGH = 5, 0.2  # most runs of one request, and seconds after which no further run begins
 
 
 class Simulation(Protocol):
-    """A scene in an engine."""
+    """A simulation of a scene in an engine."""
 
     def advance(self, steps: int) -> None:
-        """Take steps in the fastest way the engine has; this alone is timed."""
+        """Take steps in the fastest way the engine has; only this method is timed."""
 
     def poses(self) -> Any:
-        """Centres of mass [m] and quaternions xyzw of the free bodies, shape (bodies, 7)."""
+        """Return centres of mass [m] and quaternions xyzw of the free bodies, shape (bodies, 7)."""
 
 
 def serve(variants: Callable[[dict[str, Any]], list[str]], build: Callable[..., Simulation]) -> None:
@@ -34,15 +35,15 @@ def serve(variants: Callable[[dict[str, Any]], list[str]], build: Callable[..., 
     Parameters
     ----------
     variants : callable
-        ``variants(scene)`` returns the names of the settings that can do the scene.
+        ``variants(scene)`` returns the names of the settings that can simulate the scene.
     build : callable
         ``build(scene, variant, dt)`` returns a new `Simulation` at its start.
 
     Notes
     -----
-    A request with a `variant` is run from the start several times; the reply is the median of their times, and the
-    poses at every sample are saved. One without is answered by the variants. With one thread the processor time that is
-    measured is the wall time on an idle machine, and on a busy one it stays so.
+    A request with a `variant` is run from the start several times; the reply is the median of the times, and the poses
+    at every sample are saved. The reply to a request without a `variant` is the list of variants. The processor time is
+    measured: with one thread it equals the wall time on an idle machine, and does not change on a busy one.
     """
     replies = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # engines that print must not garble the replies
@@ -75,5 +76,5 @@ def serve(variants: Callable[[dict[str, Any]], list[str]], build: Callable[..., 
                 times.append(seconds)
             np.save(request["answer"], poses)
             say(seconds=statistics.median(times))
-        except Exception as failure:  # whatever an engine raises is its result
+        except Exception as failure:  # any error of an engine is its result
             say(failure=f"{type(failure).__name__}: {failure}")

@@ -1,1 +1,1 @@
-"""Readers of mesh files, a module for each format."""
+"""Readers of mesh files, one module per format."""

@@ -1,4 +1,4 @@
-"""COLLADA files: what their scene shows, in place.
+"""COLLADA files: the geometry that their scene shows, in its place.
 
 References
 ----------
@@ -19,14 +19,14 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["read"]
 
 DEEPEST = 100
-"""Nodes of a scene inside each other: deeper ones go in a circle."""
+"""Greatest depth of nested nodes in a scene; deeper nodes refer to each other in a circle."""
 
 NONE = np.full(4, np.nan)
 """No colour."""
 
 
 def read(data: bytes) -> tuple[Array, Index, Array]:
-    """Vertices (nv, 3), triangles (nt, 3), their colours (nt, 4), NaN where none; ParseError of what is no XML."""
+    """Return vertices (nv, 3), triangles (nt, 3) and their colours (nt, 4), NaN for none; ParseError if not XML."""
     root = ElementTree.fromstring(data)
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # without the name space
@@ -35,7 +35,7 @@ def read(data: bytes) -> tuple[Array, Index, Array]:
     known = {element.get("id"): element for element in root.iter() if element.get("id")}
 
     def named(element: Element, attribute: str, tag: str) -> Element:
-        """What an element refers to in the same file."""
+        """Return the element of the same file to which an attribute refers."""
         there = known.get((element.get(attribute) or "").removeprefix("#"))
         if there is None or there.tag != tag:
             raise ValueError(f"<{element.tag}> names {element.get(attribute)!r}, which is no <{tag}> of the file")
@@ -63,7 +63,7 @@ def read(data: bytes) -> tuple[Array, Index, Array]:
                     vertices.append(points @ pose[:3, :3].T + pose[:3, 3])
                     triangles.append(corners + count)
                     count, spent = count + len(points), spent + points.size + corners.size
-                    if spent > len(data):  # a number takes two bytes: only what is shown many times comes here
+                    if spent > len(data):  # a number takes two bytes, so only repeated geometry gets here
                         raise ValueError("it shows the same geometry over and over")
 
     for instance in root.iterfind("scene/instance_visual_scene"):
@@ -72,7 +72,7 @@ def read(data: bytes) -> tuple[Array, Index, Array]:
 
 
 def _diffuse(bound: Element, known: Mapping[str | None, Element]) -> Array:
-    """Diffuse red, green, blue and alpha of an <instance_material>, NaN where it has none that can be read."""
+    """Return diffuse red, green, blue and alpha of an <instance_material>, NaN if it has none that can be read."""
     material = known.get((bound.get("target") or "").removeprefix("#"), bound)
     effect = material.find("instance_effect")
     source = known.get(("" if effect is None else effect.get("url") or "").removeprefix("#"), bound)
@@ -81,7 +81,7 @@ def _diffuse(bound: Element, known: Mapping[str | None, Element]) -> Array:
 
 
 def _pose(node: Element) -> Array:
-    """Product of the transformations of a node, in their order."""
+    """Return the product of the transformations of a node, in their order."""
     out = np.eye(4)
     for child in node:
         step = np.eye(4)
@@ -111,7 +111,7 @@ def _pose(node: Element) -> Array:
 def _of_geometry(
     geometry: Element, named: Callable[[Element, str, str], Element]
 ) -> Iterator[tuple[Array, Index, str | None]]:
-    """(vertices, triangles, symbol of their material) of each list of faces of a geometry."""
+    """Yield (vertices, triangles, symbol of their material) for each list of faces of a geometry."""
     mesh = geometry.find("mesh")
     for faces in () if mesh is None else mesh:
         if faces.tag not in ("triangles", "polylist", "polygons"):
@@ -147,7 +147,7 @@ def _of_geometry(
 
 
 def _points(vertices: Element, named: Callable[[Element, str, str], Element]) -> Array:
-    """Positions of <vertices>."""
+    """Return the positions of <vertices>."""
     for entry in vertices.findall("input"):
         if entry.get("semantic") == "POSITION":
             source = named(entry, "source", "source")

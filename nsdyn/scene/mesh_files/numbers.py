@@ -1,4 +1,4 @@
-"""Numbers of mesh files: checked, since they come from strangers, and polygons in triangles."""
+"""Numbers of mesh files, checked because the files may come from anywhere, and polygons cut into triangles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["fans", "numbers", "whole"]
 
 
 def fans(corners: Index, sizes: Index) -> Index:
-    """Triangles of polygons with so many corners each, all corners in a row."""
+    """Cut polygons into triangles; `corners` holds the corners of all polygons in a row, `sizes` their numbers."""
     if sizes.size and sizes.min() < 3:
         raise ValueError(f"its faces must have 3 or more corners, got {sizes.min()}")
     if (sizes == 3).all():
@@ -23,7 +23,7 @@ def fans(corners: Index, sizes: Index) -> Index:
 
 
 def numbers(text: str | bytes | None, what: str) -> Array:
-    """The numbers in a text."""
+    """Return the numbers in a text."""
     try:
         return np.array((text or "").split(), dtype=float)
     except ValueError:
@@ -31,7 +31,7 @@ def numbers(text: str | bytes | None, what: str) -> Array:
 
 
 def whole(values: Array, what: str) -> Index:
-    """The same numbers as integers."""
+    """Return the numbers as integers; ValueError if they are not whole."""
     if not (np.abs(values) < 2**31).all() or (values % 1.0).any():
         raise ValueError(f"{what} must be whole numbers")
     return values.astype(np.int64)

@@ -11,7 +11,7 @@ __all__ = ["read"]
 
 
 def read(data: bytes) -> tuple[Array, Index]:
-    """Vertices (nv, 3) and triangles (nt, 3)."""
+    """Return vertices (nv, 3) and triangles (nt, 3)."""
     vertices: list[float] = []
     corners: list[int] = []
     sizes: list[int] = []

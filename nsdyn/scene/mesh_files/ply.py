@@ -38,7 +38,7 @@ _TYPES = {
 
 
 class _Property(NamedTuple):
-    """Of an element of a PLY file: its type, and the type of its length where it is a list."""
+    """A property of an element of a PLY file: its type, and for a list the type of its length."""
 
     name: str
     kind: str
@@ -46,7 +46,7 @@ class _Property(NamedTuple):
 
 
 def read(data: bytes) -> tuple[Array, Index]:
-    """Vertices (nv, 3) and triangles (nt, 3)."""
+    """Return vertices (nv, 3) and triangles (nt, 3)."""
     header, found, body = data.partition(b"end_header")
     if not data.startswith(b"ply") or not found:
         raise ValueError("it is no PLY: its header does not begin with ply and end with end_header")
@@ -81,17 +81,17 @@ def read(data: bytes) -> tuple[Array, Index]:
 
 
 class _Bytes:
-    """Numbers of a binary file, one after the other."""
+    """Numbers of a binary file, read one after the other."""
 
     def __init__(self, data: bytes, order: str) -> None:
         self.data, self.order, self.at = data, order, 0
 
     def left(self) -> int:
-        """Bytes."""
+        """Return the number of bytes left."""
         return len(self.data) - self.at
 
     def take(self, kind: str, count: int) -> Any:
-        """So many numbers of a kind."""
+        """Return the next `count` numbers of a kind."""
         size = np.dtype(kind).itemsize * count
         if size > self.left():
             raise ValueError("it ends before all its elements")
@@ -101,17 +101,17 @@ class _Bytes:
 
 
 class _Words:
-    """The same of a text."""
+    """Numbers of a text file, read one after the other."""
 
     def __init__(self, data: bytes) -> None:
         self.words, self.at = data.split(), 0
 
     def left(self) -> int:
-        """Words."""
+        """Return the number of words left."""
         return len(self.words) - self.at
 
     def take(self, kind: str, count: int) -> Any:
-        """So many numbers, all as floats."""
+        """Return the next `count` numbers, all as floats."""
         if count > self.left():
             raise ValueError("it ends before all its elements")
         self.at += count
@@ -119,8 +119,8 @@ class _Words:
 
 
 def _columns(source: _Bytes | _Words, element: str, count: int, properties: Sequence[_Property]) -> dict[str, Any]:
-    """Values of each property of an element; of a list (all values, lengths)."""
-    if count > source.left():  # each takes at least a byte, or a word
+    """Return the values of each property of an element; for a list (all values, lengths)."""
+    if count > source.left():  # each element takes at least a byte or a word
         raise ValueError(f"it has {count} of {element} and only {source.left()} bytes or words left")
     kinds = {p.kind for p in properties}
     if len(kinds) == 1 and all(p.length is None for p in properties):

@@ -12,11 +12,11 @@ from nsdyn.tools.arrays import Array, Index
 __all__ = ["binary", "read"]
 
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
-"""Of a binary STL, which begins with 80 bytes of text and the number of its facets in 4."""
+"""Layout of a facet of a binary STL, which begins with 80 bytes of text and 4 bytes for the number of facets."""
 
 
 def read(data: bytes) -> tuple[Array, Index]:
-    """Vertices (nv, 3) and triangles (nt, 3), each with corners of its own."""
+    """Return vertices (nv, 3) and triangles (nt, 3), which share no vertices."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + 50 * count:
         facets = np.frombuffer(data, FACET, count, 84)
@@ -32,7 +32,7 @@ def read(data: bytes) -> tuple[Array, Index]:
 
 
 def binary(vertices: Array, triangles: Index) -> bytes:
-    """A binary STL, whose numbers have seven digits."""
+    """Return a binary STL, with numbers of seven digits."""
     facets = np.zeros(len(triangles), FACET)
     with np.errstate(over="ignore"):
         facets["corners"] = vertices[triangles]

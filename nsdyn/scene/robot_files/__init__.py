@@ -1,4 +1,4 @@
-"""Readers of robot files: each turns one into a `Description` and tells what it left out."""
+"""Readers of robot files: each turns a file into a `Description` and reports the contents that are not used."""
 
 from nsdyn.scene.robot_files.mjcf import read_mjcf
 from nsdyn.scene.robot_files.model import read_model

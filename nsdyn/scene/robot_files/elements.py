@@ -1,4 +1,4 @@
-"""What of a file is read, by element; all else that it has is told by name, so that names of new versions are too."""
+"""Rules for the attributes and children of elements: any that are not read are reported by name, new names too."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ POSE = "pos quat axisangle xyaxes zaxis euler"
 """Attributes of MJCF that place an element."""
 
 WEB = "{http://www.w3.org/"
-"""Begin of attributes that are about the file, as that of its schema."""
+"""Prefix of attributes that are about the file, for instance its schema."""
 
 
 class Rules(NamedTuple):
-    """Attributes and children of an element; those in no list are told as changing the motion.
+    """Rules for attributes and children of an element; names in no list are reported as changing the motion.
 
     Parameters
     ----------
     read : str
-        Names that are used, or told where they would be, or that cannot matter; the elements among them are looked at.
+        Names that are used, that are reported elsewhere, or that cannot matter; elements among them are searched too.
     unused : str
-        Names that change no motion and are told as not used.
+        Names that do not change the motion and are reported as not used.
     missing : str
         Names without which the mechanism is another.
     still : mapping of str to str
-        Values, with | between them, at which any name changes nothing.
+        For any name, the values, separated by |, at which it changes nothing.
     many : str
-        Elements of which there may be several; of others the first counts.
+        Elements that may occur several times; of any other element only the first is used.
     """
 
     read: str = ""
@@ -42,13 +42,13 @@ class Rules(NamedTuple):
 
 
 def changes_nothing(text: str | None, still: str) -> bool:
-    """Whether a text says the same as one of the values in `still`, or no more than its first numbers."""
+    """Whether a text equals one of the values in `still`, or the first numbers of one."""
     given, same = _values(text), [_values(value) for value in still.split("|")]
     return any(given == words[: len(given)] and bool(given) == bool(words) for words in same)
 
 
 def _values(text: str | None) -> list[float | str]:
-    """Words of a text, numbers and truth values as numbers."""
+    """Return the words of a text, with numbers and truth values as numbers."""
     out: list[float | str] = []
     for word in (text or "").lower().split():
         try:
@@ -59,9 +59,9 @@ def _values(text: str | None) -> list[float | str]:
 
 
 def tell(elements: Iterable[Element], table: Mapping[str, Rules], report: Report, key: str = "") -> None:
-    """Note what `elements`, and what is read of their children, have beyond what the table of their format reads.
+    """Note attributes and children of `elements`, and of the children that are read, which `table` does not read.
 
-    Keys of the table are tags, or "parent/tag" where a tag means different things; `key` is that of `elements`.
+    Keys of the table are tags, or "parent/tag" where a tag has several meanings; `key` is the key of `elements`.
     """
     found: dict[tuple[str, str, str], list[str]] = {}
 

@@ -1,4 +1,4 @@
-"""Masses and inertias of links as files give them."""
+"""Checks of the masses and inertias of links in robot files."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from nsdyn.tools.arrays import Array
 __all__ = ["check_mass", "flaw"]
 
 ROUNDING = 1e-2
-"""By which, relative, the triangle inequality may be broken: what files leave that round to two digits."""
+"""Relative violation of the triangle inequality that is allowed, because files may round to two digits."""
 
 
 NOTHING = 1e-15
-"""Moments, kg m², that are the round-off of a program that wrote the file."""
+"""Moments of inertia, kg m², below which they are round-off of the program that wrote the file."""
 
 
 def check_mass(mass: float, where: str) -> float:
-    """A mass that is not negative: links without one are frames."""
+    """Return a mass; ValueError if it is negative. Links without mass are frames."""
     if mass < 0.0:
         raise ValueError(f"mass of {where} must not be negative, got {mass:g}")
     if mass > LARGEST:
@@ -27,13 +27,13 @@ def check_mass(mass: float, where: str) -> float:
 
 
 def flaw(inertia: Array, where: str) -> str | None:
-    """What no body can have in an inertia, shape (3, 3), in words; None for one that a body has, thin ones included."""
+    """Return in words why no body can have an inertia, shape (3, 3); None for a possible one, even of a thin body."""
     if not (np.abs(inertia) <= LARGEST).all():
         raise ValueError(f"inertia of {where} must be at most {LARGEST:g} in size, got {inertia.tolist()}")
     moments = np.linalg.eigvalsh(inertia)
     if np.abs(moments).max() < NOTHING:
         return None
-    # No moment is negative where none exceeds the sum of the others.
+    # If no moment exceeds the sum of the other two, none is negative.
     if moments[0] + moments[1] - moments[2] >= -ROUNDING * moments[2] and moments[2] >= 0.0:
         return None
     what = "are not all positive" if moments[0] < -ROUNDING * moments[2] else "break the triangle inequality"

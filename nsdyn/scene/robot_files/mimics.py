@@ -1,4 +1,4 @@
-"""Pinocchio's mimic joints, as joints with coordinates of their own and gears, whose reaction is then known."""
+"""Pinocchio's mimic joints, converted to joints with their own coordinates and gears, so that reactions are known."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ OF_V = (
 OF_Q = "lowerPositionLimit", "upperPositionLimit"
 
 SAME = 1e-12
-"""How far poses and velocities may be from those of the mimic joint, m and m/s: round-off."""
+"""Round-off allowed in poses and velocities, compared with the mimic joint, m and m/s."""
 
 
 def unfolded(name: str, model: Any) -> tuple[Any, tuple[Gear, ...]]:
-    """A Pinocchio model whose mimic joints q2 = ratio q1 + offset are joints of their own, and their gears.
+    """Return a Pinocchio model with mimic joints q2 = ratio q1 + offset as independent joints, and their gears.
 
     Parameters
     ----------
     name : str
-        Of the articulation, for errors.
+        Name of the articulation, for errors.
     model : pinocchio.Model
-        Itself, and no gears, where it has no mimic joints.
+        Without mimic joints the model itself is returned, and no gears.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def unfolded(name: str, model: Any) -> tuple[Any, tuple[Gear, ...]]:
 
 
 def _copy(model: Any, out: Any, joints: list[int]) -> None:
-    """What some joints have by their coordinates, from one model to the other."""
+    """Copy the values per coordinate of some joints from `model` to `out`."""
     for fields, places, sizes in ((OF_V, "idx_vs", "nvs"), (OF_Q, "idx_qs", "nqs")):
         for field in fields:
             values, given = np.array(getattr(out, field)), np.array(getattr(model, field))
@@ -85,7 +85,7 @@ def _copy(model: Any, out: Any, joints: list[int]) -> None:
 
 
 def _refusal(name: str, joint: str, mimic: Any) -> str:
-    """Why a mimic joint cannot be one of its own."""
+    """Return the reason why a mimic joint cannot become an independent joint."""
     return (
         f"joint {joint!r} of model of {name!r} must be revolute or prismatic with a ratio that is not 0 to mimic "
         f"another, got the ratio {mimic.scaling!r}: build the model without mimic=True and use Scene.add_gear"

@@ -1,8 +1,8 @@
 """MJCF, the format of MuJoCo.
 
-Pinocchio builds the tree, the inertias and the shapes from a file simplified here: one file without includes, classes
-and pictures, every default written out and everything named, under one body without a joint, because Pinocchio reads
-the first tree of a file only.
+Pinocchio builds the tree, the inertias and the shapes. It gets a simplified file: one file without includes, classes
+and pictures, with all defaults written out and every element named. All trees are under one body without a joint,
+because Pinocchio reads only the first tree of a file.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from nsdyn.tools.naming import choice
 __all__ = ["read_mjcf"]
 
 PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
-"""Attributes by which a tendon acts of itself; without them it does what an actuator says."""
+"""Attributes by which a tendon acts by itself; without them it only acts through an actuator."""
 
 ORIENTATIONS = {*POSE.split()} - {"pos"}
-"""Attributes that turn an element: it has one of them."""
+"""Attributes that give an orientation; an element has at most one of them."""
 
 NUMBERS = {*POSE.split(), "axis", "size", "fromto", "ref", "scale", "vertex"}
-"""Attributes that are numbers: Pinocchio takes what is none for anything."""
+"""Attributes that must be numbers: Pinocchio reads other text as arbitrary values."""
 
 CHOICES = {
     "angle": "degree radian",
@@ -52,11 +52,11 @@ CHOICES = {
     "active": "true false",
     "condim": "1 3 4 6",
 } | dict.fromkeys(("limited", "ctrllimited", "forcelimited", "actuatorfrclimited"), "true false auto")
-"""Attributes that are one of some words: what is none of them must not pass for the default."""
+"""Attributes that must be one of some words: an unknown word must not be read as the default."""
 
 
 def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
-    """Description of an MJCF file; its bases are fixed or free as it says, and `keyframe` names its initial state."""
+    """Read an MJCF file; the file decides which bases are fixed or free, and `keyframe` names the initial state."""
     root = _with_includes(name, path, parse(name, path, "MJCF"), {path.resolve()})
     if root.tag != "mujoco":
         raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <mujoco>")
@@ -68,7 +68,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         driven = root.findall("actuator/*")
         geoms, trees = _simplify(root, report)
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
-        # Before Pinocchio builds it: of several joints of one body it makes one, whose tables are as large as that.
+        # Before Pinocchio builds the model: it makes one joint of several on a body, with tables of the same size.
         check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in joints_of(root)))
         model, geometry = _build(root, path)
         check_size(name, model)
@@ -89,7 +89,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         filtered = frozenset(
             frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not geoms.collide(a.name, b.name)
         )
-    except (ValueError, RuntimeError, LookupError) as failure:  # all of them Pinocchio raises
+    except (ValueError, RuntimeError, LookupError) as failure:  # Pinocchio raises all of them
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
     return describe_model(
         model,
@@ -117,7 +117,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
 
 
 def _with_includes(name: str, path: Path, element: Element, seen: set[Path]) -> Element:
-    """Element with the contents of included files, which are named from the folder of the main file, each once."""
+    """Replace includes by the contents of their files; paths are relative to the main file, each file once."""
     for child in list(element):
         if child.tag == "include":
             k = list(element).index(child)
@@ -137,7 +137,7 @@ def _with_includes(name: str, path: Path, element: Element, seen: set[Path]) -> 
 
 
 def _merge(root: Element) -> None:
-    """Make one of sections that come several times, as a file and what it includes may have them."""
+    """Merge sections that occur several times, as in a file and its includes."""
     first: dict[str, Element] = {}
     for section in list(root):
         if first.setdefault(section.tag, section) is not section and section.tag != "default":
@@ -147,7 +147,7 @@ def _merge(root: Element) -> None:
 
 
 def _write_out_defaults(root: Element) -> None:
-    """Give every joint, geom, site and mesh the attributes of its class, and take the classes away."""
+    """Give every joint, geom, site and mesh the attributes of its class, and remove the classes."""
     classes: dict[str, dict[str, dict[str, str]]] = {"main": {}}
 
     def collect(default: Element, parent: str, name: str) -> None:
@@ -181,14 +181,14 @@ def _write_out_defaults(root: Element) -> None:
 
 
 def _over(inherited: dict[str, str], own: dict[str, str]) -> dict[str, str]:
-    """Inherited and own attributes; an own orientation replaces an inherited one, in whatever form both are given."""
+    """Merge inherited and own attributes; an own orientation replaces an inherited one, in any of their forms."""
     if ORIENTATIONS & own.keys():
         inherited = {name: value for name, value in inherited.items() if name not in ORIENTATIONS}
     return inherited | own
 
 
 def _note(root: Element, report: Report) -> None:
-    """Note what is not read, and refuse what is no number."""
+    """Note contents that are not read, and refuse numbers and words that are invalid."""
     tell([root], TABLE, report)
     for element in root.iterfind("tendon/*"):
         notes = report.missing if PASSIVE & element.attrib.keys() else report.dropped
@@ -203,7 +203,7 @@ def _note(root: Element, report: Report) -> None:
 
 
 def _trees(world: Element, moving: set[str]) -> dict[str, str]:
-    """The body of the world that every body hangs on, by name; the world itself where that carries nothing `moving`."""
+    """Return for every body, by name, the top body that carries it; the world if the top body carries no `moving`."""
     out = {WORLD: WORLD}
     for body in world.findall("body"):
         names = {e.get("name", "") for e in body.iter("body")}
@@ -212,7 +212,7 @@ def _trees(world: Element, moving: set[str]) -> dict[str, str]:
 
 
 def _meshes(root: Element) -> dict[str, Element]:
-    """The mesh assets as the file has them, by name; all are named, and their files from the folder of the main one."""
+    """Return the mesh assets by name; give each a name, and paths of files relative to the folder of the main file."""
     compiler, out = root.find("compiler"), {}
     settings = {} if compiler is None else compiler.attrib
     folder = settings.pop("meshdir", settings.pop("assetdir", ""))
@@ -225,7 +225,7 @@ def _meshes(root: Element) -> dict[str, Element]:
 
 
 def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
-    """Keep what Pinocchio reads, all of it named and under one body; returns the geoms and the trees of the bodies."""
+    """Reduce the file to elements that Pinocchio reads, named and under one body; return geoms and trees of bodies."""
     world = root.find("worldbody")
     if world is None:
         raise ValueError("it has no <worldbody>")
@@ -240,12 +240,12 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     by_geoms = any(e.get("inertiafromgeom") == "true" for e in root.iterfind("compiler"))
     bounds = [numbers(e.get("boundmass"), 1, (0.0,), "boundmass of <compiler>") for e in root.iterfind("compiler")]
     trees, geoms = _trees(world, moving), Geoms(_meshes(root), paints)
-    # What is fixed is a body of the scene, whose name no link and no joint has.
+    # Fixed geoms become bodies of the scene, whose names must differ from those of links and joints.
     taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
     tops = world.findall("body")
     for body in [world, *world.iter("body")]:
         where = body.get("name", "")
-        body[:] = sorted(body, key=lambda child: child.tag == "body")  # a body comes before those that it carries
+        body[:] = sorted(body, key=lambda child: child.tag == "body")  # a body comes before the bodies it carries
         for child in list(body):
             if child.tag in MACROS.split():
                 raise ValueError(
@@ -256,14 +256,14 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
             if child.tag == "freejoint" or (child.tag == "joint" and child.get("type") == "free"):
                 if body not in tops:
                     raise ValueError(f"body {where!r} must be at the top of the world to have a free joint")
-                child.attrib.pop("pos", None)  # MuJoCo does not look at it
+                child.attrib.pop("pos", None)  # MuJoCo ignores it
         solids = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
         if where in moving and (by_geoms or body.find("inertial") is None):
             if solids:
                 report.missing.append(f"body {where!r}: inertia of its meshes")
-            if any(bounds):  # Pinocchio bounds what <inertial> says, and does not tell what a body has of its geoms
+            if any(bounds):  # Pinocchio bounds <inertial>, and does not expose the mass that geoms give a body
                 report.missing.append(f"body {where!r}: boundmass where its geoms have less")
-        if trees[where] == WORLD:  # of which only the shapes count; Pinocchio says that a plane has 1 kg
+        if trees[where] == WORLD:  # only its shapes are used; Pinocchio gives a plane 1 kg
             for inertial in body.findall("inertial"):
                 body.remove(inertial)
             ElementTree.SubElement(body, "inertial", {"mass": "0", "pos": "0 0 0", "diaginertia": "0 0 0"})
@@ -283,7 +283,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
 
 
 def _build(root: Element, path: Path) -> tuple[Any, Any]:
-    """(model, geometry) that Pinocchio builds from the simplified file."""
+    """Return (model, geometry) that Pinocchio builds from the simplified file."""
     compiler = root.find("compiler")
     if compiler is None:
         compiler = ElementTree.SubElement(root, "compiler")
@@ -301,7 +301,7 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
 
 
 def _copy_meshes(root: Element, home: Path, scratch: Path) -> None:
-    """Have the meshes of a file in `scratch`, as Pinocchio reads them without doubt; ValueError names their geom."""
+    """Write the meshes of a file to `scratch` in a form that Pinocchio surely reads; ValueError names their geom."""
     users = {geom.get("mesh"): geom.get("name") for geom in root.iter("geom")}
     for number, element in enumerate(root.iter("mesh")):
         name = element.get("name")
@@ -318,7 +318,7 @@ def _copy_meshes(root: Element, home: Path, scratch: Path) -> None:
 
 
 def _flaws(body: Element) -> Iterator[str]:
-    """What no body can have in the inertia of a body, if it has one of its own."""
+    """Yield in words why no body can have the inertia that a body gives in <inertial>."""
     inertial, where = body.find("inertial"), f"body {body.get('name')!r}"
     for geom in body.findall("geom"):
         for attribute in ("mass", "density"):
@@ -334,12 +334,12 @@ def _flaws(body: Element) -> Iterator[str]:
 
 
 def _of_joints(trees: Mapping[str, str], model: Any) -> dict[str, str]:
-    """The trees of the joints, by name: those of the bodies that they carry."""
+    """Return the trees of the joints, by name: the trees of the bodies that they carry."""
     carried = [f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
     return {model.names[f.parentJoint]: trees[f.name] for f in carried}
 
 
 def _excluded(root: Element, known: Mapping[str, str]) -> Iterator[frozenset[str]]:
-    """Pairs of bodies that never touch each other."""
+    """Yield the pairs of bodies that never touch each other."""
     for element in root.iterfind("contact/exclude"):
         yield frozenset(choice(element.get(end, ""), known, f"{end} of an <exclude>") for end in ("body1", "body2"))

@@ -1,4 +1,4 @@
-"""Actuators of an MJCF file on hinges and slides: motors, servos and general ones, without a state of their own."""
+"""Actuators of an MJCF file on hinges and slides: motors, servos and general ones without internal state."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ OWN = {
     "velocity": {"kv"},
     "general": {"gaintype", "biastype", "dyntype", "gainprm", "biasprm"},
 }
-"""What each kind has of its own."""
+"""Attributes that only one kind has."""
 
 USED = {"gear", "ctrllimited", "forcelimited", "ctrlrange", "forcerange"}
-"""What all have, and is read."""
+"""Attributes that all kinds have and that are read."""
 
 SHARED = USED | {"armature", "cranklength", "damping", "delay", "nsample"}
-"""What all have, also where the default of another kind gives it."""
+"""Attributes that all kinds have, also when the default of another kind gives them."""
 
 ACTUATORS = {*DRIVES.split()}
-"""All kinds of MuJoCo."""
+"""All kinds of actuators of MuJoCo."""
 
 HARMLESS = {"name", "joint", "group", "lengthrange", "user", "interp"}
 
 GAINS = {"general": "gainprm", "position": "kp", "velocity": "kv"}
-"""Attributes that are one and the same in MuJoCo: that of general also gives those of the others."""
+"""Attributes that are one gain in MuJoCo: the attribute of general also sets the gain of the other kinds."""
 
 NONE = (-math.inf, math.inf)
 
@@ -48,7 +48,7 @@ def actuators_of(
     autolimits: bool,
     dropped: Notes,
 ) -> tuple[Actuator, ...]:
-    """Actuators, each with a keyframe's control, of the joints at `places`, in q and v; what is not used is noted."""
+    """Return the actuators of the joints at `places`, in q and v, with a keyframe's controls; note unused actuators."""
     out: dict[str, Actuator] = {}
     for element, control in drives:
         joint = element.get("joint", "")
@@ -87,7 +87,7 @@ def actuators_of(
 
 
 def of_other_kinds(tag: str, given: Mapping[str, str], defaults: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """What the defaults of other kinds of actuators say of one that is `given`; under their name a gain, to be told."""
+    """Return attributes of a `given` actuator from the defaults of other kinds; a gain gets a name that is reported."""
     out: dict[str, str] = {}
     for other, values in defaults.items():
         if other not in ACTUATORS - {tag}:
@@ -100,7 +100,7 @@ def of_other_kinds(tag: str, given: Mapping[str, str], defaults: Mapping[str, Ma
 
 
 def _unused(element: Element, joint: str, places: Mapping[str, tuple[int, int]]) -> str:
-    """Why an actuator cannot be used, empty if it can."""
+    """Return the reason why an actuator cannot be used, empty if it can."""
     if element.tag not in OWN:
         return f"of kind {element.tag!r}"
     if joint not in places:
@@ -115,7 +115,7 @@ def _unused(element: Element, joint: str, places: Mapping[str, tuple[int, int]])
 
 
 def _read(element: Element, label: str, joint: str, v: int, autolimits: bool) -> Actuator:
-    """An actuator as the file writes it."""
+    """Read an actuator of the file."""
 
     def value(attribute: str, default: float) -> float:
         return float(numbers(element.get(attribute), None, (default,), f"{attribute} of actuator {label!r}")[0])

@@ -1,14 +1,14 @@
-"""What of an MJCF file is read, by element, as MuJoCo's reference names them."""
+"""Rules for the elements of an MJCF file, named as in MuJoCo's reference."""
 
 from nsdyn.scene.robot_files.elements import POSE, Rules
 
 __all__ = ["DRIVES", "MACROS", "TABLE"]
 
 MACROS = "attach composite flexcomp frame plugin replicate"
-"""Elements inside bodies that MuJoCo's compiler replaces by others."""
+"""Elements inside bodies that MuJoCo's compiler replaces by other elements."""
 
 SOFT = {"solref": "0.02 1", "solimp": "0.9 0.95 0.001 0.5 2"}
-"""MuJoCo's law of soft contacts and constraints, which are hard here, where a file does not change it."""
+"""Default values of MuJoCo's law of soft contacts and constraints; in nsdyn both are hard."""
 
 DRIVES = "general motor position velocity intvelocity orientation pid damper cylinder muscle adhesion dcmotor plugin"
 """All kinds of actuators."""
@@ -33,7 +33,7 @@ TABLE = {
     ),
     "default": Rules(f"class {KINDS}", many=KINDS),
     "compiler": Rules(
-        # What is fixed, only seen or written back makes no difference; meshes that shapes are fitted to are refused.
+        # Fixed, only visible or written back parts do not matter; shapes fitted to meshes are refused.
         "angle eulerseq autolimits inertiafromgeom boundmass meshdir assetdir texturedir discardvisual fusestatic "
         "usethread savecanonical savecompiled saveinertial fitaabb lengthrange",
         missing="settotalmass inertiagrouprange",
@@ -50,7 +50,7 @@ TABLE = {
     "option": Rules(
         "flag",
         many="flag",
-        # How MuJoCo computes; magnetic fields are for sensors, o_... for flag override.
+        # Options of MuJoCo's computation; magnetic fields are for sensors, o_... for flag override.
         unused="timestep integrator solver iterations tolerance ls_iterations ls_tolerance noslip_iterations "
         "noslip_tolerance ccd_iterations ccd_tolerance mpr_iterations mpr_tolerance sdf_iterations sdf_initpoints "
         "jacobian apirate sleep_tolerance cone magnetic o_margin o_solref o_solimp o_friction",
@@ -85,7 +85,7 @@ TABLE = {
     ),
     "site": Rules(f"name class group user type size fromto mesh rgba material {POSE}"),
     "asset": Rules("mesh hfield model material", unused="texture skin", many="mesh hfield model material"),
-    # Meshes that are only seen are as they may be.
+    # Meshes that are only visible may have any attributes.
     "mesh of shape": Rules(
         "name class file scale vertex face normal texcoord content_type smoothnormal material inertia",
         still={"refpos": "0 0 0", "refquat": "1 0 0 0", "maxhullvert": "-1"},

@@ -19,7 +19,7 @@ __all__ = ["gears_of", "loops_of"]
 
 
 def loops_of(root: Element, model: Any, q: Array, missing: Notes) -> Iterator[Loop]:
-    """Loops of <connect> and <weld>; where the file gives no second point, they are closed at q."""
+    """Yield the loops of <connect> and <weld>; if the file gives no second point, they are closed at q."""
     frames = {f.name: f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME)}
     data = model.createData()
     pin.forwardKinematics(model, data, q)
@@ -46,7 +46,7 @@ def loops_of(root: Element, model: Any, q: Array, missing: Notes) -> Iterator[Lo
             placement1 = placement1 * pin.XYZQUATToSE3(
                 np.r_[pose[:3], np.roll(pose[3:], -1) / np.linalg.norm(pose[3:])]
             )
-            # It is the anchor, a point of the second body, whose place in the first `relpose` says.
+            # The point is the anchor, fixed in the second body; `relpose` gives its place in the first.
             anchor = numbers(element.get("anchor"), 3, (0, 0, 0), f"anchor of {label!r}")
             placement2 = placement2 * pin.SE3(np.eye(3), anchor)
         if not sites and not pose[3:].any():
@@ -55,9 +55,10 @@ def loops_of(root: Element, model: Any, q: Array, missing: Notes) -> Iterator[Lo
 
 
 def gears_of(root: Element, model: Any, places: Mapping[str, tuple[int, int]], missing: Notes) -> Iterator[Gear]:
-    """Gears of the equalities of joints that are linear; a joint without another is held where it is said to be.
+    """Yield the gears of linear equalities of joints; a joint without a second one is held at the given value.
 
-    They are between deviations from where the file has the joints; `places` in q and v are those of hinges and slides.
+    Equalities relate the deviations of joints from their initial values in the file. `places` are the indices of hinges
+    and slides in q and v.
     """
     zero = model.referenceConfigurations["qpos0"]
     for element in root.iterfind("equality/joint"):

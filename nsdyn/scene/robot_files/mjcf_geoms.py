@@ -1,4 +1,4 @@
-"""Geoms of MJCF as Pinocchio needs them: it reads the sizes that a type has whether they are there or not."""
+"""Geoms of MJCF prepared for Pinocchio, which reads all sizes of a type even if the file does not give them."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from nsdyn.tools.naming import choice
 __all__ = ["Geoms", "mesh_name"]
 
 SIZES = {"plane": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "mesh": 0}
-"""Sizes of the types of geoms that have a shape here."""
+"""Number of sizes of the types of geoms that have a `Shape`."""
 
 MOST = 3
-"""Sizes that MuJoCo takes of any type; at those beyond what the type has it does not look."""
+"""Most sizes that MuJoCo accepts for any type; it ignores sizes that the type does not have."""
 
 SHAPELESS = ("hfield", "sdf")
 
 LONG = ("capsule", "cylinder", "ellipsoid", "box")
-"""Types that may lie between two points; their first size is then the only one."""
+"""Types that two points may define; the first size is then the only one."""
 
 NEAREST = 1e-14
-"""Half a distance of such points, m, below which MuJoCo refuses them."""
+"""Half the distance of the two points, m, below which MuJoCo refuses them."""
 
 
 @dataclass(frozen=True)
 class Geoms:
-    """What the geoms of a file say beside their shapes, by name.
+    """Properties of the geoms of a file besides their shapes, by name.
 
     Attributes
     ----------
     meshes, paints : dict of str to Element
-        The meshes that the file has, and the materials that give colours.
+        Meshes of the file, and materials that give colours.
     looks : dict of str to Look
     masks : dict of str to (int, int)
-        Their contype and conaffinity.
+        contype and conaffinity.
     materials : dict of str to Material
-        Of those that tell one.
+        Materials of the geoms that give one.
     """
 
     meshes: dict[str, Element]
@@ -56,9 +56,9 @@ class Geoms:
     materials: dict[str, Material] = field(default_factory=dict)
 
     def read(self, body: Element, taken: set[str], report: Report) -> None:
-        """Write the geoms of a body out, named and with exact sizes, and remove those without a shape here.
+        """Write out the geoms of a body with names and exact sizes, and remove geoms without a `Shape`.
 
-        `taken` are names that they may not have: one without a name, or with such a one, is called by its number.
+        `taken` are names that geoms may not have: a geom with such a name, or without a name, is named by its number.
         """
         where = body.get("name", "")
         for number, geom in enumerate(body.findall("geom")):
@@ -85,10 +85,10 @@ class Geoms:
             self.masks[label] = masks
             if kind == "mesh" and any(masks):
                 continue
-            if kind == "mesh":  # where it is is that of a ball without mass
+            if kind == "mesh":  # a massless ball for Pinocchio, at the pose of the mesh
                 geom.attrib |= {"type": "sphere", "size": "1", "mass": "0"}
                 del geom.attrib["mesh"]
-            # Pinocchio leaves the mass of a geom that touches nothing out; that of a mesh it never counts.
+            # Pinocchio ignores the mass of geoms that touch nothing, and always ignores the mass of a mesh.
             geom.attrib |= {"contype": "1", "conaffinity": "1"}
 
     def collide(self, a: str, b: str) -> bool:
@@ -97,7 +97,7 @@ class Geoms:
         return bool(type1 & affinity2 or type2 & affinity1)
 
     def note_pairs(self, root: Element, report: Report) -> None:
-        """Note <pair>s: missing are those that touch only because of them."""
+        """Note the <pair>s; as missing if the two geoms touch only because of the <pair>."""
         for pair in root.iter("pair"):
             names = pair.get("geom1", ""), pair.get("geom2", "")
             notes: Notes = report.dropped if self.collide(*names) else report.missing
@@ -105,7 +105,7 @@ class Geoms:
 
 
 def mesh_name(mesh: Element) -> str:
-    """Name of an asset: that of its file where it has none of its own."""
+    """Return the name of a mesh asset; without a name, the stem of its file."""
     return mesh.get("name", Path(mesh.get("file", "")).stem)
 
 
@@ -114,7 +114,7 @@ def _mask(geom: Element, attribute: str, label: str) -> int:
 
 
 def _check_mesh(geom: Element, kind: str, label: str, meshes: Mapping[str, Element]) -> None:
-    """ValueError for a mesh that is not among the assets, and one that another shape is fitted to."""
+    """Raise ValueError for a mesh that is not among the assets, and for a shape fitted to a mesh."""
     if kind == "mesh":
         choice(geom.get("mesh", ""), sorted(meshes), f"mesh of geom {label!r}")
     elif "mesh" in geom.attrib:
@@ -122,7 +122,7 @@ def _check_mesh(geom: Element, kind: str, label: str, meshes: Mapping[str, Eleme
 
 
 def _write_size(geom: Element, kind: str, label: str) -> None:
-    """Give a geom as many sizes as its type has, and the pose that its ``fromto`` says; ValueError as MuJoCo's."""
+    """Give a geom all sizes of its type, and the pose of its ``fromto``; ValueError where MuJoCo raises an error."""
     size, between = numbers(geom.get("size"), None, (), f"size of geom {label!r}"), "fromto" in geom.attrib
     if between and kind not in LONG:
         raise ValueError(f"fromto of geom {label!r} must be of a {', '.join(LONG)}, got a {kind}")
@@ -130,7 +130,7 @@ def _write_size(geom: Element, kind: str, label: str) -> None:
     if not needed <= size.size <= MOST:
         wanted = f"{needed} to {MOST}" if needed < MOST else f"{MOST}"
         raise ValueError(f"size of geom {label!r}, a {kind}, must be {wanted} numbers, got {size.size}")
-    # The first two of a plane are how much of it is drawn.
+    # The first two sizes of a plane are the extent that is drawn.
     if (size[2 if kind == "plane" else 0 : needed] <= 0.0).any():
         raise ValueError(f"size of geom {label!r}, a {kind}, must be positive, got {geom.get('size')!r}")
     if between:
@@ -151,7 +151,7 @@ def _write_size(geom: Element, kind: str, label: str) -> None:
 
 
 def _turn(z: Array) -> Array:
-    """Quaternion w x y z of the shortest turn of the z axis to a unit vector, about x where both are parallel."""
+    """Return the quaternion w x y z of the shortest turn from the z axis to a unit vector, about x if parallel."""
     sine = math.hypot(z[0], z[1])
     axis = np.array([-z[1], z[0], 0.0]) / sine if sine > 1e-10 else np.array([1.0, 0.0, 0.0])  # MuJoCo's bound
     angle = 0.5 * math.atan2(sine, z[2])
@@ -163,7 +163,7 @@ def _text(values: Array) -> str:
 
 
 def _material(geom: Element, label: str) -> Material | None:
-    """Material of a geom that gives Coulomb's friction, of sliding; a `condim` of 1 has none."""
+    """Return the material of a geom that gives sliding friction, else None; with a `condim` of 1, mu is 0."""
     if geom.get("condim") == "1":
         return Material(mu=0.0)
     given = geom.get("friction")

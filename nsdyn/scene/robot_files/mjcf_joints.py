@@ -1,7 +1,8 @@
-"""Joints of MJCF files: their places, limits, springs and friction, and where a keyframe puts them.
+"""Joints of MJCF files: their poses, limits, springs and friction, and their positions in a keyframe.
 
-Pinocchio takes the range of a slide for degrees, shifts that of a joint with `ref`, and knows no springs: the values of
-the joints are read here. Of several joints of one body it makes one, whose parts have no names.
+This module reads the values of the joints, because Pinocchio takes the range of a slide for degrees, shifts the range
+of a joint with `ref`, and has no springs. Pinocchio also makes one joint of several joints on one body, and the parts
+have no names.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ COMPOSITE = "JointModelComposite"
 
 
 def joints_of(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
-    """(element, type, its part of q, its part of v) of every joint, in the order of Pinocchio: depth first."""
+    """Yield (element, type, its part of q, its part of v) for every joint, in Pinocchio's depth-first order."""
     q = v = 0
     for element in root.iter():
         if element.tag in ("joint", "freejoint") and "joint1" not in element.attrib:
@@ -41,11 +42,11 @@ def joints_of(root: Element) -> Iterator[tuple[Element, str, slice, slice]]:
 
 
 def place_joints(model: Any) -> None:
-    """Put the joints of a model that Pinocchio built where MuJoCo has them."""
+    """Set the placements of the joints of a model that Pinocchio built to those of MuJoCo."""
     for joint, kind in enumerate(model.joints):
-        if kind.shortname() == FREE:  # Pinocchio turns the position of the body, and leaves the difference here
+        if kind.shortname() == FREE:  # Pinocchio turns the body's position, and leaves the difference
             model.jointPlacements[joint] = pin.SE3.Identity()
-        if kind.shortname() == COMPOSITE:  # of several joints of a body it leaves out the `ref` of the first
+        if kind.shortname() == COMPOSITE:  # Pinocchio omits `ref` of the first of several joints
             first = kind.extract().joints[0]
             moved = first.createData()
             first.calc(moved, np.array(model.referenceConfigurations["qpos0"]))
@@ -53,9 +54,9 @@ def place_joints(model: Any) -> None:
 
 
 def single(root: Element, model: Any, geometry: Any) -> Any:
-    """Pinocchio's model with every joint of the file as one of its own; the shapes of `geometry` go with the last.
+    """Return Pinocchio's model with every joint of the file as a joint of its own.
 
-    Links between the joints of one body have no mass and no body.
+    Shapes of `geometry` move to the last joint of their body. Links between the joints of one body have no mass.
     """
     names = [element.get("name") or f"joint{k}" for k, (element, *_) in enumerate(joints_of(root))]
     if len(names) == model.njoints - 1:
@@ -77,7 +78,7 @@ def single(root: Element, model: Any, geometry: Any) -> Any:
         on = last[frame.parentJoint]
         name = out.names[on] if frame.type == pin.FrameType.JOINT else frame.name
         out.addFrame(pin.Frame(name, on, frame.parentFrame, frame.placement, frame.type), False)
-    for joint in sorted({*range(1, out.njoints)} - {*last}):  # after all others, of which the shapes know the numbers
+    for joint in sorted({*range(1, out.njoints)} - {*last}):  # last: shapes refer to the numbers of the frames before
         out.addJointFrame(joint, 0)
     for shape in geometry.geometryObjects:
         shape.parentJoint = last[shape.parentJoint]
@@ -86,7 +87,7 @@ def single(root: Element, model: Any, geometry: Any) -> Any:
 
 
 def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
-    """Put limits, efforts, damping, friction and armature into the model; returns (stiffness, rest) of the springs."""
+    """Write limits, efforts, damping, friction and armature to the model; return (stiffness, rest) of the springs."""
     compiler = root.find("compiler")
     settings: dict[str, str] = {} if compiler is None else compiler.attrib
     unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
@@ -126,7 +127,7 @@ def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]
                 report.missing.append(f"{label}: range of a {kind} joint")
             if value("stiffness"):
                 report.missing.append(f"{label}: stiffness of a {kind} joint")
-            # Armature is that of a rotor, which no free joint has: along axes that turn it would bend a body's way.
+            # Armature is inertia of a rotor. Free joints have none: along turning axes it would bend a body's path.
             for attribute, values in (("frictionloss", friction), ("armature", armature)):
                 if value(attribute) and kind == "free":
                     report.missing.append(f"{label}: {attribute} of a {kind} joint")
@@ -140,7 +141,7 @@ def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]
 def start_of(
     root: Element, model: Any, keyframe: str | None, drives: int, report: Report
 ) -> tuple[Array, list[float | None]]:
-    """Configuration and controls of a keyframe; else the bodies as they are written, and none."""
+    """Return configuration and controls of a keyframe; without one, the file's configuration and no controls."""
     q: Array = np.array(model.referenceConfigurations["qpos0"])
     controls: list[float | None] = [None] * drives
     keys = {e.get("name", f"key{k}"): e for k, e in enumerate(root.iterfind("keyframe/key"))}

@@ -1,4 +1,4 @@
-"""Orientations of an MJCF file as quaternions: of the other ways to write one Pinocchio takes some for others."""
+"""Orientations of an MJCF file as quaternions: Pinocchio misreads some of the other forms."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["write_quaternions"]
 
 
 def write_quaternions(root: Element) -> None:
-    """Write euler and axisangle out, in the unit and order that the compiler has."""
+    """Replace euler and axisangle by quaternions, in the unit and order that the compiler has."""
     settings: Mapping[str, str] = root.attrib if (compiler := root.find("compiler")) is None else compiler.attrib
     unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
     order = settings.get("eulerseq", "xyz")
@@ -43,7 +43,7 @@ def _about(axis: Array, angle: float) -> Array:
 
 
 def _euler(angles: Array, order: str) -> Array:
-    """Turns about axes that move with the body, where a letter is small, or stay."""
+    """Return the rotation by angles about axes that move with the body (small letters) or stay (capital letters)."""
     out: Array = np.eye(3)
     for letter, angle in zip(order, angles, strict=True):
         turn = _about(np.eye(3)["xyz".index(letter.lower())], angle)

@@ -1,4 +1,4 @@
-"""What MuJoCo's viewer shows of the geoms of an MJCF file: those of the groups 0 to 2, in their colours."""
+"""Visual shapes of an MJCF file: the geoms that MuJoCo's viewer shows, of groups 0 to 2, in their colours."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 __all__ = ["Look", "look_of", "visuals_of"]
 
 SHOWN = 2
-"""Last of the groups that MuJoCo shows unless told otherwise."""
+"""Last group that MuJoCo shows by default."""
 
 
 class Look(NamedTuple):
-    """How a geom looks: its mesh, if it is of one, its colour, if the file gives one, and whether it is shown."""
+    """Appearance of a geom: its mesh, if it has one, its colour, if the file gives one, and whether it is shown."""
 
     mesh: Element | None
     colour: Colour | None
@@ -32,7 +32,7 @@ class Look(NamedTuple):
 
 
 def look_of(geom: Element, label: str, meshes: Mapping[str, Element], materials: Mapping[str, Element]) -> Look:
-    """Look of a geom, of one of the meshes of the file if it is of that type; ValueError for a colour that is none."""
+    """Return the look of a geom, with its mesh if it is of type mesh; ValueError for an invalid colour."""
     mesh = meshes.get(geom.get("mesh", "")) if geom.get("type") == "mesh" else None
     material = materials.get(geom.get("material", ""), geom)
     given = geom.get("rgba", material.get("rgba"))
@@ -47,7 +47,7 @@ def look_of(geom: Element, label: str, meshes: Mapping[str, Element], materials:
 def visuals_of(
     geoms: Geoms, links: Sequence[tuple[Link, str]], geometry: Any, home: Path, notes: Notes
 ) -> tuple[Visual, ...]:
-    """Visual shapes of geoms; none where they would be no more than the collision shapes.
+    """Return the visual shapes of geoms; no shapes if they would equal the collision shapes.
 
     Parameters
     ----------
@@ -55,11 +55,11 @@ def visuals_of(
     links : sequence of (Link, str)
         Geoms as shapes, and their bodies.
     geometry : pinocchio.GeometryModel
-        The same, of a mesh where its file has its origin.
+        The same geoms; the placement of a mesh is the pose of the origin of its file.
     home : Path
         Folder of the file.
     notes : Notes
-        To which goes what is not shown.
+        Receives notes on geoms that are not shown.
     """
     placed, out, more = {g.name: g.placement for g in geometry.geometryObjects}, [], False
     for (label, joint, placement, shape), body in links:

@@ -1,4 +1,4 @@
-"""Pinocchio models made by hand."""
+"""Reader of Pinocchio models made by hand."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from nsdyn.tools.arrays import Array
 __all__ = ["from_coal", "links_of", "read_model"]
 
 UNIT = 1e-12
-"""Round-off of the length of an axis: no joint can be given another one."""
+"""Round-off allowed in the length of an axis, which must be 1."""
 
 
 def read_model(name: str, model: Any, geometry: Any | None) -> Description:
-    """Description of a pinocchio.Model made by hand and its collision shapes, a pinocchio.GeometryModel or None."""
+    """Describe a pinocchio.Model made by hand and its collision shapes, a pinocchio.GeometryModel or None."""
     if not isinstance(model, pin.Model):
         raise ValueError(f"model of {name!r} must be a pinocchio.Model, got {type(model).__name__}")
     if geometry is not None and not isinstance(geometry, pin.GeometryModel):
@@ -44,7 +44,7 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     ]
     if fast:
         dropped.append(f"joint {fast[0]!r}: velocity limit ({len(fast)})")
-    for what, unset in (("DryFriction", 0.0), ("Effort", -np.finfo(float).max)):  # who sets one side means both
+    for what, unset in (("DryFriction", 0.0), ("Effort", -np.finfo(float).max)):  # one side set means both
         lower, upper = (np.array(getattr(model, f"{side}{what}Limit")) for side in ("lower", "upper"))
         if rows := np.flatnonzero((lower != -upper) & (lower != unset)).tolist():
             joint = next(j for j in range(model.njoints) if rows[0] < model.idx_vs[j] + model.nvs[j])
@@ -65,7 +65,7 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
 
 
 def _placed(name: str, model: Any) -> Any:
-    """A copy of a model whose placements are rigid; ValueError where they are far from it."""
+    """Return a copy of a model with its placements made rigid; ValueError if one is far from rigid."""
     model = model.copy()
     for k in range(1, model.njoints):
         what = f"placement of joint {model.names[k]!r} of {name!r}"
@@ -76,7 +76,7 @@ def _placed(name: str, model: Any) -> Any:
 
 
 def _check_axes(name: str, model: Any) -> None:
-    """ValueError for axes that are not of length 1: Pinocchio turns about them by another angle than q."""
+    """Raise ValueError for axes whose length is not 1: Pinocchio would turn about them by another angle than q."""
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
     for k in range(1, model.njoints):
@@ -88,7 +88,7 @@ def _check_axes(name: str, model: Any) -> None:
 
 
 def _check_order(name: str, model: Any) -> None:
-    """ValueError where joints are not depth first, as Pinocchio's mass matrix has them without a word."""
+    """Raise ValueError for joints not in depth-first order, which Pinocchio's mass matrix assumes unchecked."""
     path = [0]
     for joint in range(1, model.njoints):
         while path and path[-1] != model.parents[joint]:
@@ -103,7 +103,7 @@ def _check_order(name: str, model: Any) -> None:
 
 
 def _filtered(geometry: Any | None) -> frozenset[frozenset[str]]:
-    """Pairs of shapes that are not among those that a geometry model lists; none where it lists none."""
+    """Return the pairs of shapes that a geometry model does not list; no pairs if it lists none."""
     if geometry is None or not len(geometry.collisionPairs):
         return frozenset()
     names = [g.name for g in geometry.geometryObjects]
@@ -112,7 +112,7 @@ def _filtered(geometry: Any | None) -> frozenset[frozenset[str]]:
 
 
 def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> tuple[list[Link], list[str]]:
-    """(links, the bodies they belong to) of Pinocchio's geometry objects."""
+    """Return (links, the bodies they belong to) of Pinocchio's geometry objects."""
     links, bodies = [], []
     for g in objects:
         joint = int(g.parentJoint)
@@ -120,18 +120,18 @@ def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> tuple[list[L
             shape, shift = from_coal(g.geometry)
         placement = checks.pose(g.placement, f"placement of shape {g.name!r}")
         links.append(Link(g.name, joint, placement * pin.SE3(np.eye(3), shift), shape))
-        # Objects made by hand often name no frame: then the joint stands for the body.
+        # Objects made by hand often name no frame: the joint then gives the name of the body.
         bodies.append(model.frames[g.parentFrame].name if g.parentFrame < model.nframes else model.names[joint])
     return links, bodies
 
 
 def from_coal(geometry: Any) -> tuple[Shape, Array]:
-    """The Shape of a Coal geometry, as loaders of robot models return it.
+    """Return the Shape of a Coal geometry, as loaders of robot models make it.
 
     Parameters
     ----------
     geometry : coal.CollisionGeometry
-        A primitive, a convex polytope or a triangulated mesh; of the latter the hull is taken, as in `shapes.mesh`.
+        A primitive, a convex polytope or a triangulated mesh; a mesh is replaced by its hull, as in `shapes.mesh`.
 
     Returns
     -------

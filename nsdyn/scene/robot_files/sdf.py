@@ -1,7 +1,7 @@
 """SDF, the format of Gazebo, read without Pinocchio, whose packages come without SDFormat.
 
-A link with several parents closes a loop: it is cut into equal parts, one per parent, which a `Loop` welds together,
-so that every joint of the file is a joint of the tree, with its limits, springs and friction.
+A link with several parents closes a loop. The reader cuts the link into equal parts, one per parent, and a `Loop` welds
+them together. Every joint of the file is then a joint of the tree, with its limits, springs and friction.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from nsdyn.tools.arrays import Array
 __all__ = ["read_sdf"]
 
 FRICTION = "surface/friction/ode"
-"""Where a collision has its coefficients of friction."""
+"""Path of the coefficients of friction in a <collision>."""
 
 
 def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description:
-    """Description of an SDF file with one model; a base that no joint holds is free unless the model is static."""
+    """Read an SDF file with one model; a base that no joint holds is free, unless the model is static."""
     root = parse(name, path, "SDF")
     try:
         if root.tag != "sdf":
@@ -46,12 +46,12 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         if len(found) != 1:
             raise ValueError(f"it must hold one model, got {[m.get('name') for m in found]}")
         reader = _Reader(found[0], [path.parent, *package_dirs])
-        for gravity in root.iterfind("world/gravity"):  # that of the scene counts; 9.8 is SDF's default
+        for gravity in root.iterfind("world/gravity"):  # the scene's is used; 9.8 is SDF's default
             if np.abs(numbers(gravity.text, 3, None, "<gravity>") - (0.0, 0.0, -9.81)).max() > 0.02:
                 reader.report.dropped.append("world: <gravity>")
         tell([root], TABLE, reader.report)
         return reader.description()
-    except (ValueError, RuntimeError) as failure:  # the latter Pinocchio's, of inertias below zero
+    except (ValueError, RuntimeError) as failure:  # Pinocchio's, for negative inertias
         raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, [])}") from None
 
 
@@ -61,7 +61,7 @@ class _Reader:
     def __init__(self, element: Element, folders: Sequence[Path]) -> None:
         self.element, self.folders = element, folders
         self.report = Report()
-        self.static = is_true(element.findtext("static"))  # then all of it is fixed, whatever its joints
+        self.static = is_true(element.findtext("static"))  # if so, all of it is fixed, with any joints
         self.flaws: list[str] = []
         for tag in ("model", "include"):
             if element.find(tag) is not None:
@@ -78,10 +78,10 @@ class _Reader:
         self.joints = [self.frames.joint(e) for e in joints]
         self._note_unused(joints)
         self.model = pin.Model()
-        self.at = {0: pin.SE3.Identity()}  # joint of the model to the pose of its frame in the world, at zero
+        self.at = {0: pin.SE3.Identity()}  # joint -> pose of its frame in the world at zero configuration
         self.base = [np.empty(0)]  # initial q, joint by joint
         self.values: list[tuple[float, ...]] = []  # per coordinate, as `Frames.values_of` returns them
-        self.where: dict[str, int] = {}  # link to its joint of the model
+        self.where: dict[str, int] = {}  # link -> its joint of the model
         self.loops: list[Loop] = []
         self.parts = Counter(j.child for j in self.joints)
         self.shapes: list[Link] = []
@@ -154,7 +154,7 @@ class _Reader:
         )
 
     def _gears(self) -> Iterator[Gear]:
-        """Gears of <mimic>: multiplier times the other's position beyond a reference, and an offset."""
+        """Yield the gears of <mimic>: offset + multiplier * (position of the other joint - reference)."""
         moving = [] if self.static else self.joints
         for joint, k, tag in ((j, k, tag) for j in moving for k, tag in enumerate(AXES[j.kind])):
             for mimic in joint.element.iterfind(f"{tag}/mimic"):
@@ -192,7 +192,7 @@ class _Reader:
         return index
 
     def _add(self, joint: Joint) -> int:
-        """Joint of the model that carries the child; that of the parent if the joint is fixed."""
+        """Add a joint and return the joint of the model that carries the child; for a fixed joint, the parent's."""
         parent = 0 if joint.parent == "world" else self.where[joint.parent]
         if joint.kind == "fixed" or self.static:
             return parent
@@ -219,7 +219,7 @@ class _Reader:
     # -- bodies ------------------------------------------------------------------------------------------------
 
     def _hang(self, link: str, joint: int) -> None:
-        """Put a link on a joint: its frame, the part of its mass that this joint carries, its shapes."""
+        """Attach a link to a joint: its frame, the part of its mass that the joint carries, its shapes."""
         self.where[link] = joint
         element, pose = self.links[link], self.at[joint].actInv(self.frames.pose_of(link))
         self.model.addFrame(pin.Frame(link, joint, 0, pose, pin.FrameType.BODY))
@@ -247,7 +247,7 @@ class _Reader:
                 self.report.unused.append(f"visual of link {link!r}: {failure}")
 
     def _visual(self, link: str, joint: int, pose: Any, visual: Element) -> Iterator[Visual]:
-        """Visual shape of a link, if it is bounded; ValueError for one that is not read."""
+        """Yield the visual shape of a link, if it is bounded; ValueError for a shape that is not read."""
         colour, shift, mesh = None, np.zeros(3), visual.find("geometry/mesh")
         if (paint := visual.findtext("material/diffuse", visual.findtext("material/ambient"))) is not None:
             r, g, b, *a = np.clip(numbers(paint, None, None, "colour"), 0.0, 1.0).tolist()
@@ -265,10 +265,10 @@ class _Reader:
         yield Visual(link, joint, placement, shape, colour)
 
     def _close(self, joint: Joint, index: int) -> None:
-        """Weld the part of a link that a further parent carries to the link."""
+        """Weld the part of a link that another parent carries to the link."""
         self._add_mass(joint.child, index)
         pose, own = self.frames.pose_of(joint.child), self.where[joint.child]
-        if own == index:  # two fixed joints
+        if own == index:  # both joints are fixed
             return
         placements = self.at[own].actInv(pose), self.at[index].actInv(pose)
         self.loops.append(Loop(joint.name, own, placements[0], index, placements[1], "frame"))
@@ -295,7 +295,7 @@ class _Reader:
         self.model.appendBodyToJoint(joint, body, self.at[joint].actInv(centre))
 
     def _shape(self, geometry: Element | None) -> tuple[Shape, Array] | None:
-        """(shape, its origin) of a <geometry>; None for what has no shape here."""
+        """Return (shape, its origin) of a <geometry>; None for a geometry without a `Shape`."""
         if geometry is None or len(geometry) != 1:
             raise ValueError("<geometry> must hold one shape")
         (element,), origin = geometry, np.zeros(3)

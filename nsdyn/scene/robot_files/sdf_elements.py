@@ -1,11 +1,11 @@
-"""What of an SDF file is read, by element, as its specification up to 1.12 names them."""
+"""Rules for the elements of an SDF file, named as in its specification up to 1.12."""
 
 from nsdyn.scene.robot_files.elements import Rules
 
 __all__ = ["TABLE"]
 
 HARD = {"soft_cfm": "0", "soft_erp": "0.2", "kp": "1e12", "kd": "1", "max_vel": "0.01", "min_depth": "0"}
-"""Gazebo's law of contact, which is hard here, where a file does not change it."""
+"""Default values of Gazebo's law of soft contact; in nsdyn contact is hard."""
 
 AXIS = Rules("xyz use_parent_model_frame dynamics limit mimic", still={"initial_position": "0"})
 
@@ -37,7 +37,7 @@ TABLE = {
         still={"gravity": "true", "kinematic": "false", "enable_wind": "false", "self_collide": "false"},
     ),
     "velocity_decay": Rules(still={"linear": "0", "angular": "0"}),
-    # Densities are those of automatic inertias, which are told.
+    # Densities belong to automatic inertias, which are reported.
     "inertial": Rules("auto pose mass inertia density auto_inertia_params fluid_added_mass"),
     "inertia": Rules("ixx iyy izz ixy ixz iyz"),
     "fluid_added_mass": Rules(
@@ -56,7 +56,7 @@ TABLE = {
     "surface/friction": Rules("ode bullet torsional"),
     "friction/ode": Rules("mu mu2", still={"fdir1": "0 0 0", "slip1": "0", "slip2": "0"}),
     "friction/bullet": Rules(still={"friction": "1", "friction2": "1", "fdir1": "0 0 0", "rolling_friction": "0|1"}),
-    # Without a radius there is none, whatever its coefficient.
+    # Without a radius there is no torsional friction, with any coefficient.
     "torsional": Rules("coefficient use_patch_radius ode", still={"patch_radius": "0", "surface_radius": "0"}),
     "torsional/ode": Rules(still={"slip": "0"}),
     "bounce": Rules("threshold", still={"restitution_coefficient": "0"}),

@@ -1,4 +1,4 @@
-"""Frames and joints of an SDF model: where they are, and what their axes say."""
+"""Frames and joints of an SDF model: their poses, and the values of joint axes."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ AXES = {
     "universal": ("axis", "axis2"),
     "revolute2": ("axis", "axis2"),
 }
-"""Axes of the types of joints that are read."""
+"""Axes of the joint types that are read."""
 
 DYNAMICS = "damping", "friction", "spring_stiffness", "spring_reference"
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint of the file; its pose is that of its frame in the world at zero configuration."""
+    """A joint of the file; its pose is the pose of its frame in the world at zero configuration."""
 
     name: str
     kind: str
@@ -51,7 +51,7 @@ class Frames:
         }
 
     def pose_of(self, name: str, seen: tuple[str, ...] = ()) -> Any:
-        """Pose in the world of a link, joint, frame, the model ("__model__") or "world"."""
+        """Return the pose in the world of a link, joint, frame, the model ("__model__") or "world"."""
         if name == "world":
             return pin.SE3.Identity()
         if name in ("__model__", ""):
@@ -67,12 +67,12 @@ class Frames:
         return self.pose_of(relative_to, (*seen, name)) * read_pose(pose)
 
     def pose_in(self, link: str, pose: Element | None) -> Any:
-        """Pose in a link of what is in it, which may be given in any frame."""
+        """Return the pose in a link of an element of the link; `pose` may be relative to any frame."""
         frame = "" if pose is None else pose.get("relative_to", "")
         return (self.pose_of(link).actInv(self.pose_of(frame)) if frame else pin.SE3.Identity()) * read_pose(pose)
 
     def joint(self, element: Element) -> Joint:
-        """A <joint>; ValueError for a type that is not read, and for one that hangs on no link."""
+        """Read a <joint>; ValueError for a type that is not read, and for a joint without a link."""
         name, kind = element.get("name", ""), element.get("type", "")
         if kind not in AXES:
             raise ValueError(f"joint {name!r} is of type {kind!r}; read are {sorted(AXES)}")
@@ -82,7 +82,7 @@ class Frames:
         return Joint(name, kind, parent, child, self.pose_of(name), element)
 
     def _link_of(self, frame: str, joint: str) -> str:
-        """Link that a frame named by a joint is attached to."""
+        """Return the link to which a frame named by a joint is attached."""
         for _ in range(len(self._frames) + 1):
             if frame == "world" or frame in self.links:
                 return frame
@@ -93,7 +93,7 @@ class Frames:
         raise ValueError(f"joint {joint!r} names {frame!r}, which is no link")
 
     def axis(self, joint: Joint, tag: str) -> Array:
-        """Axis in the frame of the joint."""
+        """Return an axis of a joint in the frame of the joint."""
         axis = joint.element.find(f"{tag}/xyz")
         text, frame = (None, None) if axis is None else (axis.text, axis.get("expressed_in"))
         xyz = numbers(text, 3, (0, 0, 1), f"{tag} of joint {joint.name!r}")
@@ -108,7 +108,7 @@ class Frames:
 
     @staticmethod
     def values_of(joint: Joint, tag: str) -> tuple[float, ...]:
-        """(lower, upper, damping, friction, stiffness, rest, effort) of an axis."""
+        """Return (lower, upper, damping, friction, stiffness, rest, effort) of an axis."""
         axis = joint.element.find(tag)
 
         def value(where: str, default: float) -> float:
@@ -116,7 +116,7 @@ class Frames:
             try:
                 if abs(float(text or "")) >= UNLIMITED:
                     return float(np.copysign(np.inf, float(text or "")))
-            except ValueError:  # told below
+            except ValueError:  # `numbers` raises below
                 pass
             return float(numbers(text, 1, (default,), f"{where} of joint {joint.name!r}")[0])
 
@@ -127,7 +127,7 @@ class Frames:
 
 
 def is_true(text: str | None) -> bool:
-    """Whether an element says true; ValueError for other words than SDF has."""
+    """Whether the text of an element is true; ValueError for words that SDF does not have."""
     word = (text or "false").strip().lower()
     if word not in ("true", "1", "false", "0"):
         raise ValueError(f"<static>, <self_collide> and their like must be true or false, got {text!r}")
@@ -135,7 +135,7 @@ def is_true(text: str | None) -> bool:
 
 
 def read_pose(element: Element | None) -> Any:
-    """SE3 of a <pose>: x y z and roll pitch yaw, or a quaternion x y z w."""
+    """Return the SE3 of a <pose>: x y z and roll pitch yaw, or a quaternion x y z w."""
     if element is None or element.text is None:
         return pin.SE3.Identity()
     if element.get("rotation_format") == "quat_xyzw":

@@ -1,4 +1,4 @@
-"""URDF."""
+"""URDF files."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ TABLE = {
     "limit": Rules("lower upper effort velocity"),
     "dynamics": Rules("damping friction"),
     "mimic": Rules("joint multiplier offset"),
-    # What Gazebo adds to a link or joint; contact between links is here where it is not turned off.
+    # Gazebo's additions to a link or joint; self-contact at "true" changes nothing, since links may touch anyway.
     "gazebo": Rules(
         "reference material visual frame",
         many="material visual frame",
@@ -73,14 +73,14 @@ TABLE = {
         },
     ),
 }
-"""What is read of the elements of a URDF; visual shapes are not looked at."""
+"""Rules for the elements of a URDF; visual shapes are not searched."""
 
 
 def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) -> Description:
-    """Description of a URDF file.
+    """Read a URDF file.
 
-    Pinocchio reads links, inertias and joints. The collision shapes are read here: urdfdom, which Pinocchio uses, knows
-    no capsules and drops all shapes of a link that has one.
+    Pinocchio reads links, inertias and joints. This module reads the collision shapes, because urdfdom, which Pinocchio
+    uses, has no capsules and drops all shapes of a link that has one.
     """
     if base not in ("fixed", "free"):
         raise ValueError(f"base of {name!r} must be 'fixed' or 'free', got {base!r}")
@@ -138,7 +138,7 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
 
 
 def _write_angles(name: str, path: Path, root: Element) -> None:
-    """Write quat_xyzw as rpy: urdfdom reads it where the file says a version, and says nothing where it does not."""
+    """Write quat_xyzw as rpy: urdfdom reads it only if the file gives a version, and ignores it silently otherwise."""
     for origin in root.iter("origin"):
         if "quat_xyzw" in origin.attrib:
             x, y, z, w = numbers(origin.attrib.pop("quat_xyzw"), 4, None, f"path of {name!r}: {path}, quat_xyzw")
@@ -147,7 +147,7 @@ def _write_angles(name: str, path: Path, root: Element) -> None:
 
 
 def _note_unread(report: Report, root: Element, joints: Sequence[Element]) -> None:
-    """Note what of a file Pinocchio or nsdyn does not read."""
+    """Note contents of a file that Pinocchio or nsdyn does not read."""
     report.missing.extend(
         f"joint {joint.get('name')!r}: <{e.tag}> of a {joint.get('type')} joint"
         for joint in joints
@@ -161,7 +161,7 @@ def _note_unread(report: Report, root: Element, joints: Sequence[Element]) -> No
 
 
 def _mimics(joints: Sequence[Element], model: Any) -> tuple[Array, tuple[Gear, ...]]:
-    """(zero configuration but for joints that mimic others, gears of <mimic>)."""
+    """Return (zero configuration with mimic joints at the values of their gears, gears of <mimic>)."""
     gears = []
     for joint in joints:
         for mimic in joint.findall("mimic") if joint.get("type") not in ("planar", "floating") else ():
@@ -176,7 +176,7 @@ def _mimics(joints: Sequence[Element], model: Any) -> tuple[Array, tuple[Gear, .
 
 
 def _check_tree(links: Sequence[Element], joints: Sequence[Element]) -> None:
-    """Refuse joints between links that are not there, and links that do not hang on one root."""
+    """Refuse joints between unknown links, and links that are not all connected to one root."""
     names = [e.get("name", "") for e in links]
     parents: dict[str, str] = {}
     for joint in joints:
@@ -200,7 +200,7 @@ def _check_tree(links: Sequence[Element], joints: Sequence[Element]) -> None:
 
 
 def _flaws(link: Element) -> Iterator[str]:
-    """What no body can have in the inertia of a link."""
+    """Yield in words why no body can have the inertia of a link."""
     inertial = link.find("inertial")
     if inertial is None:
         return
@@ -216,7 +216,7 @@ def _flaws(link: Element) -> Iterator[str]:
 
 
 def _pose(origin: Element | None) -> Any:
-    """SE3 of an <origin>: xyz, and rpy about fixed axes."""
+    """Return the SE3 of an <origin>: xyz, and rpy about fixed axes."""
     if origin is None:
         return pin.SE3.Identity()
     rpy = numbers(origin.get("rpy"), 3, (0, 0, 0), "rpy")
@@ -226,7 +226,7 @@ def _pose(origin: Element | None) -> Any:
 def _visual(
     body: str, visual: Element, model: Any, folders: Sequence[Path], colours: Mapping[str | None, Element]
 ) -> Visual:
-    """Visual shape of a body; ValueError for one that is not read."""
+    """Return the visual shape of a body; ValueError for a shape that is not read."""
     frame = model.frames[model.getFrameId(body, pin.FrameType.BODY)]
     geometry, shift = visual.find("geometry"), np.zeros(3)
     mesh = None if geometry is None else geometry.find("mesh")
@@ -241,7 +241,7 @@ def _visual(
 
 
 def _colour(material: Element | None, known: Mapping[str | None, Element]) -> Colour | None:
-    """Colour of a <material>, its own or that of the one it names."""
+    """Return the colour of a <material>: its own, or the colour of the material that it names."""
     if material is None:
         return None
     colour = material.find("color")
@@ -254,7 +254,7 @@ def _colour(material: Element | None, known: Mapping[str | None, Element]) -> Co
 
 
 def _shape(geometry: Element | None, folders: Sequence[Path]) -> tuple[Shape, Array]:
-    """(shape, its origin) of a <geometry>."""
+    """Return (shape, its origin) of a <geometry>."""
     if geometry is None or len(geometry) != 1:
         raise ValueError("<geometry> must hold one shape")
     (shape,), origin = geometry, np.zeros(3)

@@ -1,4 +1,4 @@
-"""What the readers share: XML, notes of what is left out, mesh files."""
+"""Functions shared by the readers: XML, notes of unused contents, mesh files."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from nsdyn.tools.files import is_file
 __all__ = ["UNLIMITED", "Notes", "Report", "inside", "is_limit", "is_range", "mesh_file", "numbers", "parse"]
 
 DEEPEST = 400
-"""Elements inside each other: what reads them calls itself for each, which ends the process at some thousands."""
+"""Greatest depth of nested elements: readers recurse into each, and some thousands of levels end the process."""
 
 UNLIMITED = 1e15
-"""A limit of this size means none: SDF writes 1e16, or the largest number there is."""
+"""A limit of this size means no limit: SDF writes 1e16 or the largest float."""
 
 XACRO = "has xacro macros: expand them first (xacro FILE.urdf.xacro > FILE.urdf)"
 
 
 class Notes(list[str]):
-    """What a reader leaves out, in words."""
+    """Contents of a file that a reader does not use, in words."""
 
     @contextmanager
     def of_warnings(self, where: str) -> Iterator[None]:
-        """Note the warnings given inside instead of showing them one by one."""
+        """Note warnings raised inside the context instead of showing them one by one."""
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             yield
@@ -41,16 +41,16 @@ class Notes(list[str]):
 
 @dataclass(frozen=True)
 class Report:
-    """What a reader leaves out.
+    """Contents of a file that a reader does not use, by their effect.
 
     Attributes
     ----------
     missing : Notes
         Shapes, masses and constraints, without which the mechanism is another.
     dropped : Notes
-        What else changes the motion: forces, drives, coefficients.
+        Other contents that change the motion: forces, drives, coefficients.
     unused : Notes
-        The rest, for instance pictures.
+        Contents that do not change the motion, for instance pictures.
     """
 
     missing: Notes = field(default_factory=Notes)
@@ -58,12 +58,12 @@ class Report:
     unused: Notes = field(default_factory=Notes)
 
     def told(self) -> dict[str, tuple[str, ...]]:
-        """As attributes of a `nsdyn.scene.articulations.Description`."""
+        """Return the notes as attributes of a `nsdyn.scene.articulations.Description`."""
         return {name: tuple(notes) for name, notes in vars(self).items()}
 
 
 def parse(name: str, path: Path, kind: str) -> Element:
-    """Root of an XML file."""
+    """Parse an XML file and return its root."""
     if not is_file(path):
         raise ValueError(f"path of {name!r} must be a file in {kind}, got {str(path)!r}")
     try:
@@ -81,7 +81,7 @@ def parse(name: str, path: Path, kind: str) -> Element:
 
 
 def numbers(text: str | None, count: int | None, default: Sequence[float] | None, what: str) -> Array:
-    """`count` numbers of a text, None for any; `default` where there is no text."""
+    """Parse `count` numbers of a text, any number of them for None; without a text return `default`."""
     if text is None:
         if default is None:
             raise ValueError(f"{what} is missing")
@@ -98,7 +98,7 @@ def numbers(text: str | None, count: int | None, default: Sequence[float] | None
 
 
 def is_limit(text: str | None) -> bool:
-    """Whether a text is a limit: a number above 0 that does not stand for none."""
+    """Whether a text is a limit: a number above 0 and below `UNLIMITED`."""
     try:
         return 0.0 < float(text or 0.0) < UNLIMITED
     except ValueError:
@@ -106,12 +106,12 @@ def is_limit(text: str | None) -> bool:
 
 
 def is_range(text: str | None) -> bool:
-    """Whether a text is a range of MJCF; 0 to 0 stands for none."""
+    """Whether a text is a range of MJCF; 0 to 0 means no range."""
     return any(word.strip("+-0.") for word in (text or "").split())
 
 
 def mesh_file(uri: str, folders: Sequence[Path], remedy: str = "; give its folder in package_dirs") -> Path:
-    """File of ``package://package/rest``, ``model://...``, ``file://...`` or a path, in one of `folders`."""
+    """Find the file of ``package://package/rest``, ``model://...``, ``file://...`` or a path in one of `folders`."""
     scheme, _, rest = uri.rpartition("://")
     if not rest:
         raise ValueError("<mesh> names no file")
@@ -128,7 +128,7 @@ def mesh_file(uri: str, folders: Sequence[Path], remedy: str = "; give its folde
 
 
 def inside(path: Path, given: str, folders: Sequence[Path], what: str) -> Path:
-    """The path, as a file has `given` it: ValueError unless it lies in one of the folders, links followed."""
+    """Return the path, `given` as text in a file; ValueError unless it lies in one of the folders, links followed."""
     if ".." in Path(given).parts:
         raise ValueError(f"{what} must not go up by '..': name it from the folder of the file, or one given")
     if not any(path.resolve().is_relative_to(folder.resolve()) for folder in folders):
