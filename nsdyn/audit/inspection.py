@@ -55,7 +55,7 @@ class Mass:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint coordinate: its value, its range, and the loads on it; units as in `UNITS`, for rotation or translation."""
+    """A joint coordinate: its value, range and loads; units as in `UNITS`, for rotation or translation."""
 
     name: str
     at: float
