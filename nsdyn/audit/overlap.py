@@ -202,8 +202,8 @@ def _across(d: Array, line: Array) -> Array:
 def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> Array:
     """Separation of pairs with a cylinder or an ellipsoid.
 
-    The largest separation lies where three of its kinks meet, on a kink, or off all kinks. All kinks lie on great circles,
-    perpendicular to the edges of polytopes and the axes of cylinders.
+    The largest separation lies where three of its kinks meet, on a kink, or off all kinks. All kinks lie on great
+    circles, perpendicular to the edges of polytopes and the axes of cylinders.
     """
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
     # The line of centres, normals of faces and cross products of edges; kinks meet in the last two.
@@ -278,7 +278,7 @@ def _climb(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Arr
 
 
 def _around(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Array]:
-    """Maximise the separation on the great circles of kinks nearest to n; return value and direction as `_best_along`."""
+    """Maximise the separation on the great circles of kinks nearest to n; return value and place as `_best_along`."""
     m, rows = len(x), np.arange(len(x))
     kinks = np.concatenate([np.broadcast_to(a.edges, (m, *a.edges.shape)), b.edges @ np.swapaxes(R, 1, 2)], axis=1)
     if not kinks.shape[1]:

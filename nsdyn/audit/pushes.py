@@ -27,8 +27,8 @@ UNTIMED = "in what moves impulses and projections acted is not recorded"
 class Pushes(NamedTuple):
     """Impulses on free bodies, one by one, sorted by step, body and time; a contact of two free bodies has two.
 
-    External wrenches are included if they are recorded. So are lifts: displacements by the position projections that end
-    moves. A lift stands after all impulses of its move.
+    External wrenches are included if they are recorded. So are lifts: displacements by the position projections that
+    end moves. A lift stands after all impulses of its move.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class Pushes(NamedTuple):
     def earlier(self, values: Array) -> Array:
         """For each impulse, sum the values of the earlier impulses on its body in its step.
 
-        Differences of one cumulative sum over all impulses would not do: their round-off would hide impulses on light bodies.
+        No differences of a cumulative sum over all impulses are used: their round-off would hide those on light bodies.
         """
         begin, group = together(self.step, self.body)
         rank, out = np.arange(group.size) - begin[group], np.zeros(values.shape)

@@ -44,8 +44,8 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
 def _gaps(poses: Poses, flight: Flight) -> Array:
     """How far gaps are outside the range that the shapes allow at the end of the step, m.
 
-    No point can be nearer than the shapes are. Along a normal other than the true one the shapes may seem nearer. If the
-    point of a contact is not the nearest one, its gap is at most the distance over which both shapes carried it.
+    No point can be nearer than the shapes are. Along a normal other than the true one the shapes may seem nearer. If
+    the point of a contact is not the nearest one, its gap is at most the distance over which both shapes carried it.
     """
     (i, j), step, c, gap = poses.pair, poses.step, poses.contacts, poses.contacts["gap"]
     nearest = apart(poses, i, j, step + 1, exact=True)
@@ -90,9 +90,9 @@ def _travel(poses: Poses, flight: Flight, rows: Index) -> Array:
 def _velocities(poses: Poses, flight: Flight) -> Found:
     """Compare velocities of contacts that have an impulse with those after it.
 
-    In a move with a duration, the recorded velocity is the one predicted for the end of the move. The prediction repeats
-    the change up to the impulse, at most as large as rotation can make it. Contacts without an impulse are left out: they
-    may have a gap, and at its two ends the bodies move differently from the contact point.
+    In a move with a duration, the recorded velocity is the one predicted for the end of the move. The prediction
+    repeats the change up to the impulse, at most as large as rotation can make it. Contacts without an impulse are
+    left out: they may have a gap, and at its two ends the bodies move differently from the contact point.
     """
     t, met, c, step, u = poses.trajectory, flight.met, poses.contacts, poses.step, poses.contacts["u"]
     moves = ~np.isnan(met.after).any(axis=1)

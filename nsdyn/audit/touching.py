@@ -270,7 +270,7 @@ def _round_off(poses: Poses) -> Array:
 
 
 def _rebounding(poses: Poses) -> NDArray[np.bool_]:
-    """Contacts of islands of moving bodies in which, in that step, a contact with restitution separates after impact."""
+    """Contacts of islands of moving bodies in which, in that step, a contact with restitution rebounds."""
     c, step, count = poses.contacts, poses.step + 1, poses.x.shape[1]
     frames = poses.frame[poses.pair]
     first, second = (step * count + frame for frame in frames)
@@ -286,10 +286,7 @@ def _rebounding(poses: Poses) -> NDArray[np.bool_]:
 
 
 def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Found]:
-    """Findings on the places of pairs with an impulse.
-
-    Measured along the normal, from one step before to one step after, and at the time of the impulse.
-    """
+    """Findings on the places of pairs with an impulse, from the step before to the step after, and at the impulse."""
     t, r, step = poses.trajectory, poses.contacts["impulse"], poses.step + 1
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
     i, j, k, n = *poses.pair[:, push], step[push], poses.normal[push]
