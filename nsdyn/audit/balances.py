@@ -108,8 +108,8 @@ def _outside(poses: Poses) -> Array:
 def _motion(poses: Poses, flight: Flight | None) -> Found:
     """Finding on displacements of free bodies beyond those of their velocities and lifts, over all their points, m.
 
-    The reference is the size of the body for a single lift, and for all lifts of a step in which the body moves less than
-    its size. Otherwise the reference is the displacement of the body.
+    The reference is the size of the body for a single lift, and for all lifts of a step in which the body moves less
+    than its size. Otherwise the reference is the displacement of the body.
     """
     t, free, theta = poses.trajectory, poses.free, poses.theta
     q, radius = poses.quaternion[:, :free], _radius(poses)
@@ -148,11 +148,11 @@ def _radius(poses: Poses) -> Array:
 
 
 def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
-    """Findings on lifts: whether free bodies end where flight and lifts bring them, and whether contacts cause the lifts.
+    """Findings on lifts: whether free bodies end where flight and lifts bring them, and whether contacts cause lifts.
 
-    Contacts lift along their normals. Normals turn as bodies roll, so in the middle of a step the part across them may be
-    as large as the part along them. A body squeezed between others moves across almost parallel normals, by their angle
-    times its displacement. A contact that closes only at the end of a step is among those of the next step.
+    Contacts lift along their normals. Normals turn as bodies roll, so in the middle of a step the part across them may
+    be as large as the part along them. A body squeezed between other bodies moves across almost parallel normals, by
+    their angle times its displacement. A contact that closes only at the end of a step is among those of the next step.
     """
     t, free = poses.trajectory, poses.free
     normal, lines = t.columns["contacts/normal"], np.zeros((t.steps, free, 3, 3))

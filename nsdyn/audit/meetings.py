@@ -42,8 +42,8 @@ class Side(NamedTuple):
         return cls(*(np.full(shape, np.nan) for shape in shapes))
 
     @classmethod
-    """Build m bodies that do not move; their poses stay NaN."""
-        """Of m bodies that do not move; where they are is not told."""
+    def still(cls, m: int) -> Side:
+        """Build m bodies that do not move; their poses stay NaN."""
         out = cls.nowhere(m)
         for values in out[2:4]:
             values[:] = 0.0

@@ -65,11 +65,11 @@ def _numerics(poses: Poses) -> Found:
 
 
 def _falls(poses: Poses) -> Array:
-    """Upper bound of the work of gravity in each step beyond its potential, J, (n,): h |g| Σ ‖r‖ over rebounding contacts.
+    """Upper bound of gravity's work in each step beyond its potential, J, (n,): h |g| Σ ‖r‖ over contacts that rebound.
 
-    When impacts are captured, velocities jump at mid-step. The work of a weight then differs from that along the mean of
-    the velocities before and after: by at most half a step times the jump, which is r over the mass of each of the two
-    bodies. The contacts return this energy to the rebounding bodies, which fall throughout the step.
+    When impacts are captured, velocities jump at mid-step. The displacement of a weight then differs from that at the
+    mean of the velocities before and after, by at most half a step times the jump. The jump is r over the mass of each
+    of the two bodies. The contacts return this energy to the rebounding bodies, which fall throughout the step.
     """
     c = poses.contacts
     size = np.linalg.norm(c["impulse"], axis=1) * (c["restitution"] > 0.0)
@@ -97,7 +97,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     doubt = (size + 2.0 * lever) * flight.unsure
     if found is not None:
         doubt = doubt + found.met_doubt
-    # If anything rebounds in a move, all approaching contacts strike first, before the impulses of the rest of the move.
+    # If anything rebounds in a move, all approaching contacts strike before the impulses of the rest of the move act.
     strikes = bouncing(poses) & (r[:, 0] > 0.0) & ~(flight.met.before[:, 0] >= 0.0)
     several = poses.beside(strikes) | by_fremond(poses)
     frames = poses.frame[poses.pair]
@@ -110,7 +110,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     hidden = np.isnan(u).any(axis=1) | (given & (GIVEN not in t.columns))
     blind = poses.beside(hidden | given | (frames >= poses.free).any(axis=0))
     single, joint = ~several & ~hidden, several & ~blind
-    # Weights move bodies on after the impacts of a move. How the impulses split is unknown: all count as working on that.
+    # Weights move bodies on after the impacts of a move. How impulses split is unknown: all may work on that motion.
     fell = 0.5 * c["duration"] * poses.weight * np.hypot(1.0, c["mu"]) * r[:, 0]
     fell[own.all(axis=0)] = 0.0
     speed = np.linalg.norm([flight.met.before, flight.met.after], axis=2).max(axis=0)
