@@ -1,4 +1,4 @@
-"""Audit a recording, from its content alone: is it a motion of rigid bodies with contact and friction?
+"""Audit a recording, from its content alone, as a motion of rigid bodies with contact and friction.
 
 The audit computes everything anew from the recorded shapes, masses, q, v, impulses and works. Its code shares nothing
 with the stepper. `nsdyn.audit.overlap` measures overlaps. The balances of a step follow from the states at its two

@@ -121,7 +121,7 @@ class Poses:
 
     @cached_property
     def instant(self) -> Index:
-        """Number of the instant and of the island of each contact; islands are moving bodies in contact at that instant.
+        """Number of the instant and of the island of each contact; islands are moving bodies in contact then.
 
         The links of an articulation count as one body. With θ = 1 a move acts at the time of the impacts before it, but
         forms an instant of its own.
@@ -189,7 +189,7 @@ class Poses:
         return self.placed(geom, *self.frames(geom, row, self.x, self.quaternion))
 
     def frames(self, geom: Index, row: Index, x: Array, quaternion: Array) -> tuple[Array, Array]:
-        """Poses (m, 3), (m, 4) of the frames of shapes, picked from arrays (rows, frames, ...); 0 if a shape has none."""
+        """Poses (m, 3), (m, 4) of the frames of shapes, from arrays (rows, frames, ...); 0 if there is none."""
         frame, at, turn = self.frame[geom], np.zeros((geom.size, 3)), np.zeros((geom.size, 4))
         moving = frame >= 0
         at[moving], turn[moving] = x[row[moving], frame[moving]], quaternion[row[moving], frame[moving]]

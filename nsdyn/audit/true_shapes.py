@@ -140,7 +140,7 @@ class Solid:
         return point, hessian
 
     def beyond(self, x: Array) -> Array:
-        """Distance of points x (m, 3) from the surface, negative inside, (m,), m; of ellipsoids to first order nearby."""
+        """Distance of points x (m, 3) from the surface, negative inside, (m,), m; ellipsoids: to first order."""
         out: Array
         if self.kind == "cylinder":
             off = np.stack([np.hypot(x[:, 0], x[:, 1]) - self.size[0], np.abs(x[:, 2]) - self.size[1]], axis=1)
