@@ -51,7 +51,7 @@ def check(what: Trajectory | Scene | str | Path, **options: Any) -> Audit | Insp
     Raises
     ------
     ValueError
-    If a file cannot be read (the message names it), or if options do not fit.
+        If a file cannot be read (the message names it), or if options do not fit.
 
     Examples
     --------

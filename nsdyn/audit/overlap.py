@@ -60,7 +60,7 @@ def overlap(shape1: Mapping[str, Any], pose1: ArrayLike, shape2: Mapping[str, An
     Returns
     -------
     float or ndarray, shape (m,)
-    m; never below the true value, and above it by round-off or at most 1e-8 of the smaller shape's size.
+        m; never below the true value, and above it by round-off or at most 1e-8 of the smaller shape's size.
 
     Raises
     ------

@@ -38,7 +38,7 @@ class ACLM(Options):
     max_iter : int
         Passes; the iterations reported are sweeps.
     memory : int
-    Number of differences kept by Anderson's acceleration of the shift; 0 for the plain fixed point.
+        Number of differences kept by Anderson's acceleration of the shift; 0 for the plain fixed point.
 
     References
     ----------

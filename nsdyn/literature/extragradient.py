@@ -26,7 +26,7 @@ class Extragradient(Options):
     max_iter : int
         Iterations.
     rule : {'khobotov', 'solodov-tseng'}
-    Ratio that adapts the step, see `FixedPoint`.
+        Ratio that adapts the step, see `FixedPoint`.
 
     References
     ----------

@@ -81,7 +81,7 @@ class FixedPoint(Options):
     max_iter : int
         Iterations.
     rule : {'khobotov', 'solodov-tseng'}
-    Ratio that adapts the step: ρ‖F(r) - F(r̄)‖/‖r - r̄‖ or ρ (r - r̄)ᵀ(F(r) - F(r̄))/‖r - r̄‖².
+        Ratio that adapts the step: ρ‖F(r) - F(r̄)‖/‖r - r̄‖ or ρ (r - r̄)ᵀ(F(r) - F(r̄))/‖r - r̄‖².
 
     References
     ----------

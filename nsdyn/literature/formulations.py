@@ -337,7 +337,7 @@ def jacobian(problem: FC3D, r: Array, function: str, rho: Any = None) -> sp.csr_
     Raises
     ------
     ValueError
-    For an unknown name; the message lists the known ones.
+        For an unknown name; the message lists the known ones.
     """
     choice(function, sorted(ELEMENTS), "function")
     split = function in ("alart-curnier", "jean-moreau")

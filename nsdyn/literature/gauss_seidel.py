@@ -44,16 +44,16 @@ class GaussSeidel(Options):
         Sweeps.
     local : {'alart-curnier', 'jean-moreau', 'natural', 'fischer-burmeister', 'projection', 'iterated-projection', \
 'exact'}
-    Local solver: semismooth Newton on one of four maps; one step r ← P_K(r - ρ û), or repeated steps with Khobotov's
-    ρ until they settle; or the enumeration of take-off, stick and slip, each in closed form except for one root.
-local_tol : float, optional
-    Tolerance of a local iteration, relative to ‖q‖; by default a tenth of the mean share of one contact in the last
-    measured defect.
-omega : float
-    Relaxation ω in (0, 2): below 1 is under-relaxed.
+        Local solver: semismooth Newton on one of four maps; one step r ← P_K(r - ρ û), or repeated steps with
+        Khobotov's ρ until they settle; or enumeration of take-off, stick and slip, each in closed form but for a root.
+    local_tol : float, optional
+        Tolerance of a local iteration, relative to ‖q‖; by default a tenth of the mean share of one contact in the last
+        measured defect.
+    omega : float
+        Relaxation ω in (0, 2): below 1 is under-relaxed.
         Relaxation ω in (0, 2): below 1 is under-relaxed.
     order : {'given', 'shuffled', 'reshuffled', 'symmetric'}
-    Order of the contacts: as in the problem, random, random in every sweep, or alternately forward and backward.
+        Order of the contacts: as in the problem, random, random in every sweep, or alternately forward and backward.
 
     References
     ----------

@@ -67,13 +67,13 @@ class JointTerms:
     Attributes
     ----------
     limits : ndarray, shape (n, nl)
-    Column ±e_j of every limit that is reached and not being left: the acceleration away from it must be ≥ 0.
+        Column ±e_j of every limit that is reached and not being left: the acceleration away from it must be ≥ 0.
     friction : ndarray, shape (n, nf)
         Column e_j of every joint with dry friction.
     bound : ndarray, shape (nf,)
         τ_c, N m or N.
     slip : ndarray, shape (nf,)
-    Sign of the joint's velocity, 0 for a joint at rest.
+        Sign of the joint's velocity, 0 for a joint at rest.
     """
 
     limits: Array
@@ -94,7 +94,7 @@ class LeastConstraint:
     Attributes
     ----------
     contacts : ContactSet
-    The closed contacts.
+        The closed contacts.
     frame : ndarray, shape (nc, 3, 3)
         Contact frames, rows (n, t1, t2), world axes.
     M : ndarray, shape (n, n)
@@ -104,11 +104,11 @@ class LeastConstraint:
     p : ndarray, shape (3 nc,)
         Ḣᵀ v, m/s².
     slip : ndarray, shape (nc, 2)
-    Direction of u_T of sliding contacts, 0 for sticking ones.
-Z : ndarray, shape (n, ny)
-    Basis of the accelerations that loops and driven joints leave free, ZᵀMZ = I.
-given : ndarray, shape (n,)
-    v̇_p, the acceleration prescribed by loops and driven joints: all admissible accelerations are v̇_p + Z y.
+        Direction of u_T of sliding contacts, 0 for sticking ones.
+    Z : ndarray, shape (n, ny)
+        Basis of the accelerations that loops and driven joints leave free, ZᵀMZ = I.
+    given : ndarray, shape (n,)
+        v̇_p, the acceleration prescribed by loops and driven joints: all admissible accelerations are v̇_p + Z y.
     joints : JointTerms
     """
 
@@ -186,7 +186,7 @@ given : ndarray, shape (n,)
         return np.asarray(self.given + self.Z @ y[:ny])
 
     def dual(self, k: Array) -> Array:
-        """Return the forces of the dual program for bounds k [N], shape (3 nc + nl + nf,): contacts, limits, joint friction.
+        """Return the dual program's forces for bounds k [N], shape (3 nc + nl + nf,): contacts, limits, joint friction.
 
         The bounds give the friction of sliding contacts and moving joints.
         """
@@ -225,7 +225,7 @@ given : ndarray, shape (n,)
         return np.asarray(self.given + self.Z @ (self.Z.T @ pushed))
 
     def impossible(self) -> bool:
-        """Whether no forces allowed by the laws satisfy contacts and limits, with friction opposing any existing slip."""
+        """Whether no forces of the laws satisfy contacts and limits, with friction opposing any existing slip."""
         mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
         nl, nf = joints.limits.shape[1], joints.bound.size
         G, kappa = self._delassus()
@@ -272,15 +272,15 @@ class Acceleration:
     Attributes
     ----------
     existence : Existence
-    If it is not SOLVED, the arrays hold the result for the last bounds.
+        If it is not SOLVED, the arrays hold the result for the last bounds.
     a : ndarray, shape (n,)
         v̇ in the coordinates of `Dynamics`.
     force : ndarray, shape (nc, 3)
         Contact forces γ on body 2, normal first, N.
     relative : ndarray, shape (nc, 3)
-    Relative accelerations of the contacts, m/s²: ‖a_T‖ > 0 at a sticking contact means that it starts to slip.
-limit, friction : ndarray, shapes (nl,), (nf,)
-    Forces of joint limits and of dry joint friction, in the order of `JointTerms`, N m or N.
+        Relative accelerations of the contacts, m/s²: ‖a_T‖ > 0 at a sticking contact means that it starts to slip.
+    limit, friction : ndarray, shapes (nl,), (nf,)
+        Forces of joint limits and of dry joint friction, in the order of `JointTerms`, N m or N.
     problem : LeastConstraint
     """
 
@@ -326,7 +326,7 @@ def accelerations(problem: LeastConstraint, tol: float = 1e-9) -> Acceleration:
     ----------
     problem : LeastConstraint
     tol : float
-    Relative change of the normal forces at which the iteration ends.
+        Relative change of the normal forces at which the iteration ends.
     """
     nc = problem.p.size // 3
     k, omega = np.zeros(nc), 1.0

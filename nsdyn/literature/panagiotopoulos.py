@@ -47,7 +47,7 @@ class Panagiotopoulos(Options):
     max_iter : int
         Alternations; the iterations reported are sweeps.
     memory : int
-    Number of differences kept by Anderson's acceleration of the tangential impulses; 0 for the plain alternation.
+        Number of differences kept by Anderson's acceleration of the tangential impulses; 0 for the plain alternation.
 
     References
     ----------

@@ -28,9 +28,9 @@ class PGS(Options):
     max_iter : int
         Sweeps.
     memory : int
-    Number of differences kept by Anderson's acceleration; 0 gives the plain method.
-patience : int
-    Sweeps after which the solve may be declared stalled, if its rate cannot reach the tolerance within max_iter.
+        Number of differences kept by Anderson's acceleration; 0 gives the plain method.
+    patience : int
+        Sweeps after which the solve may be declared stalled, if its rate cannot reach the tolerance within max_iter.
 
     References
     ----------

@@ -21,7 +21,7 @@ Rule = Literal["adaptive", "error"]
 
 @dataclass(frozen=True)
 class Proximal(Options):
-    """Proximal point algorithm, PPA-NSN: solve the problem with W + α I and q - α r_k by Newton; this gives the next r_k.
+    """Proximal point algorithm, PPA-NSN: solve the problem with W + α I and q - α r_k by Newton for the next r_k.
 
     Strength: redundant contacts at tight tolerances, masonry and stacks; it is the robust method of the paper, as
     W + α I is definite. Weakness: it is slow if α must stay large, as on strongly sliding piles at high friction.
@@ -31,19 +31,19 @@ class Proximal(Options):
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     max_iter : int
-    Total number of factorisations.
-alpha : float
-    First α, times λ_max(W_cc); σ for the rule 'error'.
-rule : {'adaptive', 'error'}
-    'adaptive' divides α by ten when the inner Newton succeeds. 'error' sets σ error^ν with the `FC3D.error` of r_k.
-    Both multiply α by five when Newton fails.
-nu : float
-    Exponent ν of the rule 'error'.
-inner : int
-    Largest number of Newton steps for one proximal step.
-function, search
-    Options of the inner Newton, see `ImpulseNewton`; full steps solve more problems than line searches, which stop
-    at kinks.
+        Total number of factorisations.
+    alpha : float
+        First α, times λ_max(W_cc); σ for the rule 'error'.
+    rule : {'adaptive', 'error'}
+        'adaptive' divides α by ten when the inner Newton succeeds. 'error' sets σ error^ν with the `FC3D.error` of r_k.
+        Both multiply α by five when Newton fails.
+    nu : float
+        Exponent ν of the rule 'error'.
+    inner : int
+        Largest number of Newton steps for one proximal step.
+    function, search
+        Options of the inner Newton, see `ImpulseNewton`; full steps solve more problems than line searches, which stop
+        at kinks.
 
     References
     ----------

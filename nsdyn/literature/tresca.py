@@ -38,9 +38,9 @@ class Tresca(Options):
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     max_iter : int
-    Passes; the iterations reported are sweeps.
-memory : int
-    Number of differences kept by Anderson's acceleration of the bounds; 0 for the plain fixed point.
+        Passes; the iterations reported are sweeps.
+    memory : int
+        Number of differences kept by Anderson's acceleration of the bounds; 0 for the plain fixed point.
 
     References
     ----------

@@ -48,9 +48,9 @@ class Uzawa(Options):
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     max_iter : int
-    Updates of the bounds; the iterations reported are Uzawa's.
+        Updates of the bounds; the iterations reported are Uzawa's.
     step : float
-    Step length times λ_max of the equilibrated W, between 0 and 2.
+        Step length times λ_max of the equilibrated W, between 0 and 2.
 
     References
     ----------

@@ -253,14 +253,14 @@ def sweep(indptr, indices, data, q, mu, scales, order, kind, omega, goal, most, 
     q, r : ndarray, shape (3 nc,)
     mu, scales : ndarray, shape (nc,)
     order : ndarray of int
-    Order in which the contacts are swept.
-kind : int
-    Local solver, as in `solve`.
+        Order in which the contacts are swept.
+    kind : int
+        Local solver, as in `solve`.
     omega : float
     goal : float
-    Change of r, or residual of Newton's equations, at which a local solve ends.
-most : int
-    Largest number of iterations of a local solve.
+        Change of r, or residual of Newton's equations, at which a local solve ends.
+    most : int
+        Largest number of iterations of a local solve.
     """
     W, b, x, count = np.empty((3, 3)), np.empty(3), np.empty(3), 0
     for c in order:

@@ -97,7 +97,7 @@ def factors(blocks):
 
 @no_alloc
 def solve_contact(W, own, S, c, b0, b1, b2, mu):
-    """Return the impulse of contact c with free velocity b, three scalars; W[own] is its block, S[c] the inverse or 0."""
+    """Return the impulse of contact c with free velocity b, 3 scalars; W[own] is its block, S[c] the inverse or 0."""
     if b0 >= 0.0:
         return 0.0, 0.0, 0.0
     x0 = -(S[c, 0, 0] * b0 + S[c, 0, 1] * b1 + S[c, 0, 2] * b2)

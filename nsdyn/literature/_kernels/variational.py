@@ -57,9 +57,9 @@ def cylinder_sweep(indptr, indices, data, q, radius, scales, normal, tangent, r)
         W in CSR form.
     q, r : ndarray, shape (3 nc,)
     radius, scales : ndarray, shape (nc,)
-    Radii of the cylinders, N·s, and upper bounds of the blocks W_cc, 1/kg.
-normal, tangent : bool
-    Whether normal and tangential parts are updated.
+        Radii of the cylinders, N·s, and upper bounds of the blocks W_cc, 1/kg.
+    normal, tangent : bool
+        Whether normal and tangential parts are updated.
     """
     for c in range(radius.size):
         i = 3 * c
