@@ -88,7 +88,7 @@ def _ends(column: Array) -> bool:
 
 
 def _outside(poses: Poses) -> Array:
-    """How far moves of contacts extend beyond their step, or into each other on a free body, (n,), s."""
+    """Time by which moves of contacts extend beyond their step, or into each other on a free body, (n,), s."""
     t, out = poses.trajectory, np.zeros(poses.trajectory.steps)
     if left_out(t) or not (times := Times.of(poses)).known:
         return out

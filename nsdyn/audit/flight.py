@@ -49,7 +49,7 @@ COARSE = 0.5, 1e-7
 """Rotation in one step of a method of sixth order, rad, and its largest error then, rad."""
 
 NAMED = 0.1
-"""How far contacts move in half a step while they keep their name, as a fraction of the smaller body's radius: 0.05,
+"""Largest motion of a contact in half a step under the same name, as a fraction of the smaller body's radius: 0.05,
 and the same again for the motion of the body."""
 
 CLOSED = 1e-9
@@ -225,7 +225,7 @@ def _wander(poses: Poses) -> Array:
     c = poses.contacts
     when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
     pair, pushes = poses.code, c["impulse"][:, 0] > 0.0
-    # With θ = 1 what strikes and what then pushes are of one time.
+    # With θ = 1 an impact and the move that follows it have the same time.
     group = np.unique(np.stack([pair, when, c["duration"] == 0.0]), axis=1, return_inverse=True)[1].ravel()
     alone = pushes & (np.bincount(group, pushes)[group] == 1.0)
     new = np.unique(c["key"], return_index=True)[1]

@@ -10,7 +10,7 @@ is minus the overlap. The maximum is sought as follows:
 - cylinders and ellipsoids: from the best of some hundred directions, by Newton's method and by searches along kinks.
   A maximum that is missed makes the reported overlap too large, never too small.
 
-This module handles arrays of poses of one pair of shapes. It knows neither scenes nor time; see `nsdyn.audit.audit`.
+This module handles arrays of poses of one pair of shapes. For whole scenes and motions see `nsdyn.audit.audit`.
 """
 
 from __future__ import annotations

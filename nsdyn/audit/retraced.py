@@ -49,8 +49,8 @@ class Retraced:
     met_parted : ndarray of bool, shape (contacts,)
         Contacts that strike alternately with limits, in an instant or in a move.
     met_twice : ndarray, shape (contacts,)
-        Upper bound of the work of rebound impulses within moves, the rest of which is booked as numerics, J; 0 for
-        other contacts.
+        Upper bound of the work of rebound impulses within moves, J; 0 for other contacts. Other impulses within these
+        moves are booked as numerics.
     ways : list of list of Way
         Course of every tree in every step.
     """

@@ -42,7 +42,7 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
 
 
 def _gaps(poses: Poses, flight: Flight) -> Array:
-    """How far gaps are outside the range that the shapes allow at the end of the step, m.
+    """Distance of recorded gaps from the range that the shapes allow at the end of the step, m.
 
     No point can be nearer than the shapes are. Along a normal other than the true one the shapes may seem nearer. If
     the point of a contact is not the nearest one, its gap is at most the distance over which both shapes carried it.

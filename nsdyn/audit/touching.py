@@ -97,7 +97,7 @@ def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
 
 
 def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:
-    """Overlap of each pair at the start, m, in the states up to which nothing has removed it; elsewhere 0.
+    """Overlap of each pair at the start, m, in all states before something removed it; elsewhere 0.
 
     The scene itself prescribes such overlaps. Every step has the status OVERLAP as long as one remains.
     """

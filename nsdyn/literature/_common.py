@@ -57,7 +57,7 @@ class Run:
         self.done(self.r)
 
     def done(self, r: Array) -> bool:
-        """Measure r, keep it if it is the best so far, and return whether it meets the tolerance."""
+        """Measure r, keep it if it is the best so far, and return whether the best one meets the tolerance."""
         _, error, residual, _ = self.problem.solved(r, self.tol)
         self.now = max(error, residual)
         if self.now < self.best:

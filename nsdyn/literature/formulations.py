@@ -253,7 +253,7 @@ def residual_xuewen_soh_wanji(problem: FC3D, r: Array, rho: Any = None) -> Array
 
     Notes
     -----
-    The paper prints max(0, u_T1 r_T1) in the last line. That admits friction along the slip if u_T1 = r_T1 = 0; the
+    The paper prints max(0, u_T1 r_T1) in the last line, which admits friction along the slip if u_T1 = r_T1 = 0; the
     scalar product does not.
 
     References
