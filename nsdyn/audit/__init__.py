@@ -1,1 +1,1 @@
-"""Audit of a recording: its motion by methods of its own, and a verdict."""
+"""Audit of a recording: check its motion by code that is independent of the stepper, and give a verdict."""

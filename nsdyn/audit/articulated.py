@@ -22,7 +22,7 @@ FINDINGS = *PLACES, "pieces", *joint_rows.FINDINGS, "lift", "joint_momentum", "j
 
 
 def joints(poses: Poses, found: Retraced | str | None) -> Iterator[Found]:
-    """All findings of articulations; of a scene without any, none."""
+    """All findings on articulations; none for a scene without any."""
     t = poses.trajectory
     if found is None:
         return
@@ -46,7 +46,7 @@ def joints(poses: Poses, found: Retraced | str | None) -> Iterator[Found]:
 
 
 def _places(poses: Poses, found: Trees) -> Iterator[Found]:
-    """Frames of links, gaps of loops and limits, in all states."""
+    """Findings on frames of links, gaps of loops and joint limits, in all states."""
     t, frames = poses.trajectory, poses.scene["frames"]
     states, off, far = range(t.steps + 1), *np.zeros((2, t.steps + 1, len(frames)))
     radius = np.zeros(len(frames))
@@ -87,13 +87,13 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
 
 
 def _pieces(found: Trees) -> Found:
-    """Durations, contacts and impulses of pieces, which make up those of their steps."""
+    """Finding on durations, contacts and impulses of pieces, which must add up to those of their steps."""
     t, c = found.trajectory, found.trajectory.columns
     counts = np.diff(c["pieces/offset"])
     each = np.repeat(np.arange(t.steps), counts)
 
     def off(name: str, of_step: Array) -> Array:
-        parts, of_step = (np.where(np.isfinite(x), x, 0.0) for x in (c[f"pieces/{name}"], of_step))  # without a limit
+        parts, of_step = (np.where(np.isfinite(x), x, 0.0) for x in (c[f"pieces/{name}"], of_step))  # inf: no limit
         sums = np.zeros((t.steps, *parts.shape[1:]))
         np.add.at(sums, each, parts)
         left = np.abs(sums - of_step).reshape(t.steps, -1).max(axis=1, initial=0.0)
@@ -102,7 +102,7 @@ def _pieces(found: Trees) -> Found:
 
     whole = {"contacts": np.diff(c["contacts/offset"])} | {name: c[f"joints/{name}"] for name in ON_JOINTS}
     worst = np.max([off(name, of_step) for name, of_step in whole.items()], axis=0) * (counts > 0)
-    # Of every coordinate the pieces follow each other, and last the step.
+    # For every coordinate, pieces must follow each other without gaps and fill the step.
     begun, duration, ahead = c["pieces/begin"], c["pieces/duration"], 1.0 - float(t.meta["theta"])
     first, last = c["pieces/offset"][:-1], c["pieces/offset"][1:]
     for moves in c["pieces/moves"].T:
@@ -111,7 +111,7 @@ def _pieces(found: Trees) -> Found:
         np.maximum.at(worst, each, gaps / t.dt)
         worst = np.maximum(worst, np.abs(so_far[last] - so_far[first] - t.dt) / t.dt * (counts > 0))
     np.maximum.at(worst, each, (begun + duration - t.dt) / t.dt)
-    # Impulses act (1 - θ) of a piece after its beginning, those of a step that was not cut of the step's.
+    # Impulses act at the fraction 1 - θ of their piece; in a step that was not cut, at this fraction of the step.
     step = np.repeat(np.arange(t.steps), np.diff(c["contacts/offset"]))
     acts = np.tile([[ahead * t.dt], [t.dt]], step.size)
     own = counts[step] > 0

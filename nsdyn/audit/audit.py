@@ -1,13 +1,13 @@
-"""Is a recording a motion of rigid bodies with contact and friction? An audit from the recording alone.
+"""Audit a recording, from its content alone, as a motion of rigid bodies with contact and friction.
 
-Everything is found anew from what is recorded (shapes, masses, q, v, impulses, works) by code that shares nothing with
-the stepper: overlaps by `nsdyn.audit.overlap`, balances of every step from the two states it joins. With contact
-points p, impulses r on body 2 (-r on body 1), centres of mass x and angular momenta L of free bodies, and their
-positions x̃ when the impulses act, where earlier ones and the forces of the step have brought them:
+The audit computes everything anew from the recorded shapes, masses, q, v, impulses and works. Its code shares nothing
+with the stepper. `nsdyn.audit.overlap` measures overlaps. The balances of a step follow from the states at its two
+ends. Let p be contact points, r impulses on body 2 (-r on body 1), x centres of mass and L angular momenta of free
+bodies. x̃ is the position at the time of an impulse, displaced by the earlier impulses and the forces of the step:
 
     m (v⁺ - v⁻) = Σ r + h m g          L⁺ - L⁻ = Σ (p - x̃) × r          Δ(T + V) = Σ works
 
-Each finding is a number without unit: a violation over what it is measured by, so that scale does not matter.
+Each finding is a number without unit: a violation divided by a reference quantity, so that scale does not matter.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = ["Audit", "check", "deepest"]
 
 @dataclass(frozen=True)
 class Audit:
-    """What `check` found.
+    """Result of `check`.
 
     Attributes
     ----------
@@ -53,26 +53,26 @@ class Audit:
 
     @property
     def passed(self) -> bool:
-        """Whether all findings passed; what could not be audited does not fail: see `not_audited`."""
+        """Whether all findings passed; items that could not be audited do not fail (see `not_audited`)."""
         return all(finding.passed for finding in self.findings)
 
     @property
     def not_audited(self) -> tuple[str, ...]:
-        """What there is no figure of, whose `Finding.reason` says why."""
+        """Names of the items without a figure; `Finding.reason` says why."""
         return tuple(finding.name for finding in self.findings if finding.reason)
 
     @property
     def verdict(self) -> str:
-        """Whether it passed, in words: what was not looked at is part of it."""
+        """Verdict in words: passed or failed, and the items that were not audited."""
         left = f", not audited: {', '.join(self.not_audited)}" if self.not_audited else ""
         return ("passed" if self.passed else "FAILED") + left
 
     def __getitem__(self, name: str) -> Finding:
-        """Finding by name."""
+        """Return a finding by its name."""
         return next(finding for finding in self.findings if finding.name == name)
 
     def as_dict(self) -> dict[str, Any]:
-        """The findings by their names as JSON values, ``passed``, ``verdict`` and ``not_audited``."""
+        """Return the findings by their names as JSON values, ``passed``, ``verdict`` and ``not_audited``."""
         findings = {f.name: asdict(f) | {"passed": f.passed} for f in self.findings}
         told = {"scene": self.name, "passed": self.passed, "verdict": self.verdict}
         return told | {"not_audited": list(self.not_audited), "findings": findings}
@@ -111,7 +111,7 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     ----------
     trajectory : Trajectory
     **tolerances : float
-        In place of those in `TOLERANCES`, by their names.
+        Replace those in `TOLERANCES`, by name.
 
     Returns
     -------
@@ -124,22 +124,29 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
 
     Notes
     -----
-    What no motion shows is named: `certificates` are of problems that are not recorded, and by what `provenance` has
-    nothing moves. Where a contact is of shapes that cannot touch, that is all that is found.
+    Two items can never be checked from a motion and are listed as not audited: `certificates` belong to problems that
+    are not recorded, and the contents of `provenance` affect no motion. If shapes that cannot touch have a contact,
+    `pairs` is the only finding.
 
-    Articulations are followed through every step by equations of motion of their own (`nsdyn.recording.retrace`),
-    from the model that the recording holds. Not audited: what external forces and a controller give, the works of
-    moving surfaces, limits that rebound together or with contacts; of contacts the couples that fit the change of
-    spin, when within a step a free body was pushed, and points, normals and velocities of what does not push; gaps,
-    velocities and works in a step that is cut are known to first order for θ > ½.
-    Where only every N-th step is recorded there are no balances of momentum, nor of the works of contacts one by
-    one, nor is it known where those of the last step were in its middle; the ledger is audited, being of all steps.
-    Where contacts are not recorded, nothing is audited that they do. In recordings before format 7 articulations
-    have no model, and nothing is audited of them but overlaps and contacts; before format 11 it is not known in what
-    moves impulses acted, or what was lifted, and angular momenta and works of contacts are not audited, nor any
-    momenta of bodies that external forces push; before format 3 not whether external forces acted, nor which links
-    may overlap, so links of one articulation are not compared. What is set of pairs of bodies is recorded since
-    coefficients are audited.
+    The audit follows articulations through every step by independent equations of motion
+    (`nsdyn.recording.retrace`), from the model in the recording. Not audited are:
+
+    - the forces of `external_force` and `controller`, and the works of moving surfaces;
+    - joint limits that rebound together or with contacts;
+    - of contacts: couples that fit the change of spin, the time within a step at which a free body was pushed, and
+      points, normals and velocities of contacts without an impulse.
+
+    Gaps, velocities and works in a step that was cut into moves are known to first order for θ > ½.
+
+    If only every N-th step is recorded, the momenta and the works of single contacts cannot be balanced, and the
+    positions of contacts in the middle of the recorded steps are unknown. The ledger is still audited, as it covers
+    all steps. If contacts are not recorded, none of their effects is audited.
+
+    Older recordings contain less. Before format 3 it is unknown whether external forces acted and which links may
+    overlap, so links of one articulation are not compared. Before format 7 articulations have no model: only their
+    overlaps and contacts are audited. Before format 11 the moves in which impulses acted and the lifts are unknown:
+    angular momenta, works of contacts and all momenta of bodies under external forces are not audited.
+    Coefficients are audited if the recording contains the properties set for pairs of bodies.
 
     Examples
     --------
@@ -153,7 +160,7 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     tol = TOLERANCES | tolerances
     poses = Poses(trajectory)
     first = touched(poses)
-    if not first[1](tol["pairs"]).passed:  # what follows is about shapes that touch
+    if not first[1](tol["pairs"]).passed:  # all other findings assume shapes that can touch
         return Audit((first[1](tol["pairs"]),), str(trajectory.meta["scene_name"]))
     found = retraced(poses) if trajectory.scene["articulations"] else None
     links, parted = (None, None) if found is None or isinstance(found, str) else (found.met, found.met_parted)
@@ -165,7 +172,7 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
 
 
 def deepest(scene: Mapping[str, Any], q: Array) -> float:
-    """Largest true overlap in m in poses q (n, 7 bodies) of a scene of free bodies that `Scene.describe` described."""
+    """Return the largest true overlap in m in poses q (n, 7 bodies) of free bodies; `Scene.describe` gave the scene."""
     columns = {"t": np.zeros(len(q)), "q": q, "v": np.zeros((len(q), 6 * scene["free"]))}
     ((_, finding),) = overlaps(Poses(Trajectory({}, dict(scene), columns)), by_size=False)
     return finding(0.0).amount

@@ -1,4 +1,4 @@
-"""Audit of motion: momenta of free bodies, how they move, energies and the works of the ledger."""
+"""Audit of motion: momenta of free bodies, their displacements, energies, and the works of the ledger."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from nsdyn.tools.arrays import Array, Bools
 __all__ = ["energies", "momenta", "plain"]
 
 PARALLEL = 1e-8
-"""Square of the angle between normals, rad², that count as one."""
+"""Square of the angle, rad², below which two normals count as parallel."""
 
 
 def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
-    """Momentum and angular momentum of free bodies in every step, and how they move; None as of `contacts`."""
+    """Findings on momenta and motion of free bodies in every step; `flight` is None if not all steps are recorded."""
     t, free = poses.trajectory, poses.free
     reason = left_out(t)
     missing = not_audited("motion", f"of every {t.every} steps one is recorded")
@@ -60,16 +60,16 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
 
 
 def plain(poses: Poses) -> Iterator[Found]:
-    """Whether times are those of the steps, quaternions of norm 1, and frames of free bodies where these are.
+    """Findings on times of steps, norms of quaternions, recorded frames of free bodies, and rows that are no numbers.
 
-    And whether rows are numbers: what a recording of an older format lacks is none in its first rows, or in all.
+    A column that an older format lacks is NaN in its first rows or in all. NaN after a number is a violation.
     """
     t, frames = poses.trajectory, poses.scene["frames"]
     odd = {name: float(_ends(x)) for name, x in t.columns.items() if x.dtype.kind == "f"}
     figure = np.array(list(odd.values()))
     yield worst_of("numbers", figure, figure, np.zeros(len(odd), np.int64), named(list(odd), np.arange(len(odd))))
     h = t.dt * t.every
-    # Times are rounded where they are large.
+    # Large times are rounded.
     late = np.maximum(np.abs(np.diff(t.t) - h) - 4.0 * np.finfo(float).eps * np.abs(t.t[1:]), 0.0)
     late = np.maximum(late, _outside(poses))
     yield worst_of("times", late / h, late, np.arange(1, t.steps + 1))
@@ -82,13 +82,13 @@ def plain(poses: Poses) -> Iterator[Found]:
 
 
 def _ends(column: Array) -> bool:
-    """Whether a row that is no number follows on one that is."""
+    """Whether a row that is no number follows one that is."""
     none: Bools = np.asarray(np.isnan(column).any(axis=tuple(range(1, column.ndim))))
     return bool(none.any()) and not none.all() and bool(none[none.argmin() :].any())
 
 
 def _outside(poses: Poses) -> Array:
-    """How far moves that contacts act in are outside of their step, or in each other on a free body, (n,), s."""
+    """Time by which moves of contacts extend beyond their step, or into each other on a free body, (n,), s."""
     t, out = poses.trajectory, np.zeros(poses.trajectory.steps)
     if left_out(t) or not (times := Times.of(poses)).known:
         return out
@@ -106,9 +106,10 @@ def _outside(poses: Poses) -> Array:
 
 
 def _motion(poses: Poses, flight: Flight | None) -> Found:
-    """How free bodies move with their velocities, beyond what projections lift them: of points of them, m.
+    """Finding on displacements of free bodies beyond those of their velocities and lifts, over all their points, m.
 
-    One lift, and all of a step where bodies move no farther, are measured by their size, more by what they move.
+    The reference is the size of the body for a single lift, and for all lifts of a step in which the body moves less
+    than its size. Otherwise the reference is the displacement of the body.
     """
     t, free, theta = poses.trajectory, poses.free, poses.theta
     q, radius = poses.quaternion[:, :free], _radius(poses)
@@ -133,25 +134,25 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
     before, after = (1.0 - theta) * t.dt * poses.v[:-1], theta * t.dt * poses.v[1:]
     moved = rotate(q[:-1], before[..., :3]) + rotate(q[1:], after[..., :3])
     left = np.linalg.norm(np.diff(poses.x[:, :free], axis=0) - moved, axis=2) - poses.uncertain[0][:, :free]
-    # Half a turn with either angular velocity, each in the axes of its own end.
+    # Half the rotation with either angular velocity, each in the axes at its own end.
     turn = angles(turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:]))
     amount = np.maximum(left, (turn - poses.uncertain[1][:, :free]) * radius)
     return worst_among("motion", amount, size, poses.scene["frames"])
 
 
 def _radius(poses: Poses) -> Array:
-    """How far points of free bodies are from their centres of mass at most, (free,), m."""
+    """Largest distance of a point of each free body from its centre of mass, (free,), m."""
     out, own = np.zeros(poses.free), np.flatnonzero(poses.is_free(poses.frame))
     np.maximum.at(out, poses.frame[own], poses.bounding_radius[own])
     return out
 
 
 def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
-    """Whether free bodies end where their flights and lifts bring them, and whether what lifts them are contacts.
+    """Findings on lifts: whether free bodies end where flight and lifts bring them, and whether contacts cause lifts.
 
-    These lift along their normals, which turn as bodies roll, so that what is across them in the middle of a step may
-    be as much as what is along. Between others, what is squeezed moves across normals that are all but parallel by
-    their angle times what it moves. What touches only where the step ends is among the contacts of the next.
+    Contacts lift along their normals. Normals turn as bodies roll, so in the middle of a step the part across them may
+    be as large as the part along them. A body squeezed between other bodies moves across almost parallel normals, by
+    their angle times its displacement. A contact that closes only at the end of a step is among those of the next step.
     """
     t, free = poses.trajectory, poses.free
     normal, lines = t.columns["contacts/normal"], np.zeros((t.steps, free, 3, 3))
@@ -161,7 +162,7 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
     lines[:-1] += lines[1:]
     lifts = flight.pushes.row == LIFT
     step, body, shift = flight.pushes.step[lifts], flight.pushes.body[lifts], flight.pushes.shift[lifts, :3]
-    sizes, axes = np.linalg.eigh(np.nan_to_num(lines))  # what is no number, the axes of contacts are looked at for
+    sizes, axes = np.linalg.eigh(np.nan_to_num(lines))  # the finding `axes` covers normals that are no numbers
     tilt = np.sqrt(np.clip(sizes / np.maximum(sizes[..., -1:], 1.0), 0.0, 1.0))[step, body]
     speed = np.linalg.norm(velocities(poses), axis=2)
     moved = t.dt * (speed[:-1] + speed[1:] + t.dt * poses.weight)
@@ -177,7 +178,7 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
 
 
 def energies(poses: Poses) -> Iterator[Found]:
-    """Energies anew, and the balance of every step."""
+    """Compute the energies anew, and the energy balance of every step."""
     t = poses.trajectory
     e = t.energy
     scale = at_play(poses)

@@ -1,4 +1,4 @@
-"""One way to check anything: a motion, a scene, a file of either, a robot file."""
+"""Check a motion, a scene, a file of either, or a robot file with one function."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nsdyn.tools.files import as_path
 __all__ = ["RECORDINGS", "check"]
 
 RECORDINGS = (".h5", ".hdf5")
-"""Endings of the names of recordings."""
+"""Extensions of recordings."""
 
 
 @overload
@@ -34,24 +34,24 @@ def check(what: Trajectory | Scene | str | Path, **options: Any) -> Audit | Insp
         A motion or the path of its recording (.h5, .hdf5); a scene, its name or the path of its file (.py); the path
         of a robot file (.urdf, .sdf, .xml, .mjcf).
     **options
-        Of a motion or recording: tolerances in place of those in `nsdyn.audit.findings.TOLERANCES`, by name. Of a
-        named scene or its file: its parameters. Of a robot file: what ``Scene.add_urdf``, ``add_sdf`` or ``add_mjcf``
-        take, for instance ``base="free"``, ``keyframe="home"`` or ``q``. Of a scene: none.
+        For a motion or recording: tolerances that replace those in `nsdyn.audit.findings.TOLERANCES`, by name. For a
+        named scene or its file: its parameters. For a robot file: options of ``Scene.add_urdf``, ``add_sdf`` or
+        ``add_mjcf``, for instance ``base="free"``, ``keyframe="home"`` or ``q``. For a scene: none.
 
     Returns
     -------
     Audit
-        Of a motion or recording: what `nsdyn.audit.audit.check` found, true overlaps, friction cones and balances,
-        each with its worst figure.
+        For a motion or recording: the findings of `nsdyn.audit.audit.check` (true overlaps, friction cones and
+        balances), each with its worst figure.
     Inspection
-        Of the rest: masses, joints, overlaps at the start, and what files contain that is not used.
+        Otherwise: masses, joints, overlaps at the start, and content of files that is not used.
 
-    Both print as a table, have ``passed``, and ``as_dict()`` for JSON.
+    Both print as a table, and have ``passed`` and ``as_dict()`` for JSON.
 
     Raises
     ------
     ValueError
-        For what cannot be read, naming it, and options that do not fit.
+        If a file cannot be read (the message names it), or if options do not fit.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Audit of what a recording says of its scene: whether it can be so, and what of a recording nothing shows."""
+"""Audit of the recorded scene: whether its description is possible, and which parts of a recording no motion shows."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from nsdyn.tools.arrays import Array
 __all__ = ["described", "touched", "unseen"]
 
 Row = tuple[float, str]
-"""(off as a fraction, of what)."""
+"""(violation as a fraction, name of the object)."""
 
 ROUNDED = 2e-6
-"""Of the extent of a hull, twice what its faces may be from planes: corners of float32 meshes are rounded."""
+"""Fraction of the extent of a hull, twice the tolerance of flat faces: float32 meshes have rounded corners."""
 
 
 def described(poses: Poses, built: object) -> Found:
-    """Sizes against corners, poses that are none, masses that no body has, coefficients out of range, models."""
+    """Finding on sizes against corners, invalid poses, impossible masses, coefficients out of range, and models."""
     scene = poses.scene
     rows = [row for geom in scene["geoms"] for row in _geom(geom)]
     rows += [(_skew(link["placement"]), link["name"]) for link in scene.get("links", ())]
@@ -33,7 +33,7 @@ def described(poses: Poses, built: object) -> Found:
     for tree in scene["articulations"]:
         model: Mapping[str, Any] = tree.get("model", {"joints": (), "loops": ()})
         for name, joint in zip(tree.get("joints", ()), model["joints"], strict=False):
-            # Joints may carry nothing.
+            # Joints may carry no mass.
             massive = _no_body(joint["mass"], joint["inertia"], strictly=False)
             rows.append((max(_skew(joint["placement"]), massive), f"{tree['name']}/{name}"))
         rows += [
@@ -48,7 +48,7 @@ def described(poses: Poses, built: object) -> Found:
 
 
 def _geom(geom: Mapping[str, Any]) -> Iterator[Row]:
-    """What is off of a shape."""
+    """Violations of the description of a shape."""
     size, name = np.array(geom["size"], dtype=float), geom["name"]
     extent = max(float(np.abs(size).max()), 1e-300)
     yield float(np.abs(size[SIZES[geom["shape"]] :]).max(initial=0.0)) / extent, name
@@ -70,13 +70,13 @@ def _geom(geom: Mapping[str, Any]) -> Iterator[Row]:
         face = corners[loop]
         n = np.linalg.svd(face - face.mean(axis=0))[2][2]
         apart = (corners - face.mean(axis=0)) @ n
-        # All others are on one side of a face, whose own are in its plane.
+        # The corners of a face lie in its plane, and all other corners on one side of it.
         off = max(float(np.abs(apart[loop]).max()), min(float(apart.max()), float(-apart.min())))
         yield max(0.0, off - rounded) / reach, name
 
 
 def _skew(placement: Any) -> float:
-    """How far a transform is from a rigid one, without its units."""
+    """Deviation of a transform from a rigid one, without unit."""
     pose: Array = np.array(placement, dtype=float)
     R = pose[:3, :3]
     return float(
@@ -85,25 +85,25 @@ def _skew(placement: Any) -> float:
 
 
 def _no_body(mass: float, inertia: Any, strictly: bool = True) -> float:
-    """By how much a mass and an inertia are those of no body, as a fraction; 1 for negative ones."""
+    """Violation, as a fraction, of the conditions that a body's mass and inertia satisfy; 1 for a negative mass."""
     J = np.array(inertia, dtype=float)
     size = max(float(np.abs(J).max()), 1e-300)
     moments = np.linalg.eigvalsh(J)
     off = max(float(np.abs(J - J.T).max()), -float(moments[0]))
-    if strictly:  # links may be of any masses that move
+    if strictly:  # links may have any mass and inertia that still allow motion
         off = max(off, float(moments[2] - moments[0] - moments[1]), size * float(mass == 0.0 or moments[0] <= 0.0))
     return max(off / size, float(mass < 0.0))
 
 
 def touched(poses: Poses) -> Found:
-    """Contacts of shapes that cannot touch: of one body, of none that moves, or of links that are joined."""
+    """Finding on contacts of shapes that cannot touch: both of one body, both fixed, or of joined links."""
     i, j = poses.pair
     wrong = (~(tested(poses) | tested(poses).T)[i, j]).astype(float) if i.size else np.zeros(0)
     return worst_of("pairs", wrong, wrong, poses.step + 1, poses.named(i, j))
 
 
 def unseen(poses: Poses) -> Iterator[Found]:
-    """What no motion shows, and is believed or not."""
+    """Items that no motion can confirm; the audit neither accepts nor rejects them."""
     t = poses.trajectory
     varied = [name for name, kind in t.scene.get("motions", {}).items() if kind != "joint"]
     for tree in t.scene["articulations"]:

@@ -1,4 +1,4 @@
-"""One item of an audit: what it means, what passes, and the worst figure that was found."""
+"""One item of an audit: its meaning, its tolerance, and the worst figure that was found."""
 
 from __future__ import annotations
 
@@ -26,59 +26,59 @@ __all__ = [
 ]
 
 TOLERANCES = {
-    "scene": 1e-12,  # some hundred roundings
+    "scene": 1e-12,  # some hundred round-offs
     "pairs": 0.0,
     "overlap": 1e-7,
     "distance": 1e-3,
     "normal": 1e-3,
     "points": 1e-3,
-    "materials": 1e-12,  # round-off of their rules
-    "axes": 1e-12,  # some hundred roundings
+    "materials": 1e-12,  # round-off of the combination rules
+    "axes": 1e-12,  # some hundred round-offs
     "cone": 1e-8,
     "friction": 1e-5,
-    "slip": 1e-3,  # friction is against the mean slip of a step, whose direction differs from that at its end by O(h)
+    "slip": 1e-3,  # friction opposes the mean slip of a step, whose direction differs from the slip at its end by O(h)
     "dissipation": 1e-4,
     "created": 1e-9,
-    "numerics": 0.1,  # as motion; steps that resolve a motion leave a hundredth of it at most
-    "gaps": 1e-6,  # ten times what overlaps may be
-    "velocities": 1e-5,  # what solvers leave of 1 m/s
+    "numerics": 0.1,  # as motion; steps that resolve a motion change at most a hundredth of the energy
+    "gaps": 1e-6,  # ten times the tolerance of overlap
+    "velocities": 1e-5,  # residual of solvers at 1 m/s
     "partings": 1e-3,  # as slip
     "states": 0.0,
     "motion": 0.1,
     "sideways": 1e-6,
-    "lifts": 1e-11,  # of which turns are found, by a method of eighth order in steps of 0.15 rad
+    "lifts": 1e-11,  # rotations are computed by a method of eighth order in steps of 0.15 rad
     "momentum": 1e-9,
     "spin": 1e-9,
     "energy": 1e-9,
     "balance": 1e-9,
     "numbers": 0.0,
     "times": 1e-9,
-    "turns": 1e-12,  # some hundred roundings
-    "frames": 0.0,  # which are copies
-    "links": 1e-12,  # as many, of positions
-    "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which ends a step beyond that
+    "turns": 1e-12,  # some hundred round-offs
+    "frames": 0.0,  # recorded frames are copies
+    "links": 1e-12,  # some hundred round-offs, of positions
+    "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which takes one more step after that
     "limits": 1e-7,
     "pieces": 1e-12,
     "stops": 1e-6,  # of shallow gaps, which close by the next step
-    "rebounds": 1e-6,  # beside what solvers leave of a velocity
+    "rebounds": 1e-6,  # beside the residual that solvers leave in a velocity
     "shared_rebounds": 1e-6,
     "joint_cone": 1e-8,
     "joint_slip": 1e-6,
     "loads": 0.0,
     "wrenches": 0.0,
-    "pushes": 1e-8,  # as velocities are
+    "pushes": 1e-8,  # as joint_momentum
     "strength": 1e-9,  # round-off of sums
     "lift": 1.0,
-    "joint_momentum": 1e-8,  # beyond what flows of the order of the step's err, which is found by halving
+    "joint_momentum": 1e-8,  # beyond the error of flows of the order of the step's, which is found by halving
     "joint_motion": 1e-8,
-    "contact_works": 1e-6,  # what a motion that is found anew, and what solvers leave of 0.01 m/s
+    "contact_works": 1e-6,  # errors of the motion that is computed anew, and residual of solvers at 0.01 m/s
     "works": 1e-8,
     "drives": 1e-8,
     "prescribed": 0.0,
     "certificates": 0.0,
     "provenance": 0.0,
 }
-"""Largest figure of each finding that passes."""
+"""Largest figure that passes, of each finding."""
 
 MEANING = {
     "scene": "sizes, poses, inertias and models that contradict themselves or the motion / size",
@@ -133,7 +133,7 @@ MEANING = {
     "provenance": "names, colours, visual shapes, keys, parameters, command, versions, checksums, solver, max_points",
     "balance": "change of energy - sum of the works of the ledger, or its defect / energy at play",
 }
-"""What each finding is a number of."""
+"""Definition of the figure of each finding."""
 
 UNITS = {
     name: unit
@@ -152,14 +152,14 @@ UNITS = {
     }.items()
     for name in names.split()
 }
-"""Of the amount of each; of coordinates that are lengths, m and N·s."""
+"""Unit of the amount of each finding; for coordinates that are lengths, m and N·s."""
 
 
 CREEP = 1e-2
-"""m/s or rad/s: what moves is measured by its speed and this, beside which what solvers leave is nothing."""
+"""m/s or rad/s: floor of reference speeds (in part added to them), far above the residuals of solvers."""
 
 SMALL = 1e-6
-"""What an articulation without weight is measured by where nothing moves: the energy of so much of its size a step."""
+"""Sets the reference energy of an articulation without weight that does not move: this fraction of its size a step."""
 
 
 @dataclass(frozen=True)
@@ -170,17 +170,17 @@ class Finding:
     ----------
     name, meaning : str
     worst, tol : float
-        Largest violation found, without unit, and the largest that passes. NaN if `reason` says why there is none.
+        Largest violation found, without unit, and the largest that passes. NaN if `reason` is given.
     amount, unit : float, str
-        The same violation as a quantity.
+        The same violation as a physical quantity.
     step : int
-        Step that ends in, or has, the worst figure; 0 is the initial state; -1 if there was nothing to look at.
+        Step that contains or ends in the worst figure; 0 is the initial state; -1 if there was nothing to examine.
     bodies : tuple of str
-        Whose.
+        Bodies of the worst figure.
     looked_at : int
-        Pairs, contacts, bodies or steps that were looked at.
+        Number of pairs, contacts, bodies or steps that were examined.
     reason : str
-        Why this was not audited.
+        Why this item was not audited; empty if it was.
     """
 
     name: str
@@ -196,7 +196,7 @@ class Finding:
 
     @property
     def passed(self) -> bool:
-        """Whether the figure is within its tolerance, or not audited."""
+        """Whether the figure is within its tolerance, or was not audited."""
         return bool(self.reason) or self.worst <= self.tol
 
 
@@ -204,11 +204,11 @@ Found = tuple[str, Callable[[float], Finding]]
 
 
 Who = Callable[[int], Sequence[str]]
-"""The bodies of a figure, by its number."""
+"""Gives the bodies of a figure, by its number."""
 
 
 def worst_of(name: str, figure: Array, amount: Array, step: Index, bodies: Who = lambda _: ()) -> Found:
-    """The largest of some figures; NaN is the largest."""
+    """Return the finding of the largest figure; NaN counts as the largest."""
     if not figure.size:
         return name, lambda tol: Finding(name, MEANING[name], 0.0, tol, 0.0, UNITS[name], -1, (), 0)
     k = int(np.argmax(np.where(np.isnan(figure), np.inf, figure)))
@@ -218,31 +218,31 @@ def worst_of(name: str, figure: Array, amount: Array, step: Index, bodies: Who =
 
 
 def not_audited(name: str, reason: str) -> Found:
-    """An item that there is no figure of, and why."""
+    """Return an item without a figure, and the reason."""
     return name, lambda tol: Finding(name, MEANING[name], np.nan, tol, np.nan, UNITS[name], -1, (), 0, reason)
 
 
 def worst_among(name: str, amount: Array, scale: Array | float, names: Sequence[str], begin: int = 1) -> Found:
-    """The worst of all steps, from `begin` on, and of some bodies by their names, from arrays (n, bodies)."""
+    """Return the worst figure of all steps, from `begin` on, and of named bodies, from arrays (n, bodies)."""
     steps, which = np.indices(amount.shape)
     figure = (amount / np.maximum(scale, 1e-300)).ravel()
     return worst_of(name, figure, amount.ravel(), steps.ravel() + begin, named(names, which.ravel()))
 
 
 def named(names: Sequence[str], which: Index) -> Who:
-    """The name of each figure, of which it is `which`."""
+    """Return the function that gives the name of figure k: `names[which[k]]`."""
     return lambda k: [names[which[k]]]
 
 
 def _size(joint: Mapping[str, Any]) -> float:
-    """How far a link and its mass reach from the joint before it, m: its origin, centre of mass, radius of gyration."""
+    """Reach of a link from its joint, m: distance of its origin and centre of mass, plus the radius of gyration."""
     away = np.linalg.norm(np.array(joint["placement"])[:3, 3]) + np.linalg.norm(joint["com"])
     gyration = np.trace(np.reshape(joint["inertia"], (3, 3))) / (2.0 * joint["mass"]) if joint["mass"] > 0.0 else 0.0
     return float(away + np.sqrt(gyration))
 
 
 def at_play(poses: Poses) -> float:
-    """Energy at play, J; where next to nothing moves, what lifts bodies and trees by their size."""
+    """Return the reference energy, J: the energy at play, at least what lifts bodies and trees by their size."""
     t, scene = poses.trajectory, poses.scene
     lift = 0.0
     for k in np.flatnonzero(poses.is_free(poses.frame)):

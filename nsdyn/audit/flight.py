@@ -1,4 +1,4 @@
-"""Where free bodies go in each step with their velocities, the impulses and lifts recorded, by code of its own."""
+"""Motion of free bodies in each step from velocities and the recorded impulses and lifts, by independent code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nsdyn.tools.arrays import Array, Bools, Index, cross
 __all__ = ["Flight", "angles", "least", "spins", "sunk", "tumbled"]
 
 LEAP = 0.15
-"""Largest turn of one step of the method of Runge and Kutta, rad: in a whole turn it errs by 3e-11 rad."""
+"""Largest rotation per step of the Runge-Kutta method, rad; its error is 3e-11 rad in a whole turn."""
 
 R = 21.0**0.5
 
@@ -43,69 +43,68 @@ STAGES = (
     ),
     (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20),
 )
-"""Of the method, of eighth order, and its weights (G. J. Cooper, J. H. Verner, SIAM J. Numer. Anal. 9, 1972)."""
+"""Stages and weights of the method, of eighth order (G. J. Cooper, J. H. Verner, SIAM J. Numer. Anal. 9, 1972)."""
 
 COARSE = 0.5, 1e-7
-"""Turn of one step of a method of sixth order, rad, and what it then errs at worst, rad."""
+"""Rotation in one step of a method of sixth order, rad, and its largest error then, rad."""
 
 NAMED = 0.1
-"""Of the radius of the smaller body, how far contacts go on it in half a step under the same name: 0.05, and as much
-again for what it moves."""
+"""Largest motion of a contact in half a step under the same name, as a fraction of the smaller body's radius: 0.05,
+and the same again for the motion of the body."""
 
 CLOSED = 1e-9
-"""Of the radius of the smallest moving shape, the gap that counts as closed."""
+"""Gap that counts as closed, as a fraction of the radius of the smallest moving shape."""
 
 SLOW = 0.01
-"""m/s: a contact may sink for as long as this takes to go the size of its bodies, but for no longer than a step."""
+"""m/s: a contact may sink for the time in which this speed covers the size of its bodies, at most for a step."""
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Where free bodies are in each step when its impulses act on them.
+    """Positions of free bodies in each step at the times of the impulses on them.
 
-    With impulses r_j at the times t_j within a step, with those of external wrenches where these are recorded, lifts
-    δ_k by projections, and w what other forces change of the velocity,
+    Let r_j be the impulses at the times t_j within a step, with those of external wrenches if these are recorded.
+    Let δ_k be lifts by projections, and w the velocity change by other forces. Then
 
-        x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + Σ δ_k + what w moves,
+        x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + Σ δ_k + displacement by w.
 
-    which at the end is θ h w, and h w / 2 where the step was cut: forces act with the impulses of each of its moves,
-    and have brought the body to where a constant one would at the ends of these. All arrays are of shape (n, free, ...)
-    but those of contacts, (contacts, ...).
+    At the end the displacement by w is θ h w, or h w / 2 if the step was cut into moves. Forces act with the impulses
+    of each move. At the ends of moves the body is where a constant force would have brought it. Arrays have the shape
+    (n, free, ...), those of contacts (contacts, ...).
 
     Attributes
     ----------
     impulse, torque : ndarray, shape (n, free, 3)
-        Σ r, N·s, and Σ (p - x(t_j)) × r and couples, about where the bodies are then, N·m·s; with external wrenches.
+        Σ r, N·s, and Σ (p - x(t_j)) × r plus couples, about the positions at these times, N·m·s; with wrenches.
     size, levers : ndarray, shape (n, free)
         Σ ‖r‖, and Σ ‖p - x‖ ‖r‖, with the moments of external wrenches.
     pushes : Pushes
-        All that acts, and the lifts.
+        All impulses, and the lifts.
     astray : ndarray, shape (n, free)
-        How far bodies end from where this brings them, m.
+        Distance of the recorded end of a body from the x(τ) above, m.
     unknown : ndarray, shape (n, free)
-        How far w may have moved them otherwise where a step was cut at times that no impulse tells, m; with θ = ½ what
-        falls is at the ends of all moves where it would be in one.
+        Uncertainty of the displacement by w if a step was cut at times that no impulse shows, m. For θ = ½ it is 0:
+        falling bodies are at the ends of all moves where they would be in one move.
     turn : ndarray, shape (n, free)
-        How far they are turned otherwise than by their angular momenta, which the impulses change at their times, and
-        lifts, rad.
+        Deviation of the recorded orientation from that by angular momenta, impulses at their times, and lifts, rad.
     round_off : ndarray, shape (n, free)
-        How far bodies may end elsewhere by rounding, m.
+        Uncertainty of the final position by round-off, m.
     kept : ndarray, shape (n, free)
-        How far they may be from where their contacts were found, m.
+        Largest distance of a body from where its contacts were found, m.
     flow : ndarray, shape (n, free)
-        How far they may be turned otherwise by a flow of sixth order, and by levers that are unknown, rad.
+        Uncertainty of the orientation by a flow of sixth order, and by unknown levers, rad.
     lifted : ndarray, shape (n,)
-        What lifts do to the energy, J.
+        Change of energy by lifts, J.
     met : Meetings
-        Of all contacts; of bodies that move as prescribed nothing is known.
+        Relative motion at all contacts; unknown for prescribed bodies.
     unsure : ndarray, shape (contacts,)
-        How far velocities there may be off in steps that were cut, m/s.
+        Uncertainty of velocities at contacts in steps that were cut, m/s.
     cut : ndarray of bool, shape (n, free)
-        Whether the step was, for that body.
+        Whether the step was cut into moves, for that body.
     instant : ndarray of bool, shape (contacts,)
-        Whether an impulse acts in no time.
+        Whether an impulse is instantaneous.
     timed : bool
-        Whether it is recorded what impulses act in; without, they are taken to act in steps of one piece.
+        Whether the moves in which impulses act are recorded; otherwise all are taken to act in steps of one move.
     """
 
     impulse: Array
@@ -128,7 +127,7 @@ class Flight:
 
     @classmethod
     def of(cls, poses: Poses, links: tuple[Side, Side] | None = None) -> Flight:
-        """Follow the free bodies of a recording of all steps and contacts; of links that these meet it is given."""
+        """Follow the free bodies of a recording that has all steps and contacts; `links` are the links at contacts."""
         t, free, theta = poses.trajectory, poses.free, poses.theta
         h, shape, point = t.dt, (t.steps, free), poses.contacts["point"]
         geoms, times = poses.pair.T, Times.of(poses)
@@ -141,7 +140,7 @@ class Flight:
         share = np.where(cut, 0.5, theta)[:, :, None]
         path = h * before + (h * impulse - moments) / mass[:, None] + share * h * forced
         path += pushes.summed(shape, shift[:, :3])
-        # How far impulses before and forces have brought the body until each.
+        # Displacement of the body by earlier impulses and by forces, up to each impulse.
         begun = time - (1.0 - theta) * length
         way = time[:, None] * pushes.earlier(push) - pushes.earlier(time[:, None] * push)
         fall = (begun * (time - 0.5 * begun) / h)[:, None] * forced[step, body]
@@ -149,7 +148,7 @@ class Flight:
         at += pushes.earlier(shift[:, :3])
         arm, size = np.zeros(at.shape), np.linalg.norm(push, axis=1)
         arm[met] = point[row[met]] - at[met]
-        # Of older recordings, which have no couples, the angular momentum is not audited.
+        # Older recordings have no couples; their angular momentum is not audited.
         moment = cross(arm, push) + couple
         ends, then, turning = _turned(poses, pushes, moment)
         sides = links or (Side.nowhere(len(point)), Side.nowhere(len(point)))
@@ -188,9 +187,10 @@ class Flight:
 def _sides(
     poses: Poses, pushes: Pushes, moved: tuple[Array, Array, Array], met: tuple[Array, Array, Array, Array]
 ) -> Side:
-    """Free bodies at their contacts, that begin at v, which forces change by w, and are at x, (p - x), q, (ω⁻, ω⁺).
+    """Free bodies at their contacts.
 
-    Of w what acts before the moves of the contacts is a share.
+    `moved` holds v at the start, its change w by forces, and the share of w that acts before the moves of the contacts.
+    `met` holds x, p - x, q and (ω⁻, ω⁺).
     """
     (before, forced, share), (at, arm, then, turning) = moved, met
     step, body = pushes.step, pushes.body
@@ -205,7 +205,7 @@ def _sides(
 
 
 def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, own: Side) -> None:
-    """Free bodies, and those that stand still, whose surfaces do so too, among the sides of contacts."""
+    """Enter free bodies, and fixed bodies whose surfaces do not move either, into the sides of contacts."""
     moved = poses.scene.get("motions", {}).keys()
     called = ((g.get("body", ""), g.get("link", "")) for g in poses.scene["geoms"])
     still = np.array([moved.isdisjoint(names) for names in called], np.bool_) & (poses.frame < 0)
@@ -216,15 +216,16 @@ def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, o
 
 
 def _wander(poses: Poses) -> Array:
-    """How fast each contact comes from where it was last, or goes to where it is next, (contacts,), m/s.
+    """Speed at which each contact comes from its last position or goes to its next one, (contacts,), m/s.
 
-    By its key, and by its pair if of that it pushes alone: what goes far, as around the rim of a coin, has other keys.
-    Of several, round ones that are new come from no farther than they would have their names: rims are shared out anew.
+    Contacts are matched by key. If one contact is the only one of its pair with an impulse, it is also matched by pair:
+    a contact that moves far, as around the rim of a coin, changes its key. If there are several, a new round contact
+    comes from no farther than the distance over which names are kept, because contacts on rims are then redistributed.
     """
     c = poses.contacts
     when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
     pair, pushes = poses.code, c["impulse"][:, 0] > 0.0
-    # With θ = 1 what strikes and what then pushes are of one time.
+    # With θ = 1 an impact and the move that follows it have the same time.
     group = np.unique(np.stack([pair, when, c["duration"] == 0.0]), axis=1, return_inverse=True)[1].ravel()
     alone = pushes & (np.bincount(group, pushes)[group] == 1.0)
     new = np.unique(c["key"], return_index=True)[1]
@@ -243,7 +244,7 @@ def _wander(poses: Poses) -> Array:
 
 
 def sunk(poses: Poses, size: Array) -> Array:
-    """What the solver's tolerance lets contacts of bodies of such a size sink in a step, m."""
+    """Penetration in a step that the solver's tolerance allows for contacts of bodies of such a size, m."""
     t = poses.trajectory
     told = re.search(r"\btol=(\d+(?:\.\d*)?(?:e[+-]?\d+)?)", str(t.meta.get("solver", "")))
     tol = min(float(told[1]), TOLERANCES["velocities"]) if told else 0.0
@@ -252,7 +253,7 @@ def sunk(poses: Poses, size: Array) -> Array:
 
 
 def _closed(poses: Poses) -> float:
-    """Gap that counts as closed, m. Bodies that move by no more may keep the contacts that they have."""
+    """Gap that counts as closed, m. Bodies that move by no more than it may keep their contacts."""
     radii = 0.5 * poses.extent[poses.frame >= 0]
     least = radii.min(initial=radii.max(initial=0.0))
     return float(max(CLOSED * least, sunk(poses, least)))
@@ -261,9 +262,9 @@ def _closed(poses: Poses) -> float:
 def _doubted(
     poses: Poses, pushes: Pushes, ways: tuple[Array, Array], turn: Array, met: tuple[Array, Array, Array]
 ) -> Array:
-    """How far velocities of points that are pushed may be off, (m,), m/s, for bodies that are elsewhere by some ways.
+    """Uncertainty of velocities of points with an impulse, (m,), m/s, if bodies are displaced by `ways` and turned.
 
-    And by how they are turned. Points are then carried with other arms, and impulses so far turn bodies otherwise.
+    Points then have other arms about their bodies, and the impulses up to that time turn the bodies differently.
     """
     at, (arm, then, turning) = (pushes.step, pushes.body), met
     axes, length = matrix(then), np.linalg.norm(arm, axis=1)
@@ -278,7 +279,7 @@ def _doubted(
 
 
 def _fastest(poses: Poses, levers: Array) -> Array:
-    """Most that free bodies may turn in each step, (n, free), rad/s."""
+    """Largest angular velocity of free bodies in each step, (n, free), rad/s."""
     out: Array = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least(poses)
     return out
 
@@ -289,7 +290,7 @@ def least(poses: Poses) -> Array:
 
 
 def product(one: Array, other: Array) -> Array:
-    """Quaternions (..., 4) of turns one after the other, the second first."""
+    """Product of quaternions (..., 4): the rotation by the second, then by the first."""
     v, s, w, r = one[..., :3], one[..., 3:], other[..., :3], other[..., 3:]
     return np.concatenate([s * w + r * v + cross(v, w), s * r - (v * w).sum(-1, keepdims=True)], axis=-1)
 
@@ -302,7 +303,7 @@ def angles(one: Array, other: Array) -> Array:
 
 
 def _lifted(poses: Poses, pushes: Pushes, then: Array, turning: Array) -> Array:
-    """What lifts do to the energy in each step, (n,), J: to the potential one, and to ½ L·J⁻¹ L with L in space."""
+    """Change of energy by lifts in each step, (n,), J: potential energy, and ½ L·J⁻¹ L with L fixed in space."""
     lifts = pushes.row == LIFT
     step, body = pushes.step[lifts], pushes.body[lifts]
     weight = poses.mass[:, None] * poses.gravity
@@ -315,16 +316,16 @@ def _lifted(poses: Poses, pushes: Pushes, then: Array, turning: Array) -> Array:
 
 
 def _turned(poses: Poses, pushes: Pushes, moment: Array) -> tuple[Array, Array, Array]:
-    """How free bodies are turned after each step, (n, free, 4), and before each of what acts, (m, 4).
+    """Orientations of free bodies after each step, (n, free, 4), and before each impulse or lift, (m, 4).
 
-    Then the angular velocities before and after each, world axes, (2, m, 3), rad/s.
+    Also returns the angular velocities before and after each, world axes, (2, m, 3), rad/s.
     """
     t, free, time, length = poses.trajectory, poses.free, pushes.time, pushes.length
     row, lifts, shift = pushes.step * free + pushes.body, pushes.row == LIFT, pushes.shift
     q, w = poses.quaternion[:-1, :free].reshape(-1, 4).copy(), poses.v[:-1, :, 3:].reshape(-1, 3).copy()
     inertia, now = np.tile(poses.inertia, (t.steps, 1, 1)), np.zeros(t.steps * free)
-    # Moments on one body that act together, which with θ = 1 a move does not with the impacts before it at its time,
-    # nor with the lift at its end; then of each body the first, the second, ...
+    # Sum the moments that act on one body at once. With θ = 1 a move and the impacts before it at the same time are
+    # separate, as are a move and the lift at its end. Then process the first of each body, the second, and so on.
     begin, group = together(row, time, length, lifts)
     if begin.size:
         row, moment, shift = row[begin], np.add.reduceat(moment, begin), shift[begin]
@@ -334,7 +335,7 @@ def _turned(poses: Poses, pushes: Pushes, moment: Array) -> tuple[Array, Array, 
         some = rank == k
         i = row[some]
         q[i], w[i] = tumbled(q[i], w[i], inertia[i], time[some] - now[i])
-        # What is lifted keeps its angular momentum in space.
+        # A lift leaves the angular momentum unchanged in space.
         spin = rotate(q[i], np.einsum("bij,bj->bi", inertia[i], w[i])) + moment[some]
         met[some, :4], met[some, 4:7] = q[i], rotate(q[i], w[i])
         q[i] = turned(q[i], rotate(q[i] * CONJUGATE, shift[some, 3:]))
@@ -353,11 +354,12 @@ def spins(poses: Poses) -> Array:
 
 
 def tumbled(quaternion: Array, turning: Array, inertia: Array, time: Array) -> tuple[Array, Array]:
-    """Orientations (m, 4) and angular velocities (m, 3) of bodies after they turned freely.
+    """Orientations (m, 4) and angular velocities (m, 3) of bodies after a free rotation.
 
-    q' = ½ q ∘ ω and J ω' = J ω × ω: the spin of a needle about itself then hangs on nothing else, where by its angular
-    momentum in space an error of its tilt is one of the spin, larger by the ratio of its inertias. A body's own axes
-    see ω turn no faster than the body does, for no moment of inertia exceeds the sum of the other two.
+    Integrates q' = ½ q ∘ ω and J ω' = J ω × ω. The spin of a needle about its own axis then depends on nothing else.
+    With the angular momentum in space, an error of its tilt would be one of the spin, larger by the ratio of its
+    inertias. In the body's axes ω turns no faster than the body, as no moment of inertia exceeds the sum of the other
+    two.
 
     Parameters
     ----------
@@ -382,7 +384,7 @@ def tumbled(quaternion: Array, turning: Array, inertia: Array, time: Array) -> t
 
 
 def _leapt(y: Array, h: Array, inertia: Array, inverse: Array) -> Array:
-    """One step of h (m,), s, from y = (q, ω), shape (m, 7), as of `tumbled`."""
+    """Advance y = (q, ω), shape (m, 7), by one step of h (m,), s, for `tumbled`."""
     rates = np.empty((len(STAGES) - 1, *y.shape))
     for k, shares in enumerate(STAGES):
         there = y + h[:, None] * np.tensordot(shares, rates[:k], 1) if k else y

@@ -1,4 +1,4 @@
-"""What a scene or a robot file is made of, and what is wrong with it, before anything is simulated."""
+"""List the parts of a scene or a robot file, and the errors in it, before anything is simulated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from nsdyn.tools.naming import counted
 __all__ = ["ROBOTS", "Inspection", "Joint", "Mass", "inspect_robot", "inspect_scene"]
 
 ROBOTS = (".urdf", ".sdf", ".xml", ".mjcf")
-"""Endings of the names of robot files."""
+"""Extensions of robot files."""
 
 UNITS = {
     "at": "rad, m",
@@ -34,18 +34,18 @@ UNITS = {
     "friction": "N m, N",
     "damping": "N m s, N s/m",
 }
-"""Of the columns of the table of joints."""
+"""Units of the columns of the table of joints."""
 
 ONLY = {"base": (".urdf",), "keyframe": (".xml", ".mjcf"), "package_dirs": (".urdf", ".sdf")}
-"""Options of some kinds of robot files, by their endings."""
+"""Options that only some kinds of robot files take, with the extensions of these files."""
 
 SHOWN = 40
-"""Rows of a table that are printed."""
+"""Largest number of printed rows of a table."""
 
 
 @dataclass(frozen=True)
 class Mass:
-    """A body and what is welded to it, or a fixed base: mass [kg] and principal moments [kg m²], ascending."""
+    """A body with all that is welded to it, or a fixed base: mass [kg] and principal moments [kg m²], ascending."""
 
     name: str
     mass: float
@@ -55,7 +55,7 @@ class Mass:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint coordinate: where it is and its range, what acts in it; units as in `UNITS`, of a turn or a shift."""
+    """A joint coordinate: its value, range and loads; units as in `UNITS`, for rotation or translation."""
 
     name: str
     at: float
@@ -68,29 +68,30 @@ class Joint:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What `inspect_scene` found.
+    """Result of `inspect_scene` or `inspect_robot`.
 
     Attributes
     ----------
     name : str
     shapes : int
-        Collision shapes.
+        Number of collision shapes.
     masses : tuple of Mass
     joints : tuple of Joint
     overlaps : tuple of (str, str, float)
-        Shapes that overlap at the start by more than 1e-7 of the smaller one, and how deep [m], the deepest first.
+        Pairs of shapes that overlap at the start by more than 1e-7 of the smaller one, with their penetration [m], the
+        deepest first.
     outside : tuple of str
         Joints that start outside their limits.
     missing : tuple of str
-        What files contain that is not used and without which the mechanism is another: shapes, masses, constraints.
+        Unused content of files without which the mechanism is a different one: shapes, masses, constraints.
     dropped : tuple of str
-        What else they contain that changes the motion and is not used; inertias that no body can have.
+        Other unused content that changes the motion; inertias that no body can have.
     unused : tuple of str
-        What is not used besides, for instance pictures.
+        Unused content that does not change the motion, for instance pictures.
     notes : tuple of str
-        What else is worth knowing.
+        Further remarks.
     actuators : tuple of str
-        Those of MJCF files that `nsdyn.Actuation` controls, by name.
+        Names of the actuators of MJCF files that `nsdyn.Actuation` controls.
     """
 
     name: str
@@ -107,11 +108,11 @@ class Inspection:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing overlaps, no joint starts outside its limits, and nothing is missing."""
+        """Whether no shapes overlap, no joint starts outside its limits, and nothing is missing."""
         return not (self.overlaps or self.outside or self.missing)
 
     def as_dict(self) -> dict[str, Any]:
-        """As JSON values."""
+        """Return the inspection as JSON values."""
         return asdict(self) | {"passed": self.passed}
 
     def __repr__(self) -> str:
@@ -149,7 +150,7 @@ class Inspection:
         return "\n".join(lines)
 
     def _totals(self) -> str:
-        """The masses in one line."""
+        """Return the masses in one line."""
         fixed = sum(body.mass for body in self.masses if body.fixed)
         moving = [body.mass for body in self.masses if body.mass > 0.0 and not body.fixed]
         out = f"{sum(moving) + fixed:.6g} kg in all"
@@ -163,10 +164,10 @@ def _more(rows: Sequence[Any]) -> list[str]:
 
 
 def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
-    """Masses, joints, overlaps at the start, and what its files contain that is not used.
+    """Inspect a scene: masses, joints, overlaps at the start, and content of its files that is not used.
 
-    Overlaps are those of the audit, `nsdyn.audit.overlap`, which shares nothing with the detection of contacts;
-    shapes that may overlap, as those of links that a joint joins, are left out.
+    `nsdyn.audit.overlap` measures the overlaps, as in the audit; it shares no code with the detection of contacts.
+    Pairs of shapes that may overlap, for instance links that a joint connects, are not tested.
 
     Parameters
     ----------
@@ -189,7 +190,7 @@ def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
     outside = tuple(
         f"{joint.name} at {joint.at:.6g}, from {joint.lower:.6g} to {joint.upper:.6g}"
         for joint in joints
-        if not joint.lower - 1e-9 <= joint.at <= joint.upper + 1e-9  # the rounding of a user's own numbers
+        if not joint.lower - 1e-9 <= joint.at <= joint.upper + 1e-9  # allows for the rounding of a user's numbers
     )
     title = scene.name if name is None else name
     listed = {what: tuple(notes) for what, notes in told.items()}
@@ -200,19 +201,19 @@ def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
 
 
 def inspect_robot(path: str | Path, **options: Any) -> Inspection:
-    """Inspect a URDF, SDF or MJCF file, alone, in the configuration that it starts from; see `inspect_scene`.
+    """Inspect a URDF, SDF or MJCF file, alone, in its initial configuration; see `inspect_scene`.
 
     Parameters
     ----------
     path : path
     **options
-        Of `nsdyn.Scene.add_urdf`, `add_sdf` or `add_mjcf`. Without `q` and `keyframe` a start outside limits is a
-        note, as is what overlaps there: nothing can start so, another start can be given.
+        Of `nsdyn.Scene.add_urdf`, `add_sdf` or `add_mjcf`. Without `q` and `keyframe` a start outside limits, and
+        overlaps there, are only notes: no motion can start there, but another start can be given.
 
     Raises
     ------
     ValueError
-        For what cannot be read or simulated at all, and options that are not for such a file, naming it.
+        If the file cannot be read or simulated at all, or if an option is not for such a file; the message names it.
     """
     path, scene = as_path(path), Scene()
     ending = path.suffix.lower()
@@ -221,7 +222,7 @@ def inspect_robot(path: str | Path, **options: Any) -> Inspection:
             raise ValueError(f"{option} is for {' and '.join(ONLY[option])} files, which {path.name} is not")
     add: Any = {".urdf": scene.add_urdf, ".sdf": scene.add_sdf}.get(ending, scene.add_mjcf)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what is left out is in the report
+        warnings.simplefilter("ignore")  # the report lists the content that is left out
         add("robot", path, **{"inertias": "trust", "limits": False} | options)
     found = inspect_scene(scene, path.name)
     if options.keys() & {"q", "keyframe"} or not found.outside:
@@ -237,7 +238,7 @@ def _moments(inertia: Any) -> tuple[float, float, float]:
 
 
 def _joints(a: Articulation) -> list[Joint]:
-    """The coordinates of joints whose q are angles and lengths, numbered where a joint has several."""
+    """Coordinates of joints whose q are angles and lengths, numbered if a joint has several."""
     model, out = a.model, []
     for joint in range(1, model.njoints):
         count = model.nvs[joint]
@@ -252,7 +253,7 @@ def _joints(a: Articulation) -> list[Joint]:
 
 
 def _overlaps(scene: Scene) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of shapes that overlap where the scene starts, deepest first."""
+    """Pairs of shapes that overlap at the start of the scene, deepest first."""
     dynamics = Dynamics(scene)
     position, v = dynamics.start()
     place = dynamics.place(position)

@@ -1,4 +1,4 @@
-"""Audit of what acts on the joints of articulations: limits and how they rebound, dry friction, actuators, loads."""
+"""Audit of loads on the joints of articulations: limits and their rebound, dry friction, actuators, given forces."""
 
 from __future__ import annotations
 
@@ -19,42 +19,42 @@ __all__ = ["on_joints"]
 FINDINGS = "stops rebounds shared_rebounds joint_cone joint_slip loads wrenches pushes strength".split()
 
 NOTHING = 1e-9
-"""Fraction of the largest impulse or momentum of a step below which an impulse is nothing."""
+"""Fraction of the largest impulse or momentum of a step below which an impulse is zero."""
 
 STICKS = 1e-5
-"""rad/s or m/s: what solvers, and a motion that is found anew, leave of the slip of a joint that sticks, many times."""
+"""rad/s or m/s: many times the slip of a sticking joint that solvers, and a motion computed anew, leave."""
 
 ON = 1e-8
-"""rad or m: gaps of limits that joints rest on, many times."""
+"""rad or m: many times the gap of a limit on which a joint rests."""
 
 SOLVED = 1e-6
-"""rad/s or m/s: what solvers leave of a velocity, many times."""
+"""rad/s or m/s: many times the residual velocity that solvers leave."""
 
 Row = tuple[float, float, int, str]
 """(figure, amount, step, joint)."""
 
 
 class Acted(NamedTuple):
-    """A kick and what is around it.
+    """A kick and the motion around it.
 
     Attributes
     ----------
     m : Mechanism
     label : list of str
-        Of its coordinates.
+        Names of its coordinates.
     step : int
     kick : Kick
     along : ndarray, shape (6, nv)
-        Velocities: where its piece begins, before and after it, where the piece ends, and those on which dry friction
-        acts: the mean of before and after, and that of the end as it is foreseen.
+        Velocities: at the start of the piece, before and after the kick, at the end of the piece, and the two on which
+        dry friction may act: the mean of before and after, and the predicted velocity at the end.
     end : ndarray, shape (nv,)
-        Joint coordinates where the piece ends, rad or m.
+        Joint coordinates at the end of the piece, rad or m.
     rest : ndarray, shape (nv,)
-        Speeds up to which joints rest at their limits: what the forces before it change them by in two steps.
+        Speeds up to which joints rest at their limits: the change in two steps by the forces before the kick.
     most : float
         Largest impulse of the step, or momentum at its beginning, N·m·s.
     doubt : ndarray, shape (nv,)
-        Of the velocities before and after the kick.
+        Uncertainty of the velocities before and after the kick.
     """
 
     m: Mechanism
@@ -69,7 +69,7 @@ class Acted(NamedTuple):
 
 
 def on_joints(found: Retraced) -> Iterator[Found]:
-    """Findings of limits, dry friction, actuators and loads."""
+    """Findings on limits, dry friction, actuators and loads."""
     acted = list(_all(found))
     yield _worst("stops", [row for a in acted for row in _stops(a, found.trees.trajectory.dt)])
     yield from _rebounds(acted, found.trees.trajectory.columns["contacts/restitution"])
@@ -83,7 +83,7 @@ def on_joints(found: Retraced) -> Iterator[Found]:
 
 def _all(found: Retraced) -> Iterator[Acted]:
     for i, m in enumerate(found.trees.mechanisms):
-        label, rest = _labels(m), np.full(m.nv, np.inf)  # of a start, at which nothing has moved yet
+        label, rest = _labels(m), np.full(m.nv, np.inf)  # at the start nothing has moved yet
         for k, way in enumerate(found.ways[i]):
             q, begin = found.trees.state(i, k)[:2]
             sizes = [m.mass(q) @ begin, *(kick.given[:4] for kick in way.kicks)]
@@ -100,8 +100,8 @@ def _all(found: Retraced) -> Iterator[Acted]:
 
 
 def _stops(a: Acted, dt: float) -> Iterator[Row]:
-    """How far joints are from limits whose impulses act, beyond what they move; either way in impacts in no time."""
-    # A shallow gap closes by the next impulses, which are a step later at most.
+    """Distance of joints from the limits whose impulses act, beyond their motion; for impacts, on either side."""
+    # A shallow gap closes by the next impulses, at most one step later.
     travel = 2.0 * dt * np.abs(a.along[:4]).max(axis=0)
     angle, m = a.m.angle(a.kick.q), a.m
     gaps = np.where(a.kick.given[1] > 0.0, angle - m.lower, m.upper - angle)
@@ -112,9 +112,10 @@ def _stops(a: Acted, dt: float) -> Iterator[Row]:
 
 
 def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
-    """v⁺ = -e v⁻ of limits that strike alone and in no time: others may strike several times, or with what is unknown.
+    """Check v⁺ = -e v⁻ for limits that strike alone and instantaneously.
 
-    Where nothing rebounds, no limit gives back more than what forces and turning rows do, unless it holds the joint.
+    Other limits may strike several times, or together with unknown impulses. If nothing rebounds, the velocity that a
+    limit gives back is at most the change by forces and turning constraint rows, unless the limit holds the joint.
     """
     rows: list[Row] = []
     shared = 0
@@ -130,7 +131,7 @@ def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
             if kick.h:
                 sign = np.sign(kick.given[1, j])
                 off = sign * kick.after[j] - abs(kick.before[j] - a.along[0, j])
-                # Nothing has rebounded that is on its limit where the piece ends.
+                # A joint on its limit at the end of the piece has not rebounded.
                 parted = sign * (a.end[j] - (a.m.lower[j] if sign > 0.0 else a.m.upper[j]))
                 off = min(off, max(parted - ON, 0.0) / kick.h)
             elif abs(kick.before[j]) <= a.rest[j]:
@@ -146,9 +147,9 @@ def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
 
 
 def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
-    """By how much dry friction is above its bound, and less than against the motion, as a part of what it is in a step.
+    """Excess of dry friction over its bound, and deficit of its opposition to the motion, relative to those of a step.
 
-    A piece may be so short that all its friction is less than what a solver leaves of an impulse.
+    A piece may be so short that all its friction is less than the residual of an impulse.
     """
     drag, most_drag = a.kick.given[2], a.kick.h * a.m.friction
     some = (a.m.friction > 0.0) | (drag != 0.0)
@@ -159,11 +160,11 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
         least, most = most_drag[on].min(), most_drag[on].max()
         over = float(np.linalg.norm(pull)) - least
         bound = over / max(least, NOTHING * a.most, 1e-300), over, a.step, a.label[j]
-        # Within a piece that begins and ends with other signs anything may be against the motion.
+        # In a piece whose velocity changes sign, any friction may oppose the motion.
         speed = np.linalg.norm(speeds, axis=1)
-        # What sticks takes any friction within its bound.
+        # A sticking joint may have any friction within the bound.
         wasted = float(np.where(speed > STICKS, most * speed + speeds @ pull, 0.0).min())
-        # What drives a joint takes its friction, which does nothing to the motion.
+        # The drive of a joint takes up its friction, which then does not affect the motion.
         turns = j in a.m.driven or bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
         largest = dt * a.m.friction[on].max() * (float(speed.max()) + CREEP)
         figure = 0.0 if turns else wasted / max(largest, 1e-300)
@@ -176,7 +177,7 @@ def _worst(name: str, rows: list[Row]) -> Found:
 
 
 def _labels(m: Mechanism) -> list[str]:
-    """Articulation and joint of every coordinate."""
+    """Name of articulation and joint of every coordinate."""
     return [
         f"{m.name}/{name}"
         for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True)
@@ -185,14 +186,14 @@ def _labels(m: Mechanism) -> list[str]:
 
 
 def _acted(found: Retraced, name: str) -> tuple[Array, Index]:
-    """What is recorded of all steps and of all pieces, (rows, nv), and the steps that the rows are of."""
+    """Recorded values of all steps and all pieces, (rows, nv), and the step of each row."""
     t, c = found.trees.trajectory, found.trees.trajectory.columns
     step = np.concatenate([np.arange(t.steps), np.repeat(np.arange(t.steps), np.diff(c["pieces/offset"]))])
     return np.concatenate([c[f"joints/{name}"], c[f"pieces/{name}"]]), step + 1
 
 
 def _pushes(found: Retraced) -> Found:
-    """What external wrenches on links do to the coordinates, where a step is one move: it is not told of its pieces."""
+    """Effect of external wrenches on the coordinates, for steps of one move; wrenches of pieces are not recorded."""
     c, rows, first = found.trees.trajectory.columns, list[Row](), 0
     for m, ways in zip(found.trees.mechanisms, found.ways, strict=True):
         links, label = m.model.njoints - 1, _labels(m)
@@ -203,7 +204,7 @@ def _pushes(found: Retraced) -> Found:
             m.place(kick.q)
             wrenches = c[ON_LINKS][k, first : first + links]
             scale = max(float(np.abs(kick.given[3]).max()), float(np.abs(wrenches).max()), 1e-300)
-            # Levers are as much in doubt as where they are.
+            # Levers are as uncertain as configurations.
             doubt = scale * sum(float(course.doubted[0].sum()) for course in way.flows)
             off = np.abs(m.pushed(wrenches) - kick.given[3]) - doubt
             j = int(off.argmax())
@@ -213,7 +214,7 @@ def _pushes(found: Retraced) -> Found:
 
 
 def _strength(found: Retraced) -> Found:
-    """Impulses of actuators, of which none is above its limit times the time in which they act."""
+    """Check that no impulse of an actuator exceeds its limit times the time in which it acts."""
     (given, step), (most, _) = _acted(found, "actuation"), _acted(found, "strength")
     labels = [label for m in found.trees.mechanisms for label in _labels(m)]
     k, j = np.nonzero(~np.isinf(most))
@@ -223,7 +224,7 @@ def _strength(found: Retraced) -> Found:
 
 
 def _loads(found: Retraced) -> Iterator[Found]:
-    """Joint forces where no controller gives any, and external wrenches where nothing gives them."""
+    """Check for joint forces without a controller, and for external wrenches without a function that gives them."""
     labels = [label for m in found.trees.mechanisms for label in _labels(m)]
     for name, column, given, what in (
         ("loads", "actuation", "controller", "the controller's law and limits"),

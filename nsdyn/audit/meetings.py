@@ -1,4 +1,4 @@
-"""How bodies move at each contact where its step begins, and before and after its impulse."""
+"""Motion of the bodies at each contact: at the start of its piece of the step, and before and after its impulse."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ __all__ = ["Meetings", "Side"]
 
 
 class Side(NamedTuple):
-    """Bodies at contacts, one by one; world axes.
+    """Bodies on one side of contacts, one by one; world axes.
 
     Attributes
     ----------
     x, quaternion : ndarray, shapes (m, 3), (m, 4)
-        Where they are when the impulse acts, m.
+        Pose at the time of the impulse, m.
     v : ndarray, shape (3, m, 3)
-        Velocities of their points: where the piece of the step begins, as the bodies carry the point, before and after
-        all that acts with the impulse, m/s.
+        Velocities of the body's point: at the start of the piece of the step, with the point carried back by the body,
+        then before and after all that acts together with the impulse, m/s.
     spin : ndarray, shape (2, m, 3)
-        How they turn before and after, rad/s.
+        Angular velocities before and after, rad/s.
     back : ndarray, shape (m, 4)
-        How they turn back from there to where the piece begins.
+        Rotation from the time of the impulse back to the start of the piece.
     """
 
     x: Array
@@ -37,13 +37,13 @@ class Side(NamedTuple):
 
     @classmethod
     def nowhere(cls, m: int) -> Side:
-        """Of m bodies that are not known."""
+        """Build m bodies whose motion is unknown (NaN)."""
         shapes = (m, 3), (m, 4), (3, m, 3), (2, m, 3), (m, 4)
         return cls(*(np.full(shape, np.nan) for shape in shapes))
 
     @classmethod
     def still(cls, m: int) -> Side:
-        """Of m bodies that do not move; where they are is not told."""
+        """Build m bodies that do not move; their poses stay NaN."""
         out = cls.nowhere(m)
         for values in out[2:4]:
             values[:] = 0.0
@@ -51,31 +51,31 @@ class Side(NamedTuple):
         return out
 
     def put(self, rows: Index, other: Side) -> None:
-        """Those of `other` in some rows."""
+        """Copy `other` into the given rows."""
         for own, new, axis in zip(self, other, (0, 0, 1, 1, 0), strict=True):
             own[(slice(None),) * axis + (rows,)] = new
 
     def some(self, rows: Index | Bools) -> Side:
-        """Some of them."""
+        """Return the given rows."""
         return Side(*(x[(slice(None),) * axis + (rows,)] for x, axis in zip(self, (0, 0, 1, 1, 0), strict=True)))
 
 
 class Meetings(NamedTuple):
-    """Of each contact; NaN where what moves is not known.
+    """Relative motion at each contact; NaN where the motion of a body is unknown.
 
     Attributes
     ----------
     sides : (Side, Side)
         The first and the second bodies.
     begin : ndarray, shape (3, contacts, 3)
-        Relative velocity where the piece of the step begins, in a frame that stays in space, turns with the first body,
-        and with the second, m/s.
+        Relative velocity at the start of the piece of the step, m/s, in a frame fixed in space, one that turns with the
+        first body, and one that turns with the second.
     before, after : ndarray, shape (contacts, 3)
-        The same before and after all that acts with the impulse, in the frame of the contact.
+        Relative velocity before and after all that acts with the impulse, in the frame of the contact, m/s.
     spin : ndarray, shape (contacts, 3)
-        How the second body turns on the first, the mean of before and after, world axes, rad/s.
+        Angular velocity of the second body relative to the first, mean of before and after, world axes, rad/s.
     bent : ndarray, shape (contacts,)
-        Most that relative velocities change in a second by what turns, bodies and normals of what is round, m/s².
+        Largest rate at which relative velocities change by rotation, of bodies and of normals of round shapes, m/s².
     """
 
     sides: tuple[Side, Side]
@@ -87,26 +87,26 @@ class Meetings(NamedTuple):
 
     @property
     def mean(self) -> Array:
-        """The mean of before and after."""
+        """Mean of the relative velocities before and after."""
         out: Array = 0.5 * (self.before + self.after)
         return out
 
     @classmethod
     def of(cls, sides: tuple[Side, Side], axes: Array, point: Array, rounding: Array, wander: Array) -> Meetings:
-        """From frames (contacts, 3, 3), whose rows are axes, points, and sums of the radii of curvature of both, m.
+        """Build from frames (contacts, 3, 3) with axes as rows, points, and sums of both radii of curvature, m.
 
-        And from how fast contacts move, m/s: where bodies roll other points of theirs meet.
+        `wander` is the speed at which contacts move, m/s: when bodies roll, the contact moves to other points of them.
         """
         one, other = sides
         apart = other.v - one.v
         begin, before, after = (np.einsum("cij,cj->ci", axes, v) for v in apart)
-        # u_i = a_i · v with the axes a turned back: of what is turned forth.
+        # u_i = a_i · v with axes a turned back equals a_i · (v turned forward).
         turned = [np.einsum("cij,cj->ci", axes, rotate(s.back * CONJUGATE, apart[0])) for s in sides]
         speed = np.linalg.norm(apart, axis=2).max(axis=0)
-        # What slides around what is round turns the normal; corners and faces turn it with their bodies.
+        # Sliding around a round shape turns the normal; corners and faces turn it with their bodies.
         bent = speed * speed / np.where(rounding > 0.0, rounding, np.inf)
         for side in sides:
-            # What turns changes its axes by as much, and its own ω no faster than that.
+            # Rotation changes a body's axes at the rate ω, and ω itself no faster than that.
             turning = np.linalg.norm(side.spin, axis=2).max(axis=0)
             arm = np.where(turning > 0.0, np.linalg.norm(point - side.x, axis=1), 0.0)
             bent += turning * (speed + wander + 2.0 * turning * arm)

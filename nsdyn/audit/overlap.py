@@ -1,17 +1,16 @@
-"""How far two described shapes are inside each other, by code that shares nothing with the detection of contacts.
+"""Penetration depth of two described shapes, by code that shares nothing with the detection of contacts.
 
-For any unit vector n the separation along it, s(n) = min n·B - max n·A, is at most the signed distance of two convex
-shapes, so -s(n) is an upper bound of their overlap, the least translation that parts them, and the largest s is minus
-the overlap. Where it is looked for:
+The separation of convex shapes A and B along a unit vector n is s(n) = min n·B - max n·A. It is at most their signed
+distance. So -s(n) is an upper bound of their overlap, the smallest translation that separates them, and the largest s
+is minus the overlap. The maximum is sought as follows:
 
-- two polytopes, spheres or capsules: along the finitely many axes where a maximum can lie (normals of faces, crosses
-  of edges; where one is round, also from corners to corners and from edges to corners);
-- a half-space: its normal;
+- two polytopes, spheres or capsules: along the finitely many axes where a maximum can lie (normals of faces, cross
+  products of edges; if one shape is round, also from corners to corners and from edges to corners);
+- a half-space: along its normal;
 - cylinders and ellipsoids: from the best of some hundred directions, by Newton's method and by searches along kinks.
-  What is not found makes the reported overlap too large, never too small.
+  A maximum that is missed makes the reported overlap too large, never too small.
 
-Nothing here looks at a whole scene or at time: arrays of poses of one pair of shapes; `nsdyn.audit.audit` does the
-rest.
+This module handles arrays of poses of one pair of shapes. For whole scenes and motions see `nsdyn.audit.audit`.
 """
 
 from __future__ import annotations
@@ -28,40 +27,40 @@ from nsdyn.tools.arrays import Array, cross
 __all__ = ["overlap", "separation"]
 
 RESOLUTION = 1e-9
-"""Overlaps below this fraction of the size of the smaller shape are not looked at closer: their bound is reported."""
+"""Overlaps below this fraction of the smaller shape's size are not refined: their upper bound is reported."""
 
 DIRECTIONS = 100
-"""Directions tried before Newton's method, in the proportions of each shape."""
+"""Number of directions tried before Newton's method, spread in proportion to each shape."""
 
 NEWTON_STEPS = 30
-"""From each start."""
+"""Newton steps from each start."""
 
 CIRCLES = 6
-"""Great circles of kinks that are searched."""
+"""Number of great circles of kinks that are searched."""
 
 ANGLES = np.sort(
     np.concatenate([np.linspace(-np.pi, np.pi, 33), 0.1 * 0.4 ** np.arange(8), -0.1 * 0.4 ** np.arange(8)])
 )
-"""Where the search on a circle begins, from the best direction known, in radians."""
+"""Initial angles of the search on a circle, measured from the best known direction, in radians."""
 
 NUMBERS = 4_000_000
-"""Most numbers of a temporary array."""
+"""Largest number of elements of a temporary array."""
 
 
 def overlap(shape1: Mapping[str, Any], pose1: ArrayLike, shape2: Mapping[str, Any], pose2: ArrayLike) -> Any:
-    """Least translation that parts two shapes, 0 if they are apart: the depth of their penetration.
+    """Return the penetration of two shapes: the smallest translation that separates them, 0 if they are apart.
 
     Parameters
     ----------
     shape1, shape2 : mapping
-        What `Shape.describe` returns, or a geom of `Scene.describe`; not both half-spaces.
+        Outputs of `Shape.describe`, or geoms of `Scene.describe`; not both half-spaces.
     pose1, pose2 : array, shape (4, 4) or (m, 4, 4)
-        Homogeneous transforms from the shapes' frames to the world. Several make pairs, one by one.
+        Homogeneous transforms from the shapes' frames to the world. Several poses are paired one by one.
 
     Returns
     -------
     float or ndarray, shape (m,)
-        m; never below the true one, and above it by round-off or at most 1e-8 of the smaller shape's size.
+        m; never below the true value, and above it by round-off or at most 1e-8 of the smaller shape's size.
 
     Raises
     ------
@@ -78,18 +77,19 @@ def overlap(shape1: Mapping[str, Any], pose1: ArrayLike, shape2: Mapping[str, An
 
 
 def separation(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, exact: bool = False) -> Array:
-    """Signed distance of two solids in m poses, shape (m,), m: minus the overlap where they overlap.
+    """Return the signed distance of two solids in m poses, shape (m,), m: minus the overlap if they overlap.
 
     Parameters
     ----------
     a, b : Solid
     R1, R2 : ndarray, shape (m, 3, 3)
-        From their frames to the world; one (1, 3, 3) serves all.
+        Rotations from the frames of the solids to the world; one (1, 3, 3) holds for all poses.
     x1, x2 : ndarray, shape (m, 3)
-        Of their origins, m.
+        Positions of the origins, m.
     exact : bool
-        Where they are apart or overlap by less than `RESOLUTION`, False accepts any lower bound that shows it. True
-        gives the distance; of two polytopes apart it is the largest separation, which corners may exceed.
+        Matters if the solids are apart or overlap by less than `RESOLUTION`. False then accepts any lower bound that
+        shows this. True gives the distance; for two polytopes apart it gives the largest separation, which their
+        distance may exceed between corners.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def separation(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, e
         if b.kind == "halfspace":
             raise ValueError("two halfspaces have no separation")
         return separation(b, R2, x2, a, R1, x1, exact)
-    # b as a sees it, from differences of positions: the world's origin may be far.
+    # Pose of b in the frame of a, from differences of positions: the world's origin may be far.
     R, x = np.swapaxes(R1, 1, 2) @ R2, np.einsum("mji,mj->mi", R1, x2 - x1)
     R, x = np.broadcast_to(R, (len(x), 3, 3)), np.broadcast_to(x, (len(R), 3))
     if b.kind == "halfspace":
@@ -113,7 +113,7 @@ def separation(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, e
 def _in_parts(
     separate: Callable[[Solid, Solid, Array, Array, bool], Array], a: Solid, b: Solid, R: Array, x: Array, exact: bool
 ) -> Array:
-    """What `separate` gives, of so many poses at once that its arrays stay small."""
+    """Apply `separate` to blocks of poses that are small enough for its temporary arrays."""
     axes = max(DIRECTIONS, len(a.edges) * len(b.edges), len(a.normals) + len(b.normals))
     if a.radius or b.radius:
         axes = max(axes, len(a.corners) * len(b.corners), len(a.feet) * len(b.corners) + len(b.feet) * len(a.corners))
@@ -123,7 +123,7 @@ def _in_parts(
 
 
 def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> Array:
-    """Of hulls of balls, from all axes along which a largest separation can lie."""
+    """Separation of two hulls of balls, from all axes along which a largest separation can lie."""
     turned = np.swapaxes(R, 1, 2)
     best = np.maximum(_over_faces(a, b, R, x), _over_faces(b, a, turned, -(turned @ x[:, :, None])[..., 0]))
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
@@ -138,7 +138,7 @@ def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) ->
 
 
 def _over_faces(a: Solid, b: Solid, R: Array, x: Array) -> Array:
-    """Largest separation along the normals of the faces of a, shape (m,); -inf if it has none."""
+    """Largest separation along the normals of the faces of a, shape (m,); -inf if a has none."""
     (low, high), across = a.span, x @ a.normals.T
     other = (a.normals @ R) @ b.corners.T
     apart = np.maximum(across + other.min(axis=2) - high, low - across - other.max(axis=2))
@@ -147,11 +147,11 @@ def _over_faces(a: Solid, b: Solid, R: Array, x: Array) -> Array:
 
 
 SAME, AXIS = 1e-12, np.array([0.0, 0.0, 1.0])
-"""m, nearer than which two points are one; an axis where any will do."""
+"""Distance below which two points coincide, m; an axis for cases in which any axis will do."""
 
 
 def _along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
-    """Separations along axes n (m, k, 3), of either sign; -inf along those of length 0. Shape (m, k)."""
+    """Separations along axes n (m, k, 3), of either sign, shape (m, k); -inf along axes of length 0."""
     length = np.linalg.norm(n, axis=2)
     n = n / np.where(length > 0.0, length, 1.0)[..., None]
     there = n @ R
@@ -164,13 +164,13 @@ def _along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
 
 
 def _face_normals(a: Solid, b: Solid, R: Array, x: Array) -> Array:
-    """Normals of faces, shape (m, k, 3)."""
+    """Normals of the faces of both solids, shape (m, k, 3)."""
     own = np.broadcast_to(a.normals, (len(x), *a.normals.shape))
     return np.concatenate([own, b.normals @ np.swapaxes(R, 1, 2)], axis=1)
 
 
 def _edge_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
-    """Crosses of edges, 0 where they are parallel, shape (m, k, 3)."""
+    """Cross products of edges, 0 for parallel ones, shape (m, k, 3)."""
     other = b.edges @ np.swapaxes(R, 1, 2)
     out = cross(a.edges[None, :, None], other[:, None]).reshape(len(x), -1, 3)
     out[np.linalg.norm(out, axis=2) < 1e-12] = 0.0
@@ -178,12 +178,12 @@ def _edge_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
 
 
 def _corner_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
-    """From corners to corners, and from lines of edges to corners, shape (m, k, 3)."""
+    """Axes from corners to corners, and from lines of edges to corners, shape (m, k, 3)."""
     turned = np.swapaxes(R, 1, 2)
     corners = b.corners @ turned + x[:, None]
     start, line = b.feet[:, :3] @ turned + x[:, None], b.feet[:, 3:] @ turned
     pairs = corners[:, None] - a.corners[:, None]
-    # Where two coincide no axis is better than another.
+    # If two corners coincide, no axis is better than another.
     pairs[np.linalg.norm(pairs, axis=3) < SAME] = AXIS
     out = [pairs, _across(corners[:, None] - a.feet[:, None, :3], a.feet[None, :, None, 3:])]
     out.append(_across(a.corners[:, None] - start[:, None], line[:, None]))
@@ -191,7 +191,7 @@ def _corner_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
 
 
 def _across(d: Array, line: Array) -> Array:
-    """What of vectors d is across a line of unit vectors; one across it where nothing is."""
+    """Components of vectors d across a line of unit vectors; any unit vector across it if the component is 0."""
     out: Array = d - (d * line).sum(axis=-1, keepdims=True) * line
     on = np.linalg.norm(out, axis=-1) < SAME
     if on.any():
@@ -200,13 +200,13 @@ def _across(d: Array, line: Array) -> Array:
 
 
 def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> Array:
-    """Of pairs with a cylinder or an ellipsoid.
+    """Separation of pairs with a cylinder or an ellipsoid.
 
-    A largest separation is where three kinks of it meet, on a kink, or off them. All kinks lie on great circles, across
-    the edges of polytopes and the axes of cylinders.
+    The largest separation lies where three of its kinks meet, on a kink, or off all kinks. All kinks lie on great
+    circles, perpendicular to the edges of polytopes and the axes of cylinders.
     """
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
-    # Along the line of centres, normals of faces and crosses of edges, in which kinks meet.
+    # The line of centres, normals of faces and cross products of edges; kinks meet in the last two.
     centres = np.where(np.linalg.norm(x, axis=1)[:, None] < SAME, AXIS, x)
     known = np.concatenate([centres[:, None], _face_normals(a, b, R, x), _edge_axes(a, b, R, x)], axis=1)
     best, n = _best_along(a, b, R, x, known)
@@ -214,7 +214,7 @@ def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> A
     if not left.size:
         return best
     R, x, grid = R[left], x[left], _sphere(DIRECTIONS)
-    # Where normals of an ellipsoid of each one's proportions point: flat and long shapes need these.
+    # Directions of the normals of an ellipsoid with the proportions of each shape: flat and long shapes need these.
     own, other = grid / a.half, np.einsum("mij,kj->mki", R, grid / b.half)
     tried = np.concatenate([np.broadcast_to(own, (len(x), *own.shape)), other], axis=1)
     value, start = _best_along(a, b, R, x, tried)
@@ -232,7 +232,7 @@ def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> A
 
 
 def _better(*found: tuple[Array, Array]) -> tuple[Array, Array]:
-    """The largest of several separations (m,), and the vectors (m, 3) along which they are."""
+    """Largest of several separations (m,), and the vectors (m, 3) along which they occur."""
     values, vectors = (np.stack(items) for items in zip(*found, strict=True))
     k = values.argmax(axis=0)
     rows = np.arange(len(k))
@@ -256,10 +256,10 @@ def _each_along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
 
 
 def _climb(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Array]:
-    """Largest separation found by Newton's method from n (m, 3), and where, as `_best_along`.
+    """Maximise the separation by Newton's method from n (m, 3); return value and direction as `_best_along`.
 
-    On the unit sphere with tangents T, of the separation s with gradient g and Hessian H: the step
-    T (|s| + λ - Tᵀ H T)⁻¹ Tᵀ g, its damping λ larger after steps that fail and smaller after steps that help.
+    On the unit sphere with tangents T, for a separation s with gradient g and Hessian H, the step is
+    T (|s| + λ - Tᵀ H T)⁻¹ Tᵀ g. The damping λ grows after steps that fail and shrinks after steps that help.
     """
     value = _best_along(a, b, R, x, n[:, None])[0]
     damping = np.full(len(x), 1e-3 * min(a.bounding_radius, b.bounding_radius))
@@ -278,7 +278,7 @@ def _climb(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Arr
 
 
 def _around(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Array]:
-    """Largest separation on the great circles of kinks nearest to n, and where, as `_best_along`."""
+    """Maximise the separation on the great circles of kinks nearest to n; return value and place as `_best_along`."""
     m, rows = len(x), np.arange(len(x))
     kinks = np.concatenate([np.broadcast_to(a.edges, (m, *a.edges.shape)), b.edges @ np.swapaxes(R, 1, 2)], axis=1)
     if not kinks.shape[1]:
@@ -299,7 +299,7 @@ def _around(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Ar
         values = at(np.broadcast_to(ANGLES, (m, ANGLES.size)))[0]
         best = values.argmax(axis=1)
         low, high = ANGLES[np.maximum(best - 1, 0)], ANGLES[np.minimum(best + 1, ANGLES.size - 1)]
-        while True:  # the middle of nine keeps a maximum between its neighbours
+        while True:  # of nine angles, the neighbours of the best one enclose the maximum
             angle = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 9)
             values, directions = at(angle)
             best = values.argmax(axis=1)
@@ -311,7 +311,7 @@ def _around(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Ar
 
 
 def _tangents(n: Array) -> Array:
-    """Two unit vectors across each n (m, 3), shape (m, 3, 2)."""
+    """Two unit vectors perpendicular to each n (m, 3), shape (m, 3, 2)."""
     helper = np.eye(3)[np.abs(n).argmin(axis=1)]
     first = cross(n, helper)
     first /= np.linalg.norm(first, axis=1)[:, None]

@@ -18,7 +18,7 @@ from nsdyn.tools.arrays import Array, Bools, Index, cross
 __all__ = ["CONJUGATE", "Poses", "matrix", "turned"]
 
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
-"""Makes a quaternion xyzw that of the turn back."""
+"""Factors that turn a quaternion xyzw into that of the inverse rotation."""
 
 
 def matrix(quaternion: Array) -> Array:
@@ -27,7 +27,7 @@ def matrix(quaternion: Array) -> Array:
 
 
 def turned(quaternion: Array, angle: Array) -> Array:
-    """Quaternions (..., 4) turned by rotation vectors (..., 3) in their own axes."""
+    """Rotate quaternions (..., 4) by rotation vectors (..., 3) given in their own axes."""
     size = np.linalg.norm(angle, axis=-1, keepdims=True)
     axis, w = 0.5 * np.sinc(0.5 * size / np.pi) * angle, np.cos(0.5 * size)
     v, s = quaternion[..., :3], quaternion[..., 3:]
@@ -35,7 +35,7 @@ def turned(quaternion: Array, angle: Array) -> Array:
 
 
 class Poses:
-    """Shapes of a recording and where they are in every state."""
+    """Shapes of a recording and their poses in every state."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory, self.scene = trajectory, trajectory.scene
@@ -63,13 +63,13 @@ class Poses:
         extents = np.array([solid.extent for solid in self.solids])
         self.extent = extents[self.kind] if len(geoms) else np.empty(0)
         self.rounding = np.array([self.solids[kind].rounding for kind in self.kind])
-        # Of any point of a shape from the origin of its frame, m.
+        # Largest distance of a point of each shape from the origin of its frame, m.
         arms = np.linalg.norm(self.placement[:, :3, 3], axis=1)
         self.bounding_radius = np.array([self.solids[kind].bounding_radius for kind in self.kind]) + arms
 
     @cached_property
     def theta(self) -> float:
-        """Of the scheme."""
+        """θ of the time-stepping scheme."""
         return float(self.trajectory.meta["theta"])
 
     @cached_property
@@ -84,28 +84,28 @@ class Poses:
 
     @cached_property
     def gravity(self) -> Array:
-        """m/s², (3,)."""
+        """Gravity, (3,), m/s²."""
         return np.array(self.scene["gravity"], dtype=float)
 
     @cached_property
     def weight(self) -> float:
-        """Size of gravity, m/s²."""
+        """Magnitude of gravity, m/s²."""
         return float(np.linalg.norm(self.gravity))
 
     def is_free(self, frame: Index) -> Bools:
-        """Which frames are those of free bodies."""
+        """Mask of the frames that belong to free bodies."""
         out: Bools = (frame >= 0) & (frame < self.free)
         return out
 
     @cached_property
     def contacts(self) -> dict[str, Any]:
-        """Columns of contacts, without the name of their group."""
+        """Columns of contacts by their names, without the prefix of the group."""
         columns = self.trajectory.columns.items()
         return {name.removeprefix("contacts/"): x for name, x in columns if name.startswith("contacts/")}
 
     @cached_property
     def step(self) -> Index:
-        """Step of every contact, the first 0."""
+        """Index of the step of every contact, from 0."""
         return np.repeat(np.arange(self.trajectory.steps), np.diff(self.contacts["offset"]))
 
     @cached_property
@@ -115,15 +115,16 @@ class Poses:
 
     @cached_property
     def code(self) -> Index:
-        """Number of the pair of shapes of every contact."""
+        """Number that identifies the pair of shapes of every contact."""
         out: Index = self.pair[0] * len(self.names) + self.pair[1]
         return out
 
     @cached_property
     def instant(self) -> Index:
-        """Number of the instant and of the island of each contact, moving bodies that touch there.
+        """Number of the instant and of the island of each contact; islands are moving bodies in contact then.
 
-        Links of an articulation are one body. With θ = 1 a move acts at the time of the impacts before it, not in them.
+        The links of an articulation count as one body. With θ = 1 a move acts at the time of the impacts before it, but
+        forms an instant of its own.
         """
         c, moving = self.contacts, self.frame[self.pair] >= 0
         when = np.stack([self.step, np.nan_to_num(c["time"]), c["duration"] == 0.0])
@@ -136,7 +137,7 @@ class Poses:
         return out
 
     def beside(self, which: Bools) -> Bools:
-        """Contacts of the instants and islands of some, these too."""
+        """Contacts at the same instants and on the same islands as the given ones, including these."""
         out: Bools = np.isin(self.instant, self.instant[which])
         return out
 
@@ -149,7 +150,7 @@ class Poses:
 
     @cached_property
     def smallest(self) -> Array:
-        """Smallest extents of free bodies, (free,), m."""
+        """Smallest extent of each free body, (free,), m."""
         own, out = np.flatnonzero(self.is_free(self.frame)), np.full(self.free, np.inf)
         np.minimum.at(out, self.frame[own], self.extent[own])
         return out
@@ -158,7 +159,7 @@ class Poses:
     def middle(self) -> tuple[Array, Array]:
         """Positions (n, frames, 3) and quaternions of frames in the middle of every step.
 
-        Free bodies move to it as they began; others are taken halfway.
+        Free bodies move there with their initial velocities; for other frames it is the average of both ends.
         """
         x, q = 0.5 * (self.x[:-1] + self.x[1:]), self.quaternion[1:]
         before = self.quaternion[:-1]
@@ -172,9 +173,9 @@ class Poses:
 
     @cached_property
     def uncertain(self) -> tuple[Array, Array]:
-        """How far impacts may have moved frames in a step beyond what its ends tell, (n, frames) each: m and rad.
+        """Displacement and rotation by impacts within a step that its ends do not show, (n, frames) each: m and rad.
 
-        Impacts change the velocities at any time within the step. Nothing is known of links.
+        Impacts change the velocities at an unknown time within the step. For links the result is 0: nothing is known.
         """
         t, theta = self.trajectory, self.theta
         out = np.zeros((2, t.steps, self.x.shape[1]))
@@ -184,18 +185,18 @@ class Poses:
         return out[0], out[1]
 
     def of(self, geom: Index, row: Index) -> tuple[Array, Array]:
-        """World poses (R, x) of shapes, one by one, in a row of the states."""
+        """World poses (R, x) of shapes, one by one, in the given rows of the states."""
         return self.placed(geom, *self.frames(geom, row, self.x, self.quaternion))
 
     def frames(self, geom: Index, row: Index, x: Array, quaternion: Array) -> tuple[Array, Array]:
-        """Poses of the frames of shapes, (m, 3) and (m, 4), of all those in rows (rows, frames, ...); 0 of no frame."""
+        """Poses (m, 3), (m, 4) of the frames of shapes, from arrays (rows, frames, ...); 0 if there is none."""
         frame, at, turn = self.frame[geom], np.zeros((geom.size, 3)), np.zeros((geom.size, 4))
         moving = frame >= 0
         at[moving], turn[moving] = x[row[moving], frame[moving]], quaternion[row[moving], frame[moving]]
         return at, turn
 
     def placed(self, geom: Index, x: Array, quaternion: Array) -> tuple[Array, Array]:
-        """World poses (R, x) of shapes, one by one, of frames at x (m, 3), turned by quaternions (m, 4)."""
+        """World poses (R, x) of shapes, one by one, from frame positions x (m, 3) and quaternions (m, 4)."""
         R: Array = self.placement[geom, :3, :3].copy()
         t: Array = self.placement[geom, :3, 3].copy()
         moving = self.frame[geom] >= 0
@@ -204,7 +205,7 @@ class Poses:
         return R, t
 
     def by_kind(self, first: Index, second: Index) -> Iterator[tuple[Solid, Solid, Index]]:
-        """Pairs of shapes, those of two solids together: the solids and the indices."""
+        """Group pairs of shapes by their two solids: yield both solids and the indices of the pairs."""
         code = self.kind[first] * len(self.solids) + self.kind[second]
         order = np.argsort(code, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
@@ -212,9 +213,9 @@ class Poses:
                 yield self.solids[self.kind[first[rows[0]]]], self.solids[self.kind[second[rows[0]]]], rows
 
     def named(self, first: Index, second: Index) -> Callable[[int], tuple[str, str]]:
-        """The names of both shapes of pairs, by number."""
+        """Return the function that gives the names of both shapes of pair k."""
         return lambda k: (self.names[first[k]], self.names[second[k]])
 
     def size(self, first: Index, second: Index) -> Array:
-        """Smallest extent of the smaller shape of pairs, m."""
+        """Extent of the smaller shape of each pair, m."""
         return np.minimum(self.extent[first], self.extent[second])

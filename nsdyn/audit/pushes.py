@@ -1,4 +1,4 @@
-"""What pushes and lifts free bodies, one by one: when in its step, and how long the move takes that it acts in."""
+"""Impulses and lifts on free bodies, one by one, with their times within the step and the durations of their moves."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ __all__ = ["GIVEN", "LIFTED", "UNTIMED", "Pushes", "Times", "together", "velocit
 
 
 GIVEN, LIFTED = "wrenches/offset", "lifts/offset"
-"""Are among the columns where external wrenches on free bodies, and their lifts by projections, are recorded."""
+"""Columns that exist if external wrenches on free bodies, or their lifts by position projections, are recorded."""
 
 LIFT = -2
-"""`Pushes.row` of lifts."""
+"""Value of `Pushes.row` for lifts."""
 
 UNTIMED = "in what moves impulses and projections acted is not recorded"
-"""Why what hangs on it is not audited of older recordings."""
+"""Reason why quantities that depend on these times are not audited in older recordings."""
 
 
 class Pushes(NamedTuple):
-    """Impulses on free bodies, one by one, sorted by step, body and time; two of a contact of two free bodies.
+    """Impulses on free bodies, one by one, sorted by step, body and time; a contact of two free bodies has two.
 
-    And external wrenches, where these are recorded, and lifts: displacements by the projections that end moves, which
-    stand after all that acts in theirs.
+    External wrenches are included if they are recorded. So are lifts: displacements by the position projections that
+    end moves. A lift stands after all impulses of its move.
 
     Attributes
     ----------
     row, side : ndarray of int, shape (m,)
-        Of the contact, and 0 or 1 for its first or second body; -1 of wrenches, -2 of lifts.
+        Of the contact, and 0 or 1 for its first or second body; row is -1 for wrenches and -2 for lifts.
     step, body : ndarray of int, shape (m,)
     time, length : ndarray, shape (m,)
-        Within the step, s, and of the move that it acts in, 0 of an impact in no time.
+        Time within the step, s, and duration of the move, 0 for an instantaneous impact.
     push, couple : ndarray, shape (m, 3)
         Impulse and couple on the body, world axes, N·s and N·m·s; 0 for couples that are not recorded.
     shift : ndarray, shape (m, 6)
-        Displacement of the centre of mass, m, and rotation vector, rad, world axes; 0 but of lifts.
+        Displacement of the centre of mass, m, and rotation vector, rad, world axes; nonzero for lifts only.
     """
 
     row: Index
@@ -55,7 +55,7 @@ class Pushes(NamedTuple):
 
     @classmethod
     def of(cls, poses: Poses, times: Times, impulse: Array) -> Pushes:
-        """Of a recording; from the impulses (contacts, 3) on the second bodies of its contacts."""
+        """Build from a recording and the impulses (contacts, 3) on the second bodies of its contacts."""
         frames = poses.frame[poses.pair].T
         row, side = np.nonzero(poses.is_free(frames))
         sign, couple = np.where(side, 1.0, -1.0)[:, None], np.nan_to_num(poses.contacts["couple"])
@@ -74,7 +74,7 @@ class Pushes(NamedTuple):
         return cls(*(column[order] for column in columns))
 
     def cut(self, poses: Poses) -> Bools:
-        """`Flight.cut`: whether anything pushes a body in less than the step, or it fell in pieces."""
+        """`Flight.cut`: whether a move shorter than the step acts on a body, or the body fell in several moves."""
         whole = np.ones((poses.trajectory.steps, poses.free), np.bool_)
         met, short = ~whole, self.length < poses.trajectory.dt
         met[self.step, self.body] = True
@@ -82,15 +82,15 @@ class Pushes(NamedTuple):
         return np.where(met, ~whole, _fell_in_pieces(poses))
 
     def summed(self, shape: tuple[int, int], values: Array) -> Array:
-        """Sums of values of each impulse by steps and bodies."""
+        """Sum values of the impulses by step and body."""
         out = np.zeros((*shape, *values.shape[1:]))
         np.add.at(out, (self.step, self.body), values)
         return out
 
     def earlier(self, values: Array) -> Array:
-        """Of each impulse the sum of values of those before it on its body in its step.
+        """For each impulse, sum the values of the earlier impulses on its body in its step.
 
-        Not as a difference of sums over all, beside whose round-off what pushes light bodies is little.
+        No differences of a cumulative sum over all impulses are used: their round-off would hide those on light bodies.
         """
         begin, group = together(self.step, self.body)
         rank, out = np.arange(group.size) - begin[group], np.zeros(values.shape)
@@ -100,7 +100,7 @@ class Pushes(NamedTuple):
         return out
 
     def around(self, values: Array) -> Array:
-        """Of each impulse the sums before and after all that act on its body at its time, (2, m, ...)."""
+        """For each impulse, sums of values before and after all that act on its body at its time, (2, m, ...)."""
         begin, group = together(self.step, self.body, self.time, self.length)
         if not begin.size:
             return np.stack([values, values])
@@ -109,14 +109,14 @@ class Pushes(NamedTuple):
 
 
 class Times(NamedTuple):
-    """When each contact acts.
+    """Times at which contacts act.
 
     Attributes
     ----------
     time, length : ndarray, shape (contacts,)
-        Within its step, s, and of the move that it acts in, 0 of an impact in no time.
+        Time within the step, s, and duration of the move, 0 for an instantaneous impact.
     known : bool
-        Whether both are recorded, and how bodies were lifted; without, all are taken to act in steps of one piece.
+        Whether both, and the lifts of bodies, are recorded; otherwise all are taken to act in steps of one move.
     """
 
     time: Array
@@ -125,7 +125,7 @@ class Times(NamedTuple):
 
     @classmethod
     def of(cls, poses: Poses) -> Times:
-        """Of all contacts of a recording."""
+        """Build for all contacts of a recording."""
         c, h, late = poses.contacts, poses.trajectory.dt, 1.0 - poses.theta
         known = LIFTED in poses.trajectory.columns and not (np.isnan(c["time"]) | np.isnan(c["duration"])).any()
         if known:
@@ -134,9 +134,9 @@ class Times(NamedTuple):
 
 
 def _fell_in_pieces(poses: Poses) -> Bools:
-    """Steps of bodies, (n, free), where what fell does not end as in one piece, if nothing touched it.
+    """Steps (n, free) in which a body that nothing touched ends elsewhere than after a fall in one move.
 
-    Only with theta above ½ does it matter, and that some seemed to touch on their way and did not is all that cuts.
+    This matters for theta above ½ only. The step is then cut because of contacts that seemed to close but did not.
     """
     t, theta, v = poses.trajectory, poses.theta, velocities(poses)
     forced = t.dt * np.diff(v, axis=0)
@@ -147,7 +147,7 @@ def _fell_in_pieces(poses: Poses) -> Bools:
 
 
 def together(*keys: NDArray[Any]) -> tuple[Index, Index]:
-    """Of sorted rows those alike in all keys together: where each group begins, and the group of each row."""
+    """Group sorted rows that are equal in all keys: return where each group begins, and the group of each row."""
     new = np.ones(keys[0].size, np.bool_)
     new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
     return np.flatnonzero(new), np.cumsum(new) - 1

@@ -1,4 +1,4 @@
-"""All steps of all articulations of a recording, followed anew: how far they lead elsewhere, and what works in them."""
+"""Follow all articulations of a recording through all steps anew: deviations of the motion, and works of joints."""
 
 from __future__ import annotations
 
@@ -19,39 +19,40 @@ from nsdyn.tools.displacements import displacement, integrate
 __all__ = ["Retraced", "retraced"]
 
 COARSE = 1e-3
-"""Most that the fourth-order flow of a step may err, as a fraction of what moves: more is no motion of this tree."""
+"""Largest error of the fourth-order flow of a step, as a fraction of the motion; larger: no motion of this tree."""
 
 SMALL = 1e-6
-"""Displacement, rad or m, whose round-off is 1e-9 of it."""
+"""Displacement, rad or m, of which round-off is a fraction of 1e-9."""
 
 
 @dataclass(frozen=True, eq=False)
 class Retraced:
-    """All steps of all articulations, followed anew; arrays of steps, (n, trees) unless said.
+    """Retraced motion: all steps of all articulations, followed anew; arrays (n, trees) unless stated.
 
     Attributes
     ----------
     trees : Trees
     momentum, motion, lift : (amount, scale) of ndarrays
-        How far velocities and configurations are from where impulses lead, and how far projections went, in the norm
-        of the mass matrix; by what each is measured.
+        Distance of recorded velocities and configurations from those to which the impulses lead, and displacement by
+        projections, in the norm of the mass matrix; each with its reference.
     works : dict of str to ndarray
-        By columns of the ledger.
+        Works by columns of the ledger, J.
     doubt, parted : ndarray
-        Of works, J: of each and of their sum, and of how this is parted where limits and contacts strike in turn in no
-        time, as often as is not recorded.
+        Uncertainty of works, J: of each and of their sum (`doubt`), and of the split of the sum where limits and
+        contacts strike alternately in one instant, an unrecorded number of times (`parted`).
     energy : ndarray, shape (n,)
         Change of energy by projections, J.
     met : (Side, Side)
-        Links that contacts push, the first and the second bodies of these; NaN of others.
+        Links at contacts with an impulse, as first and as second bodies; NaN for other bodies.
     met_doubt : ndarray, shape (contacts,)
-        What is in doubt of the works of contacts, J.
+        Uncertainty of the works of contacts, J.
     met_parted : ndarray of bool, shape (contacts,)
-        Those that strike in turn with limits, in no time or in a move.
+        Contacts that strike alternately with limits, in an instant or in a move.
     met_twice : ndarray, shape (contacts,)
-        Most that impulses of rebounds may have done within moves, whose others are booked as numerics, J; 0 of others.
+        Upper bound of the work of rebound impulses within moves, J; 0 for other contacts. Other impulses within these
+        moves are booked as numerics.
     ways : list of list of Way
-        Of every tree, in every step.
+        Course of every tree in every step.
     """
 
     trees: Trees
@@ -70,7 +71,7 @@ class Retraced:
 
 
 def retraced(poses: Poses) -> Retraced | str:
-    """Follow all articulations through all steps; why that is not possible."""
+    """Follow all articulations through all steps; return the reason if that is not possible."""
     found, t = trees(poses.trajectory), poses.trajectory
     if isinstance(found, str) or found.missing:
         return found if isinstance(found, str) else found.missing
@@ -101,14 +102,14 @@ def retraced(poses: Poses) -> Retraced | str:
                 for kick, doubted, last in zip(way.kicks, _book(out, i, m, k, way), way.flows[1::2], strict=True):
                     _meet(out, m, kick, doubted, begin)
                     begin = np.array(integrate(m.model, last.q, kick.shift)), last.v
-            except (np.linalg.LinAlgError, ValueError):  # numbers that are none, masses that no body has
+            except (np.linalg.LinAlgError, ValueError):  # values that are no numbers, or masses that no body can have
                 way, out.momentum[0][k, i] = Way([], [], *found.state(i, k + 1)), np.nan
             out.ways[i].append(way)
     return out
 
 
 def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
-    """How far a step ends from where it leads."""
+    """Compare the recorded end of a step with the retraced one."""
     (_, v0), (q, v) = out.trees.state(i, k), out.trees.state(i, k + 1)
     h, M = out.trees.trajectory.dt, m.mass(q)
     L = np.linalg.cholesky(M)
@@ -127,10 +128,10 @@ def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     )
     doubt = np.array([[size(row) for row in course.doubted] for course in way.flows]).sum(axis=0)
     doubt = doubt if m.loops else np.minimum(doubt, COARSE * speed * np.array([h, 1.0]))
-    # Weights that cancel, of what hangs still, leave the rounding of each.
+    # If the weights of a hanging body cancel, the round-off of each remains.
     rounded = 4.0 * np.finfo(float).eps * h * m.falling
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
-    # What is left of the gaps of loops is looked at by itself.
+    # Remaining gaps of loops have a finding of their own.
     off = size(displacement(m.model, way.q, close(m, q)))
     for pair, amount, scale in (
         (out.momentum, size(way.v - v) - doubt[1] - rounded, speed),
@@ -141,7 +142,7 @@ def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
 
 
 def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
-    """Works of a step by columns of the ledger, and what is in doubt of them; what is so of velocities at each kick."""
+    """Book the works of a step by columns of the ledger, with uncertainty; return that of velocities at each kick."""
     works, doubt, late = dict.fromkeys(out.works, 0.0), 0.0, np.zeros(m.nv)
     each: list[Array] = []
     end, alone = out.trees.state(i, k + 1)[0], len(way.kicks) == 1
@@ -151,7 +152,7 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
         each.append(late)
         doubted = late
         if kick.mean is not None:
-            # Constant forces work along the displacement that is recorded, where that of their motion is.
+            # In a step of one piece, constant forces act along the recorded displacement, which includes their effect.
             along = kick.mean + (displacement(m.model, way.q, end) / kick.h if alone else 0.0)
             doubted = late if alone else late + last.doubted[0] / kick.h
         works["external"] += float((kick.given[0] + kick.given[3]) @ along)
@@ -159,20 +160,20 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
         works["friction"] += float(kick.given[2] @ mean)
         works["damping"] += float(kick.stiff[0] @ along)
         works["constraint"] += first.work + last.work
-        if m.driven.size:  # what drives do in a flow is the change of its energy, in doubt as its velocities are
+        if m.driven.size:  # the work of drives in a flow is its change of energy, as uncertain as its velocities
             doubt += sum(float(np.abs(m.mass(flow.q) @ flow.v) @ flow.doubted[1]) for flow in (first, last))
         if kick.mean is None:
             works["constraint"] += float(kick.reaction @ mean)
         change = np.abs(kick.after - kick.before)
-        # What rebounds in a piece, or several times in one instant, works in parts that are not recorded; where only
-        # limits strike in no time these make up one work.
+        # Rebounds in a piece, or several in one instant, have parts of work that are not recorded. If only limits
+        # strike in an instant, their parts form one work.
         on_joints = np.abs(kick.given[1]) + np.abs(kick.given[2])
         if kick.h == 0.0 and _parted(out.trees, m, kick):
             out.parted[k, i] += 2.0 * float(on_joints @ _fastest(m, kick, np.eye(m.nv)))
         elif (kick.h > 0.0 or kick.given[2].any()) and (m.restitution > 0.0 or _rebounds(out.trees, kick)):
             doubt += 0.5 * float(on_joints @ change)
         acted = np.abs(kick.given[:4]).sum(axis=0) + 2.0 * np.abs(kick.stiff[0]) + np.abs(kick.reaction)
-        doubt += float(acted @ doubted)  # dampers are in doubt as velocities are, and so is what they work along
+        doubt += float(acted @ doubted)  # for dampers twice: impulse and displacement are as uncertain as velocities
         late = late + last.doubted[1]
         if kick.shift.any():
             lifted = np.array(integrate(m.model, last.q, kick.shift))
@@ -189,12 +190,12 @@ def _rebounds(found: Trees, kick: Kick) -> bool:
 
 
 def _parted(found: Trees, m: Mechanism, kick: Kick) -> bool:
-    """Whether limits and contacts strike in turn, of which some rebound."""
+    """Whether limits and contacts strike alternately, and some of them rebound."""
     return bool(kick.touches and kick.given[1:3].any()) and (m.restitution > 0.0 or _rebounds(found, kick))
 
 
 def _fastest(m: Mechanism, kick: Kick, rows: Array) -> Array:
-    """Largest speeds that rows (k, nv) may have between impacts: those of all the kinetic energy before or after."""
+    """Largest speeds along rows (k, nv) between impacts, as if from all kinetic energy before or after."""
     M = m.mass(kick.q)
     most = max(float(v @ M @ v) for v in (kick.before, kick.after))
     out: Array = np.sqrt(most * (rows.T * np.linalg.solve(M, rows.T)).sum(axis=0))
@@ -202,9 +203,9 @@ def _fastest(m: Mechanism, kick: Kick, rows: Array) -> Array:
 
 
 def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[Array, Array]) -> None:
-    """Where links are that contacts push, and how their points move, of which velocities (nv,) are in doubt.
+    """Store poses and velocities of links at contacts with an impulse; velocities (nv,) are uncertain by `doubted`.
 
-    The piece begins at q and v.
+    The piece begins in the state (q, v) = `begin`.
     """
     if not kick.touches:
         return

@@ -1,4 +1,4 @@
-"""Audit of what contacts are said to be besides their impulses: gaps, velocities, states and keys."""
+"""Audit of the recorded properties of contacts besides impulses: gaps, velocities, states and keys."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["told"]
 
 SLOW = 1e-4
-"""m/s: what sticks at the edge of its cone moves no faster than an accepted solve may leave."""
+"""m/s: largest slip of a sticking contact at the edge of its cone; the residual that an accepted solve may leave."""
 
 EDGE = 1e-8
-"""Of the largest friction: nearer to it than this an impulse is on its cone, which steps take 1e-9 for."""
+"""An impulse within this fraction of the largest friction is on its cone; steps use 1e-9."""
 
 OPEN, STICK, SLIP, JAM = range(4)
 
 
 def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
-    """Findings of contacts; None where not all steps are recorded."""
+    """Findings on the recorded properties of contacts; `flight` is None if not all steps are recorded."""
     t = poses.trajectory
     if flight is None:
         yield from (not_audited(name, left_out(t)) for name in ("gaps", "velocities", "partings", "states"))
@@ -36,33 +36,33 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     yield worst_of("gaps", off / poses.size(*pair), off, step + 1, poses.named(*pair))
     yield _velocities(poses, flight)
     yield _partings(poses, flight)
-    # With θ = 1 what follows an impact acts at its time.
+    # With θ = 1 the move that follows an impact acts at the time of the impact.
     wrong = _states(poses, flight) | _keys(poses, 1 + (poses.theta == 1.0))
     yield worst_of("states", wrong.astype(float), wrong.astype(float), step + 1, poses.named(*pair))
 
 
 def _gaps(poses: Poses, flight: Flight) -> Array:
-    """How far gaps are outside of what the shapes admit where the step ends, m.
+    """Distance of recorded gaps from the range that the shapes allow at the end of the step, m.
 
-    No point is nearer than the shapes are, but along another normal they may seem so; a point of a contact that is not
-    the nearest is at most as far as both shapes have carried it.
+    No point can be nearer than the shapes are. Along a normal other than the true one the shapes may seem nearer. If
+    the point of a contact is not the nearest one, its gap is at most the distance over which both shapes carried it.
     """
     (i, j), step, c, gap = poses.pair, poses.step, poses.contacts, poses.contacts["gap"]
     nearest = apart(poses, i, j, step + 1, exact=True)
     lengthwise = measured(poses, along, i, j, poses.of(i, step + 1), poses.of(j, step + 1), poses.normal)
     out: Array = np.minimum(nearest, lengthwise) - gap
-    # What the same shapes meet later in a step may have the gap of where its piece ends.
+    # If the same shapes meet again later in the step, the gap may be the one at the end of the earlier piece.
     _, pair = np.unique(step * len(poses.names) ** 2 + poses.code, return_inverse=True)
     last = np.zeros(gap.size)
     np.fmax.at(last, pair, c["time"])
     met = np.flatnonzero((out > 0.0) & (c["time"] < last[pair]))
     out[met] -= _travel(poses, flight, met)
     above = np.flatnonzero(gap > nearest)
-    # Round shapes have one contact, whose gap is theirs.
+    # Round shapes have one contact, and its gap is the distance of the shapes.
     flat = np.array([len(solid.normals) + len(solid.edges) > 0 for solid in poses.solids], np.bool_)[poses.kind]
     several = flat[i[above]] | flat[j[above]]
     far = _travel(poses, flight, above)
-    # Where edges are almost parallel their crossing slides far as they turn, but to no more than others are apart.
+    # The crossing of almost parallel edges slides far as they turn; bounded by the widest gap of the pair's contacts.
     widest = np.zeros(gap.size)
     np.fmax.at(widest, pair[above], far)
     far = np.where(c["impulse"][above, 0] > 0.0, far, widest[pair[above]])
@@ -71,7 +71,7 @@ def _gaps(poses: Poses, flight: Flight) -> Array:
 
 
 def _travel(poses: Poses, flight: Flight, rows: Index) -> Array:
-    """How far apart contacts of some rows may be where the step ends, by their points and how both shapes move, m."""
+    """Upper bound of the gaps of some contacts at the end of the step, from points and motion of both shapes, m."""
     step, point = poses.step[rows], poses.contacts["point"][rows]
     out, gone = np.zeros(rows.size), np.zeros((rows.size, 3))
     for side, geom in enumerate(poses.pair[:, rows]):
@@ -79,7 +79,7 @@ def _travel(poses: Poses, flight: Flight, rows: Index) -> Array:
         own = np.einsum("mji,mj->mi", R, point - x)
         out += from_surfaces(poses, geom, own)
         gone += (2 * side - 1) * (np.einsum("mij,mj->mi", R1, own) + x1)
-        # Features of what turns slide on it: by no more than they may be from the point, as far as the shapes reach.
+        # Features slide on a turning shape: at most by the turn times the reach of the shape.
         turned = np.linalg.norm(R1 - R, axis=(1, 2))
         reach = np.where(turned > 0.0, poses.bounding_radius[geom], 0.0)
         out += turned * reach
@@ -88,10 +88,11 @@ def _travel(poses: Poses, flight: Flight, rows: Index) -> Array:
 
 
 def _velocities(poses: Poses, flight: Flight) -> Found:
-    """Velocities of what pushes are those after the impulse; in a piece that moves, as they are foreseen for its end.
+    """Compare velocities of contacts that have an impulse with those after it.
 
-    Foreseen is as much change once more as there was until the impulse, up to as much as what turns can make. What does
-    not push may have a gap, at whose two ends bodies move otherwise than where its point is.
+    In a move with a duration, the recorded velocity is the one predicted for the end of the move. The prediction
+    repeats the change up to the impulse, at most as large as rotation can make it. Contacts without an impulse are
+    left out: they may have a gap, and at its two ends the bodies move differently from the contact point.
     """
     t, met, c, step, u = poses.trajectory, flight.met, poses.contacts, poses.step, poses.contacts["u"]
     moves = ~np.isnan(met.after).any(axis=1)
@@ -103,7 +104,7 @@ def _velocities(poses: Poses, flight: Flight) -> Found:
         left = np.linalg.norm(u - (met.after + met.before - begin), axis=1)
         off = np.where(flight.instant, off, np.minimum(off, left))
     bent = max(poses.theta, 1.0 - poses.theta) * t.dt * met.bent
-    # Edges that cross turn their normal by more than they turn, as far as is seen until the impulse.
+    # The normal of crossing edges turns faster than the edges; the change up to the impulse shows how fast.
     edges = poses.rounding[poses.pair].sum(axis=0) == 0.0
     crossed = np.linalg.norm(met.before - met.begin, axis=2).max(axis=0)
     bent = np.where(edges, np.maximum(bent, crossed), bent)
@@ -114,13 +115,13 @@ def _velocities(poses: Poses, flight: Flight) -> Found:
 
 
 def _partings(poses: Poses, flight: Flight) -> Found:
-    """What does not rebound, at an instant at which nothing does, does not part where it has pushed free bodies."""
+    """Contacts with an impulse on free bodies must not separate if nothing rebounds at that instant."""
     t, met, c, step = poses.trajectory, flight.met, poses.contacts, poses.step
     pushes = c["impulse"][:, 0] > 0.0
     links = (poses.frame[poses.pair] >= poses.free).any(axis=0)
     some = np.flatnonzero(pushes & ~bouncing(poses) & ~links & ~np.isnan(met.after).any(axis=1))
     turning = max(poses.theta, 1.0 - poses.theta) * t.dt * met.bent + flight.unsure
-    # An impulse that would change no velocity by as much is nothing: what solvers leave.
+    # An impulse that can change no velocity by that much is a residual of the solver.
     masses = np.append(1.0 / poses.mass, np.zeros(poses.x.shape[1] - poses.free + 1))
     slowed = c["impulse"][:, 0] * masses[poses.frame[poses.pair]].sum(axis=0)
     off = np.minimum(np.minimum(c["u"], met.after)[:, 0], slowed) - turning - SLOW
@@ -129,7 +130,7 @@ def _partings(poses: Poses, flight: Flight) -> Found:
 
 
 def _states(poses: Poses, flight: Flight) -> Bools:
-    """Which contacts are not what they are said to be."""
+    """Contacts whose recorded state contradicts their impulse, or which have a couple that they cannot have."""
     c, step = poses.contacts, poses.step
     r, mu, state = c["impulse"], c["mu"], c["status"]
     pushes, drag, most = r[:, 0] > 0.0, np.linalg.norm(r[:, 1:], axis=1), mu * r[:, 0]
@@ -140,13 +141,13 @@ def _states(poses: Poses, flight: Flight) -> Bools:
         [~pushes, pushes & ((drag < most) | slow), pushes & (drag >= most * (1.0 - EDGE))],
         pushes & jams[step],
     )
-    # Couples see to it that what free bodies do to each other does no work as they move; links and impacts have none.
+    # Couples cancel the work of contacts between moving free bodies; contacts of links and impacts have no couple.
     out: Bools = ~fits.astype(np.bool_) | ((carried | flight.instant) & (np.nan_to_num(c["couple"]) != 0.0).any(axis=1))
     return out
 
 
 def _keys(poses: Poses, instants: int) -> Bools:
-    """Which contacts have the key of more others of their shapes than have one time: those of as many instants."""
+    """Contacts whose key recurs at one time among contacts of the same shapes more often than there are `instants`."""
     c, out = poses.contacts, np.zeros(poses.step.size, np.bool_)
     order = np.lexsort((c["key"], c["time"], poses.code, poses.step))
     rows = np.stack([poses.step, poses.code, c["time"], c["key"]])[:, order]

@@ -1,4 +1,4 @@
-"""Audit of shapes and contacts: true overlaps, where impulses act, in which cones, and what friction does."""
+"""Audit of shapes and contacts: true overlaps, places of impulses, friction cones, and the effect of friction."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ __all__ = [
 ]
 
 STATES = 200_000
-"""Most poses of shapes that are looked at together."""
+"""Largest number of poses of shapes that are processed together."""
 
 POINT = Solid.described({"shape": "sphere", "size": (0.0, 0.0, 0.0)})
-"""A ball of no size."""
+"""A ball of radius zero."""
 
 Pose = tuple[Array, Array]
 """World poses (R, x) of shapes."""
 
 Moment = tuple[Pose, Pose]
-"""Those of the first and the second shapes of contacts."""
+"""World poses of the first and of the second shapes of contacts."""
 
 PARTING = 1e-4
-"""m/s, above which what has restitution rebounds: the residual that a solve may have that is accepted."""
+"""m/s: a contact with restitution that separates faster rebounds. Equals the residual of an accepted solve."""
 
 
 def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
-    """True overlap [m], both shapes and state of every pair of shapes that may not overlap and whose boxes meet."""
+    """True overlap [m], both shapes and the state of each pair that may not overlap and whose bounding boxes meet."""
     count, states = len(poses.names), poses.trajectory.steps + 1
     pairs = tested(poses)
     found: list[tuple[Array, Index, Index, Index]] = []
@@ -67,7 +67,7 @@ def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
 
 
 def apart(poses: Poses, first: Index, second: Index, row: Index, exact: bool = False) -> Array:
-    """True separation of pairs of shapes in rows of the states, m; that of each pair in a state is found once."""
+    """True separation of pairs of shapes in rows of the states, m; each pair is computed once per state."""
     count, states = len(poses.names), poses.trajectory.steps + 1
     _, one, all_ = np.unique((first * count + second) * states + row, return_index=True, return_inverse=True)
     first, second, row = first[one], second[one], row[one]
@@ -79,7 +79,7 @@ def apart(poses: Poses, first: Index, second: Index, row: Index, exact: bool = F
 def measured(
     poses: Poses, measure: Callable[..., Array], first: Index, second: Index, one: Pose, other: Pose, *more: Array
 ) -> Array:
-    """What is measured of pairs of shapes in world poses (R, x), (m,), as `separation`; `more` is of each pair."""
+    """Apply `measure` to pairs of shapes in world poses (R, x), (m,), as `separation`; `more` holds one row a pair."""
     out = np.empty(first.size)
     for a, b, some in poses.by_kind(first, second):
         there = *(part[some] for part in one), b, *(part[some] for part in other)
@@ -88,7 +88,7 @@ def measured(
 
 
 def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
-    """True overlaps in all states, the worst by size or in m."""
+    """Finding of true overlaps in all states; the worst one relative to the size, or in m."""
     depth, first, second, state = separations(poses)
     depth = depth - _squeezed(poses, depth, first * len(poses.names) + second, state)
     size = poses.size(first, second)
@@ -97,9 +97,9 @@ def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
 
 
 def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:
-    """Overlap of each pair at the start, m, in the states that nothing has removed it from; elsewhere 0.
+    """Overlap of each pair at the start, m, in all states before something removed it; elsewhere 0.
 
-    Such bodies are squeezed by what the scene itself says, and every step of them has the status OVERLAP.
+    The scene itself prescribes such overlaps. Every step has the status OVERLAP as long as one remains.
     """
     t, out = poses.trajectory, np.zeros(depth.size)
     if "solver/status" in t.columns:
@@ -117,7 +117,7 @@ def tested(poses: Poses) -> NDArray[np.bool_]:
     if "excluded" in scene:
         for i, j in scene["excluded"]:
             out[i, j] = out[j, i] = False
-    else:  # of older recordings: what may overlap in an articulation is not known
+    else:  # in older recordings it is unknown which links of an articulation may overlap
         names = {a["name"] for a in scene["articulations"]}
         body = np.array([geom["body"] if geom["body"] in names else "" for geom in scene["geoms"]])
         out &= (body[:, None] != body) | (body == "")
@@ -125,7 +125,7 @@ def tested(poses: Poses) -> NDArray[np.bool_]:
 
 
 def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, Index, Index]:
-    """Pairs of shapes whose boxes along the world's axes meet: (first, second, state)."""
+    """Pairs of shapes whose bounding boxes along the world axes meet: (first, second, state)."""
     count = len(poses.names)
     low, high = np.empty((2, count, rows.size, 3))
     flat = np.zeros(count, np.bool_)
@@ -153,9 +153,10 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
 
 
 def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Iterator[Found]:
-    """Where impulses act, in which cones they are, and what friction does; None where not all steps are recorded.
+    """Findings on places of impulses, friction cones and the effect of friction.
 
-    `parted` contacts, None for none known, strike in turn with limits.
+    `flight` is None if not all steps are recorded. `parted` marks contacts that strike alternately with joint limits;
+    None if none is known.
     """
     t = poses.trajectory
     where = "distance", "normal", "points"
@@ -177,7 +178,7 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
     skew = np.abs(np.stack([(n * n).sum(axis=1) - 1.0, (t1 * t1).sum(axis=1) - 1.0, (n * t1).sum(axis=1)])).max(axis=0)
     yield worst_of("axes", skew, skew, step, names)
     most = mu * np.maximum(r[:, 0], 0.0)
-    # What an impulse of several impacts opposes is the slip of each, which is not recorded one by one.
+    # An impulse that sums several impacts opposes the slip of each impact; these slips are not recorded.
     several = _rebounding(poses)
     if parted is not None:
         several |= poses.beside(parted)
@@ -190,27 +191,27 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
     mean, unsure = np.full((step.size, 2), np.nan), np.zeros(step.size)
     if flight is not None and flight.timed:
         mean, unsure = flight.met.mean[:, 1:], flight.unsure
-    # By Frémond's law friction opposes the mean slip, which is not known on surfaces that move.
+    # By Frémond's law friction opposes the mean slip, which is unknown on moving surfaces.
     several |= fremond & np.isnan(mean).any(axis=1)
     u = np.where(several[:, None], 0.0, c["u"][:, 1:])
-    # Of what strikes and rests then it is the mean slip, too.
+    # Friction of a contact that strikes and then rests opposes the mean slip, too.
     against = (r[:, 1:] * mean).sum(axis=1) - drag * unsure
     power = (r[:, 1:] * u).sum(axis=1)
     power = np.where(fremond | (c["restitution"] > 0.0), np.fmin(power, against), power)
     yield worst_of("friction", power / at_play(poses), power, step, names)
-    # One that slides through is rubbed against its mean slip.
+    # Friction of a contact that slides throughout the step opposes its mean slip.
     most = np.fmin(_rubbed(r, mu, u), _rubbed(r, mu, mean) - (most + drag) * unsure)
     yield worst_of("slip", most / at_play(poses), most, step, names)
 
 
 def _coefficients(poses: Poses) -> Found:
-    """Friction and restitution of contacts, which are those of their materials, or of what was set of two bodies."""
+    """Compare recorded friction and restitution with those of the materials, or those set for a pair of bodies."""
     scene, c = poses.scene, poses.contacts
     if "pairs" not in scene:
         return not_audited("materials", "what was set of pairs of bodies is not recorded")
     both, which = np.unique(poses.pair, axis=1, return_inverse=True)
     told = np.empty((both.shape[1], 2))
-    # Bodies of articulations beat their articulations.
+    # Entries for a body of an articulation override entries for the whole articulation.
     special = sorted(scene["pairs"], key=lambda of: of["first"].count("/") + of["second"].count("/"))
     for row, geoms in enumerate([[scene["geoms"][k] for k in columns] for columns in both.T]):
         own: dict[str, Any] = {}
@@ -229,7 +230,7 @@ def _called(geom: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def bouncing(poses: Poses) -> NDArray[np.bool_]:
-    """Contacts at instants at which one with restitution pushes."""
+    """Contacts at instants at which a contact with restitution has an impulse."""
     c = poses.contacts
     _, instant = np.unique(np.stack([poses.step, c["time"]]), axis=1, return_inverse=True)
     bounces = (c["impulse"][:, 0] > 0.0) & (c["restitution"] > 0.0)
@@ -238,14 +239,14 @@ def bouncing(poses: Poses) -> NDArray[np.bool_]:
 
 
 def by_fremond(poses: Poses) -> NDArray[np.bool_]:
-    """Contacts that act in no time by Frémond's law, by which what parts may strike next."""
+    """Contacts of impacts by Frémond's law, after which bodies that separate may strike other bodies."""
     fremond = str(poses.trajectory.meta.get("impact", "")).lower().startswith("fremond")
     out: NDArray[np.bool_] = fremond & (poses.contacts["duration"] == 0.0)
     return out
 
 
 def _slips(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
-    """Contacts without restitution that slip at the end and in the mean, faster than a solve may leave."""
+    """Contacts without restitution whose slip, at the end and in the mean, is above the residual of a solve."""
     c = poses.contacts
     slip = np.linalg.norm(c["u"][:, 1:], axis=1)
     if flight is not None and flight.timed:
@@ -255,13 +256,13 @@ def _slips(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
 
 
 def _rubbed(r: Array, mu: Array, u: Array) -> Array:
-    """|μ r_N ‖u‖ + r_T·u| of contacts with the slip u (nc, 2): 0 where friction is against it, or it is 0, J."""
+    """|μ r_N ‖u‖ + r_T·u| of contacts with slip u (nc, 2), J: 0 if friction opposes the slip or the slip is 0."""
     out: Array = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(u, axis=1) + (r[:, 1:] * u).sum(axis=1))
     return out
 
 
 def _round_off(poses: Poses) -> Array:
-    """Impulses that are round-off of the momenta of free bodies, in the steps that end in each state, N·s."""
+    """Impulses that are round-off of the momenta of free bodies, for the step that ends in each state, N·s."""
     momenta = poses.mass * np.linalg.norm(poses.v[..., :3], axis=2)
     most = momenta.max(axis=1, initial=0.0)
     out: Array = 4.0 * np.finfo(float).eps * np.maximum(most, np.append(0.0, most[:-1]))
@@ -269,7 +270,7 @@ def _round_off(poses: Poses) -> Array:
 
 
 def _rebounding(poses: Poses) -> NDArray[np.bool_]:
-    """Contacts of islands of moving bodies in which one with restitution parts after its impulse, in each step."""
+    """Contacts of islands of moving bodies in which, in that step, a contact with restitution rebounds."""
     c, step, count = poses.contacts, poses.step + 1, poses.x.shape[1]
     frames = poses.frame[poses.pair]
     first, second = (step * count + frame for frame in frames)
@@ -285,7 +286,7 @@ def _rebounding(poses: Poses) -> NDArray[np.bool_]:
 
 
 def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Found]:
-    """Where pairs are that push each other: along the normal, from a step before to a step after, and as they push."""
+    """Findings on the places of pairs with an impulse, from the step before to the step after, and at the impulse."""
     t, r, step = poses.trajectory, poses.contacts["impulse"], poses.step + 1
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])
     i, j, k, n = *poses.pair[:, push], step[push], poses.normal[push]
@@ -302,7 +303,7 @@ def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Found]:
         body, radius = poses.frame[geom[moving]], poses.bounding_radius[geom[moving]]
         unsure[moving] += shift[k[moving] - 1, body] + radius * turn[k[moving] - 1, body]
     travel = np.abs(np.diff(lengthwise, axis=0)).sum(axis=0) + unsure
-    # A contact and its normal are those of some time within the step.
+    # A contact and its normal belong to some time within the step.
     away, skew = lengthwise[1:4].min(axis=0), (np.minimum(free, 0.0) - lengthwise[1:4]).min(axis=0)
     for name, off in (("distance", away - travel), ("normal", skew - travel)):
         yield worst_of(name, off / size, off, k, poses.named(i, j))
@@ -313,11 +314,11 @@ def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Found]:
 def _off_surfaces(
     poses: Poses, flight: Flight, push: tuple[Index, Index, Index], moments: list[Moment], point: Array, normal: Array
 ) -> Array:
-    """Distance of points from the surfaces of both shapes of pushes (shape, shape, step), beyond what they move, m.
+    """Distance of contact points from the surfaces of both shapes (shape, shape, step), beyond their motion, m.
 
-    The moments are the beginning of the step, the push and the end. A gap that is left there as the impulse acts is
-    closed within the step, by bodies that may turn. What is caught where it ends, as two edges that cross, acts midway
-    between where these points of either body were, which slip past each other.
+    The moments are the beginning of the step, the impulse and the end. A gap that remains at the impulse closes within
+    the step, and the bodies may turn meanwhile. A captured contact is found at the end, for instance of two crossing
+    edges. Its point lies midway between the points of the two bodies, which slip past each other until then.
     """
     off, gone, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
     astray, unsure = (flight.astray + flight.unknown, flight.turn), np.zeros(len(point))
@@ -339,7 +340,7 @@ def _off_surfaces(
 
 
 def from_surfaces(poses: Poses, geom: Index, x: Array) -> Array:
-    """Distance of points x (m, 3) in the frames of shapes from their surfaces, (m,), m."""
+    """Distance of points x (m, 3) in the frames of shapes from the surfaces of these shapes, (m,), m."""
     out = np.empty(geom.size)
     for kind in np.unique(poses.kind[geom]):
         some = poses.kind[geom] == kind
@@ -356,7 +357,7 @@ def from_surface(a: Solid, x: Array) -> Array:
 
 
 def pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:
-    """World poses (R, x) of shapes 0 or 1 of contacts when these push; as in the middle where that is not known."""
+    """World poses (R, x) of shapes 0 or 1 of contacts at their impulse; at mid-step if its time is unknown."""
     x, quaternion = poses.frames(geom, step, *poses.middle)
     if flight.timed:
         met = flight.met.sides[side].some(push)
@@ -369,7 +370,7 @@ def along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Arr
     """Separation along given normals from a to b, shape (m,)."""
     if a.kind == "halfspace":
         return along(b, R2, x2, a, R1, x1, -n)
-    if b.kind == "halfspace":  # along any other normal it would be infinitely deep: the other shape's tilt will do
+    if b.kind == "halfspace":  # along other normals the depth is infinite: bound by the tilt of the other shape
         out: Array = separation(a, R1, x1, b, R2, x2) - a.bounding_radius * np.linalg.norm(n + R2 @ b.size, axis=1)
         return out
     out = (n * (x2 - x1)).sum(axis=1) - a.support((n[:, None] @ R1)[:, 0]) - b.support(-(n[:, None] @ R2)[:, 0])

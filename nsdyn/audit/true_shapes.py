@@ -1,7 +1,8 @@
-"""What the audit knows of each kind of shape, by code that shares nothing with the detection of contacts.
+"""Geometry of each kind of shape for the audit, by code that shares nothing with the detection of contacts.
 
-A kind that is no hull of balls answers here: its `SIZES`, what `Solid.described` finds of them (extents, normals of
-flat faces, axes of straight sides), `rounding`, `support`, `curvature` and how far points are `beyond` it.
+Support for a kind that is no hull of balls takes: its `SIZES`, what `Solid.described` derives from them (extents,
+normals of flat faces, axes of straight sides), `rounding`, `support`, `curvature`, and the distance `beyond` its
+surface.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from nsdyn.tools.arrays import Array
 __all__ = ["SIZES", "Solid"]
 
 SIZES = {"halfspace": 3, "box": 3, "convex": 0, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
-"""How many numbers each kind is made of."""
+"""Number of size parameters of each kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,21 +29,21 @@ class Solid:
     Attributes
     ----------
     kind : str
-        As `Shape.describe` has it.
+        Kind of shape, as in `Shape.describe`.
     size : ndarray, shape (3,)
-        As `Shape.describe` has it, m.
+        Sizes as in `Shape.describe`, m.
     offset : float
         Of a half-space, m.
     corners : ndarray, shape (nv, 3)
-        m; the centres of spheres and capsules.
+        Corners, m; for spheres and capsules the centres of their balls.
     normals, edges : ndarray, shapes (nf, 3), (ne, 3)
         Unit vectors of faces and edges, each direction once.
     feet : ndarray, shape (nl, 6)
-        A point of every line that carries an edge, and its unit vector.
+        A point on the line of every edge, and the unit vector of the line.
     radius : float
         Of the balls, m.
     bounding_radius : float
-        Radius of a ball about the origin that contains it, m; infinite for a half-space.
+        Radius of a ball about the origin that contains the solid, m; infinite for a half-space.
     extent : float
         Smallest extent, twice the radius of the largest ball about the origin inside it, m.
     """
@@ -60,7 +61,7 @@ class Solid:
 
     @classmethod
     def described(cls, shape: Mapping[str, Any]) -> Solid:
-        """The solid of a shape that `Shape.describe` described; ValueError for an unknown one."""
+        """Build the solid of a shape from the output of `Shape.describe`; ValueError for an unknown kind."""
         kind, size = shape["shape"], np.array(shape["size"], dtype=float)
         axis, none, offset, radius = np.array([[0.0, 0.0, 1.0]]), np.empty((0, 3)), 0.0, 0.0
         corners, normals, edges, feet = none, none, none, np.empty((0, 6))
@@ -88,18 +89,18 @@ class Solid:
 
     @cached_property
     def span(self) -> tuple[Array, Array]:
-        """Smallest and largest coordinate of its corners along each of its normals, shape (nf,) each, m."""
+        """Smallest and largest coordinate of the corners along each normal, shape (nf,) each, m."""
         along = self.corners @ self.normals.T
         return along.min(axis=0), along.max(axis=0)
 
     @property
     def smooth(self) -> bool:
-        """Whether it is no hull of balls."""
+        """Whether the solid is no hull of balls (a cylinder or an ellipsoid)."""
         return not len(self.corners) and self.kind != "halfspace"
 
     @property
     def rounding(self) -> float:
-        """Smallest radius of curvature of what is round of it, m; 0 of what has corners, infinite of a half-space."""
+        """Smallest radius of curvature of the round part, m; 0 for solids with corners, infinite for a half-space."""
         if self.kind == "ellipsoid":
             return float(self.size.min() ** 2 / self.size.max())
         return {"halfspace": np.inf, "cylinder": float(self.size[0])}.get(self.kind, self.radius)
@@ -111,7 +112,7 @@ class Solid:
         return out
 
     def support(self, n: Array) -> Array:
-        """Largest n·x of its points x for unit vectors n (..., 3), shape (...), m."""
+        """Largest n·x over the points x of the solid for unit vectors n (..., 3), shape (...), m."""
         out: Array
         if self.kind == "cylinder":
             out = self.size[0] * np.hypot(n[..., 0], n[..., 1]) + self.size[1] * np.abs(n[..., 2])
@@ -122,7 +123,7 @@ class Solid:
         return out
 
     def curvature(self, n: Array) -> tuple[Array, Array]:
-        """Gradient of the support, a point of the surface, and its Hessian for unit vectors n (m, 3), off kinks."""
+        """Gradient of the support (a surface point) and its Hessian, for unit vectors n (m, 3), away from kinks."""
         hessian = np.zeros((len(n), 3, 3))
         if self.kind == "cylinder":
             side = np.maximum(np.hypot(n[:, 0], n[:, 1]), 1e-9)[:, None]  # the cap is a kink
@@ -139,7 +140,7 @@ class Solid:
         return point, hessian
 
     def beyond(self, x: Array) -> Array:
-        """Distance of points x (m, 3) from its surface, negative inside, (m,), m; next to it where it is smooth."""
+        """Distance of points x (m, 3) from the surface, negative inside, (m,), m; ellipsoids: to first order."""
         out: Array
         if self.kind == "cylinder":
             off = np.stack([np.hypot(x[:, 0], x[:, 1]) - self.size[0], np.abs(x[:, 2]) - self.size[1]], axis=1)
@@ -152,7 +153,7 @@ class Solid:
 
 def _features(corners: Array, name: str) -> tuple[Array, Array, Array, float]:
     """Normals, edges, lines of edges and distance of the closest face of a hull, from its corners alone."""
-    from scipy.spatial import ConvexHull, QhullError  # a tenth of a second that spheres do not need
+    from scipy.spatial import ConvexHull, QhullError  # takes a tenth of a second to import, needless for spheres
 
     try:
         hull = ConvexHull(corners)
@@ -162,7 +163,7 @@ def _features(corners: Array, name: str) -> tuple[Array, Array, Array, float]:
     lines = []
     for facet, neighbours in enumerate(hull.neighbors):
         for side, other in enumerate(neighbours):  # the neighbour opposite of a corner
-            # An edge whose faces turn by less moves no separation by more than that fraction of the size.
+            # An edge between faces that differ by less changes no separation by more than that fraction of the size.
             if facet < other and np.linalg.norm(normals[facet] - normals[other]) > 1e-8:
                 i, j = np.delete(hull.simplices[facet], side)
                 lines.append(np.r_[corners[i], (corners[j] - corners[i]) / np.linalg.norm(corners[j] - corners[i])])
@@ -171,7 +172,7 @@ def _features(corners: Array, name: str) -> tuple[Array, Array, Array, float]:
 
 
 def _distinct(directions: Array) -> Array:
-    """Unit vectors without those that repeat others or their opposites."""
+    """Unit vectors without repetitions and opposites."""
     from scipy.spatial import KDTree
 
     tree, near = KDTree(directions), 1e-9

@@ -1,4 +1,4 @@
-"""Audit of works: of every contact, of every column of the ledger, and that nothing creates energy."""
+"""Audit of works: of every contact and of every column of the ledger; check that nothing creates energy."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from nsdyn.tools.arrays import Array, Bools, Index
 __all__ = ["works"]
 
 ROUND_OFF = 1e-12
-"""Of the energy at play, below which a work is nothing."""
+"""Fraction of the energy at play below which a work is zero."""
 
 PARADOXICAL = "newton", "poisson"
-"""Laws of impact that create energy in some impacts, which their runs tell."""
+"""Laws of impact that create energy in some impacts; their runs record it."""
 
 
 def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> Iterator[Found]:
-    """Findings of works; of scenes without articulations nothing was retraced, and of others why it was not."""
+    """Findings on works. `found` is None for a scene without articulations, or the reason why none was retraced."""
     t = poses.trajectory
     yield from _dissipation(poses)
     yield _numerics(poses)
@@ -42,7 +42,7 @@ def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> 
 
 
 def _dissipation(poses: Poses) -> Iterator[Found]:
-    """Impacts, friction and limits take energy, but for what a law of impact is known to create, and tells."""
+    """Impacts, friction and limits must take energy, except for the recorded energy that a law of impact creates."""
     t, e, scale = poses.trajectory, poses.trajectory.energy, at_play(poses)
     steps, told = np.arange(1, t.steps + 1), np.nan_to_num(e.created)
     if any(geom.get("restitution", 0.0) for geom in t.scene["geoms"]) and (reason := left_out(t)):
@@ -56,7 +56,7 @@ def _dissipation(poses: Poses) -> Iterator[Found]:
 
 
 def _numerics(poses: Poses) -> Found:
-    """What numerics have given or taken until each step: of a motion that is resolved, little."""
+    """Energy that numerics gave or took up to each step; it is small if the steps resolve the motion."""
     t, e = poses.trajectory, poses.trajectory.energy
     if poses.theta > 0.5:
         return not_audited("numerics", "theta of more than 1/2 damps by itself")
@@ -65,11 +65,11 @@ def _numerics(poses: Poses) -> Found:
 
 
 def _falls(poses: Poses) -> Array:
-    """The most that gravity may do in each step beyond its potential, J, (n,): h |g| Σ ‖r‖ of what rebounds.
+    """Upper bound of gravity's work in each step beyond its potential, J, (n,): h |g| Σ ‖r‖ over contacts that rebound.
 
-    Where impacts are caught within a step velocities jump at its middle, and weights move otherwise than on the mean of
-    before and after: by at most half a step of the jump, which is r over the mass of each of two bodies. The contacts
-    give it back to what rebounds, which falls through all of the step.
+    When impacts are captured, velocities jump at mid-step. The displacement of a weight then differs from that at the
+    mean of the velocities before and after, by at most half a step times the jump. The jump is r over the mass of each
+    of the two bodies. The contacts return this energy to the rebounding bodies, which fall throughout the step.
     """
     c = poses.contacts
     size = np.linalg.norm(c["impulse"], axis=1) * (c["restitution"] > 0.0)
@@ -79,38 +79,38 @@ def _falls(poses: Poses) -> Array:
 
 
 def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
-    """Works of contacts, r·½ (u⁻ + u⁺) and of couples along the mean turning.
+    """Finding on works of contacts: r·½ (u⁻ + u⁺), and couples times the mean relative angular velocity.
 
-    What rebounds may do so several times in one instant, each with works of its own, which make up that of all. With
-    links or external forces, which act in the same piece, even that is not so.
+    A rebounding contact may strike several times in one instant. Each impact has its own work, and only their sum is
+    known. With links or external forces, which act in the same piece, not even the sum is known.
     """
     t = poses.trajectory
     c, step, r, u = poses.contacts, poses.step, poses.contacts["impulse"], flight.met.mean
     turned = (np.nan_to_num(c["couple"]) * np.nan_to_num(flight.met.spin)).sum(axis=1)
     pressed, rubbed = r[:, 0] * u[:, 0] + turned, (r[:, 1:] * u[:, 1:]).sum(axis=1)
-    jams = c["status"] == JAM  # all that they do is normal work
+    jams = c["status"] == JAM  # all their work is normal work
     normal = c["work_normal"] - np.where(jams, pressed + rubbed, pressed)
     friction = c["work_friction"] - np.where(jams, 0.0, rubbed)
     size = np.linalg.norm(r, axis=1)
-    # Nothing that turns is in more doubt than its surface, at the least distance, is.
+    # The uncertainty of a rotation is at most that of the body's surface, over its least distance.
     lever = np.linalg.norm(np.nan_to_num(c["couple"]), axis=1) / poses.size(*poses.pair)
     doubt = (size + 2.0 * lever) * flight.unsure
     if found is not None:
         doubt = doubt + found.met_doubt
-    # Where anything rebounds in a move, all that approaches strikes before the rest of the move pushes.
+    # If anything rebounds in a move, all approaching contacts strike before the impulses of the rest of the move act.
     strikes = bouncing(poses) & (r[:, 0] > 0.0) & ~(flight.met.before[:, 0] >= 0.0)
     several = poses.beside(strikes) | by_fremond(poses)
     frames = poses.frame[poses.pair]
     own = poses.is_free(frames)
     pushes = own[0] | own[1]
     parted = np.zeros(r[:, 0].size, np.bool_) if found is None else found.met_parted
-    # In turn with limits, too: of links alone it is known how much.
+    # Also contacts that strike alternately with limits; for contacts of links alone the uncertainty is known.
     several |= poses.beside(parted & pushes)
     given = pushes & bool(t.meta.get("external_force", True))
     hidden = np.isnan(u).any(axis=1) | (given & (GIVEN not in t.columns))
     blind = poses.beside(hidden | given | (frames >= poses.free).any(axis=0))
     single, joint = ~several & ~hidden, several & ~blind
-    # Weights move bodies on after the impacts of a move, whose impulses, of unknown parts, are taken to work on that.
+    # Weights move bodies on after the impacts of a move. How impulses split is unknown: all may work on that motion.
     fell = 0.5 * c["duration"] * poses.weight * np.hypot(1.0, c["mu"]) * r[:, 0]
     fell[own.all(axis=0)] = 0.0
     speed = np.linalg.norm([flight.met.before, flight.met.after], axis=2).max(axis=0)
@@ -127,7 +127,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
 
 
 def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[Found]:
-    """Columns of the ledger, against what acts in contacts and trees at the velocities there."""
+    """Compare columns of the ledger with the works of contacts and trees at their velocities."""
     t, e, c = poses.trajectory, poses.trajectory.energy, poses.contacts
     nothing, scale = np.zeros(t.steps), at_play(poses)
     of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
@@ -139,16 +139,16 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     rest, slack = nothing, nothing
     turns = np.zeros(step.size, np.bool_) if found is None else found.met_parted & flight.instant
     turns = poses.beside(turns)
-    # What strikes in turn does in all what the velocities before and after tell.
+    # The total work of contacts that strike alternately follows from the velocities before and after.
     told = np.where(turns, (c["impulse"] * flight.met.mean).sum(axis=1), 0.0)
     for name, lasts in (("normal", stays), ("friction", sticks)):
         work = c[f"work_{name}"]
         off = getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~lasts], work[~lasts], t.steps)
-        # Of no contacts NumPy counts whole numbers.
+        # Without contacts NumPy's bincount returns integers.
         most = np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
         left[name] = np.abs(off) - most - parted
         rest, slack, told = rest + off, slack + most, told - np.where(turns & ~lasts, work, 0.0)
-    # Where surfaces move it is not known.
+    # On moving surfaces that total is unknown.
     slack = slack + np.bincount(
         step, np.where(turns, np.linalg.norm(c["impulse"], axis=1) * flight.unsure, 0.0), t.steps
     )
@@ -171,11 +171,11 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
 
 
 def _twice(poses: Poses, flight: Flight) -> Array:
-    """Most that impulses of rebounds may have done in a move besides its impacts, which is booked as numerics, J."""
+    """Upper bound of the work of rebound impulses in a move outside its impacts, booked as numerics, J."""
     c, met = poses.contacts, flight.met
     r, speed = np.abs(c["impulse"]), np.abs([met.before, met.after]).max(axis=0)
     some = ~flight.instant & (c["restitution"] > 0.0)
-    # Where surfaces move nothing but the works tells how fast they met.
+    # On moving surfaces only the works show how fast the bodies met.
     done = np.abs(c["work_normal"]) + np.abs(c["work_friction"])
     told = (r * np.abs(c["u"])).sum(axis=1) + 2.0 * done
     most = np.where(np.isnan(speed).any(axis=1), told, (r * speed).sum(axis=1))
@@ -184,9 +184,10 @@ def _twice(poses: Poses, flight: Flight) -> Array:
 
 
 def _stays(poses: Poses, flight: Flight) -> Bools:
-    """Contacts of shapes that touch where their step begins, or met before: what they do may be booked as numerics.
+    """Contacts of shapes that touch at the start of the step or met earlier in it; their work may count as numerics.
 
-    In moves: impacts in no time are booked as they are. With theta = 1 a move acts when the impacts before it do.
+    Only in moves: works of instantaneous impacts are booked as they are. With theta = 1 a move acts at the time of the
+    impacts before it.
     """
     c = poses.contacts
     (i, j), step, moves = poses.pair, poses.step, ~flight.instant
@@ -202,7 +203,7 @@ def _stays(poses: Poses, flight: Flight) -> Bools:
 
 
 def _slid(poses: Poses, step: Index) -> Bools:
-    """Contacts that slipped in the last step, whose work in this is booked as friction; none of steps that are cut."""
+    """Contacts that slipped in the previous step; their work in this step is friction. None if a step was cut."""
     c = poses.contacts
     pair, key = poses.code, c["key"]
     order, out = np.lexsort((c["time"], step, key, pair)), np.zeros(step.size, np.bool_)

@@ -1,1 +1,1 @@
-"""Methods, formulations and accelerations of the papers, kept to compare."""
+"""Methods, formulations and acceleration problems from papers, kept for comparison."""

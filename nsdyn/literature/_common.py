@@ -1,4 +1,4 @@
-"""What the reference solvers share: an equilibrated problem, the best iterate so far, linear solves, Anderson."""
+"""Common parts of the reference solvers: equilibrated problem, best iterate, linear solves, Anderson's acceleration."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
 
 SPARSE = 300, 0.1
-"""Matrices with more rows than the first and a lower density than the second are factorised sparsely."""
+"""A matrix with more rows than the first number and a lower density than the second is factorised as a sparse one."""
 
 
 class Equilibrated:
     """The problem in the variables x = S^½ r, with S = λ_max(W_cc): W' = S^-½ W S^-½ and q' = S^-½ q.
 
-    A cone stays the same under a scaling per contact, so that this is again a frictional contact problem, now
-    without units of mass and with diagonal blocks of norm 1: one step length suits contacts of all masses.
+    A scaling per contact leaves the cones unchanged, so the result is again a frictional contact problem. It has no
+    units of mass, and its diagonal blocks have norm 1: one step length suits contacts of all masses.
     """
 
     def __init__(self, problem: FC3D) -> None:
@@ -37,16 +37,16 @@ class Equilibrated:
         self.csr = _csr(self.W)
 
     def largest_eigenvalue(self) -> float:
-        """λ_max of the symmetric part of W', not below: Lanczos to four digits, one more added."""
+        """Upper estimate of λ_max of the symmetric part of W': Lanczos to four digits, plus its tolerance."""
         A = 0.5 * (self.W + self.W.T)
         if A.shape[0] <= 100:
             return float(np.linalg.eigvalsh(A.toarray())[-1])
-        start = 2.0 + np.cos(np.arange(A.shape[0]))  # the same in every run
+        start = 2.0 + np.cos(np.arange(A.shape[0]))  # the same start in every run
         return 1.001 * float(eigsh(A, k=1, which="LA", v0=start, tol=1e-4, return_eigenvectors=False)[0])
 
 
 class Run:
-    """One solve: the clock, the best iterate, the verdict."""
+    """State of one solve: clock, best iterate and status."""
 
     def __init__(self, problem: FC3D, r0: Array | None, tol: float) -> None:
         self.start = clock()
@@ -57,7 +57,7 @@ class Run:
         self.done(self.r)
 
     def done(self, r: Array) -> bool:
-        """Whether r meets the tolerance; the best r is kept."""
+        """Measure r, keep it if it is the best so far, and return whether the best one meets the tolerance."""
         _, error, residual, _ = self.problem.solved(r, self.tol)
         self.now = max(error, residual)
         if self.now < self.best:
@@ -66,16 +66,16 @@ class Run:
 
     @property
     def over(self) -> bool:
-        """Whether the tolerance is met."""
+        """Whether the best iterate meets the tolerance."""
         return self.best <= self.tol
 
     def finish(self, count: int, otherwise: Status = Status.MAX_ITERATIONS) -> Solution:
-        """Solution of the best iterate."""
+        """Return the solution of the best iterate."""
         return Solution.judge(self.problem, self.r, self.tol, count, clock() - self.start, otherwise)
 
 
 def factor(A: Any) -> Callable[[Array], Array] | None:
-    """Solve with A (dense or sparse) as a function of the right-hand side; None when A is singular."""
+    """Return a function that solves with A (dense or sparse) for a right-hand side; None if A is singular."""
     if sp.issparse(A):
         try:
             solve: Callable[[Array], Array] = splu(sp.csc_matrix(A)).solve
@@ -89,13 +89,13 @@ def factor(A: Any) -> Callable[[Array], Array] | None:
 
 
 def is_sparse(W: Any) -> bool:
-    """Whether factorising W sparsely pays."""
+    """Whether a sparse factorisation of W is cheaper."""
     n = W.shape[0]
     return bool(n > SPARSE[0] and W.nnz < SPARSE[1] * n * n)
 
 
 class Anderson:
-    """Anderson's acceleration (type II) of a fixed point x = G(x): the combination of past G(x) of least defect.
+    """Anderson's acceleration (type II) of a fixed point x = G(x): combine past G(x) so that the defect is smallest.
 
     References
     ----------
@@ -107,7 +107,7 @@ class Anderson:
         self.F = self.G = self.gram = np.empty((0, 0))
 
     def next(self, x: Array, g: Array) -> Array:
-        """Next x from the pair (x, g = G(x)); the past is dropped when the defect exceeds twice its least."""
+        """Return the next x from (x, g = G(x)); forget the past if the defect exceeds twice its smallest value."""
         kept, f = self.memory + 1, g - x
         size = float(np.linalg.norm(f))
         if not self.F.size:

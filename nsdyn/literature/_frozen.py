@@ -1,4 +1,4 @@
-"""Solvers that freeze a part of the problem, solve the convex rest, and repeat."""
+"""Fixed points that freeze a part of the problem, solve the remaining convex problem, and repeat."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 
 State = Callable[[Equilibrated, Array], Array]
-"""(problem, x) → what is frozen."""
+"""(problem, x) → frozen part."""
 
 Inner = Callable[[Equilibrated, Array, Array, float], tuple[Array, int]]
-"""(problem, frozen, x, goal) → (x of the convex problem, iterations)."""
+"""(problem, frozen, x, goal) → (solution x of the convex problem, iterations)."""
 
 
 def slip_shift(scaled: Equilibrated, x: Array) -> Array:
@@ -31,7 +31,7 @@ def normal_impulse(scaled: Equilibrated, x: Array) -> Array:
 
 
 def shifted(scaled: Equilibrated, s: Array) -> Array:
-    """Free velocity with the shift, q + s e_N."""
+    """Free velocity with the shift added, q + s e_N."""
     out: Array = scaled.q.copy()
     out[::3] += np.maximum(s, 0.0)
     return out
@@ -46,7 +46,7 @@ def defect(scaled: Equilibrated, x: Array) -> float:
 
 
 def descend(sweep: Callable[[Array], None], x: Array, goal: float, max_sweeps: int) -> tuple[Array, int]:
-    """Anderson-accelerated sweeps, in place of their argument, until one changes x by at most the goal."""
+    """Repeat sweeps, which work in place on their argument, with Anderson's acceleration until x changes by ≤ goal."""
     mix = Anderson(20)
     for k in range(1, max_sweeps + 1):
         g = x.copy()

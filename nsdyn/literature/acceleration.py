@@ -1,7 +1,7 @@
 """Accelerations of a scene in a state: its least-constraint problem, with joints, loops and driven joints.
 
-At a state without impact the contacts that are closed and do not move apart, the joints at their limits and those with
-dry friction take part; the problem and its laws are in `nsdyn.literature.least_constraint`.
+The state is without impact. The problem contains the contacts that are closed and do not separate, the joints at their
+limits and those with dry friction. `nsdyn.literature.least_constraint` has the problem and its laws.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ REACH = 1e-5
 """Ḣᵀ v is a central difference over a motion of this fraction of the smallest body."""
 
 DIFFERENCE = 1e-5
-"""Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of 1e-10."""
+"""Step of central differences of smooth functions, rad, m or s: truncation and round-off are both of order 1e-10."""
 
 
 def least_constraint(
@@ -40,13 +40,13 @@ def least_constraint(
     closed: float = 1e-6,
     still: float = 1e-4,
 ) -> LeastConstraint:
-    """Extended least-constraint problem of a scene in a given state, with its joints, loops and driven joints.
+    """Build the extended least-constraint problem of a scene in a given state, with joints, loops and driven joints.
 
     Parameters
     ----------
     scene : Scene
     state : State, optional
-        Of a stepper of the scene; default its initial state.
+        State of a stepper of the scene; default its initial state.
     wrenches, tau : mapping, optional
         Forces on free bodies and in joints, as the callbacks of `Stepper` give them.
     closed : float
@@ -57,8 +57,8 @@ def least_constraint(
     Raises
     ------
     ValueError
-        If a closed contact or a joint at its limit approaches faster than `still`: an impact, at which there is no
-        acceleration. For scenes with driven bodies or sliding surfaces: not in the problem.
+        If a closed contact or a joint at its limit approaches faster than `still`: at an impact no acceleration exists.
+        For scenes with driven bodies or sliding surfaces, which the problem does not cover.
     """
     d = Dynamics(scene)
     if d.surfaces.count:
@@ -88,7 +88,7 @@ def least_constraint(
     rate = float((d.reach(middle.placement, v, 1e-9, 0.0, twists) / 1e-9).max(initial=0.0))
 
     def along(s: float) -> Array:
-        """Relative velocities of the contacts where v, held, brings them in the time s."""
+        """Relative velocities of the contacts after moving with constant v for the time s."""
         place = d.place(d.shift(position, s * v))
         there = detector.find(*place[:2], reach + 10 * REACH * size, found)
         rows, frame = d.rows(there, place, forces, None)
@@ -107,7 +107,7 @@ def least_constraint(
 
 
 def _drift(along: Callable[[float], Array], step: float, frame: Array, keep: Index) -> Array:
-    """Ḣᵀ v of the contacts to keep, by a central difference of their velocities: (kept, 3) in their frames, m/s²."""
+    """Ḣᵀ v of the contacts `keep`, by a central difference of their velocities: (kept, 3) in their frames, m/s²."""
     ahead, behind = along(step)[keep], along(-step)[keep]
     if not np.isfinite(ahead - behind).all():
         raise ValueError("a closed contact ends or begins at this very state: its acceleration is not defined")
@@ -117,7 +117,7 @@ def _drift(along: Callable[[float], Array], step: float, frame: Array, keep: Ind
 
 
 def _applied(d: Dynamics, middle: MidpointState, forces: Forces, v: Array) -> Array:
-    """Forces on all coordinates, gravity and gyroscopic terms with them, shape (n,)."""
+    """Forces on all coordinates, including gravity and gyroscopic terms, shape (n,)."""
     omega, (force, torque) = v[: 6 * d.free].reshape(-1, 6)[:, 3:], forces.load
     torque = torque - np.cross(omega, np.einsum("bij,bj->bi", d.J, omega))
     parts = [np.hstack((force + d.mass[:, None] * d.gravity, torque)).ravel()]
@@ -127,7 +127,7 @@ def _applied(d: Dynamics, middle: MidpointState, forces: Forces, v: Array) -> Ar
 
 
 def _joint_terms(d: Dynamics, position: Position, v: Array, closed: float, still: float) -> JointTerms:
-    """Limits that are reached and joints with dry friction; ValueError for a joint that runs into its limit."""
+    """Limits that are reached, and joints with dry friction; ValueError for a joint that approaches its limit."""
     rows, e = d.joint_rows(d.place(position), v, v, 0.0), np.eye(d.n)
     if rows is None:
         return JointTerms(np.empty((d.n, 0)), np.empty((d.n, 0)), np.empty(0), np.empty(0))
@@ -147,7 +147,7 @@ def _joint_terms(d: Dynamics, position: Position, v: Array, closed: float, still
 
 
 def _admissible(d: Dynamics, position: Position, v: Array, t: float, M: Array, forces: Forces) -> tuple[Array, Array]:
-    """(Z, v̇_p) of loops and driven joints, Z the inverse root of M where there are none."""
+    """Return (Z, v̇_p) of loops and driven joints; Z is the inverse root of M for parts without any."""
     given, Z, column = np.zeros(d.n), np.zeros((d.n, d.n)), 6 * d.free
     first = slice(0, column)
     Z[first, first] = np.linalg.inv(np.linalg.cholesky(M[first, first])).T
@@ -164,9 +164,9 @@ def _admissible(d: Dynamics, position: Position, v: Array, t: float, M: Array, f
 
 
 def constraint_acceleration(tree: Linkage, q: Array, v: Array, t: float) -> Array:
-    """b of B v̇ = b, shape (m,): -Ġ v of the loops of a tree, then the accelerations of its driven joints at time t.
+    """Return b of B v̇ = b, shape (m,): -Ġ v of the loops of a tree, then accelerations of its driven joints at time t.
 
-    Central differences, Ġ v along the motion with v held and loops closed.
+    Both by central differences, Ġ v along a motion with constant v and closed loops.
     """
     loops, fastest = np.empty(0), float(np.abs(v).max(initial=0.0))
     if tree.closures is not None:
@@ -181,7 +181,10 @@ def constraint_acceleration(tree: Linkage, q: Array, v: Array, t: float) -> Arra
 
 
 def _of_same(found: ContactSet, there: ContactSet, u: Array, frame: Array) -> Array:
-    """Velocities u in frames of contacts there as (nc, 4) of those found: world axes, then normal; NaN if gone."""
+    """Velocities u of contacts `there` as rows (nc, 4) of the same contacts in `found`: world axes, then normal.
+
+    Rows of contacts that no longer exist are NaN.
+    """
     out = np.full((found.key.size, 4), np.nan)
     _, here, others = np.intersect1d(found.key, there.key, return_indices=True)
     out[here, :3] = np.einsum("cij,ci->cj", frame[others], u[others])

@@ -13,7 +13,7 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
 SWEEPS = 2000
-"""Sweeps granted to one convex problem."""
+"""Largest number of sweeps for one convex problem."""
 
 
 def _inner(scaled: Equilibrated, shift: Array, x: Array, goal: float) -> tuple[Array, int]:
@@ -26,10 +26,10 @@ def _inner(scaled: Equilibrated, shift: Array, x: Array, goal: float) -> tuple[A
 class ACLM(Options):
     """Acary–Cadoux–Lemaréchal–Malick: freeze s = μ‖u_T‖, minimise ½ rᵀWr + rᵀ(q + s e_N) on K, update s.
 
-    The proof of existence made a method. Good where friction is moderate: the shift contracts quickly, more so with
-    Anderson's acceleration, and each problem is convex, here solved by accelerated Gauss–Seidel sweeps. It fails on
-    strongly sliding piles at μ = 1, where the shift hardly contracts, and as slowly as its sweeps on redundant
-    contacts (`interior_point` is the same outer loop without them).
+    The method follows the proof of existence. Strength: moderate friction. The shift then contracts quickly, more so
+    with Anderson's acceleration, and each problem is convex; accelerated Gauss–Seidel sweeps solve it. Weakness: on
+    strongly sliding piles at μ = 1 the shift hardly contracts, and on redundant contacts it is as slow as its sweeps
+    (`interior_point` has the same outer loop without sweeps).
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class ACLM(Options):
     max_iter : int
         Passes; the iterations reported are sweeps.
     memory : int
-        Differences kept by Anderson's acceleration of the shift; 0 for the plain fixed point.
+        Number of differences kept by Anderson's acceleration of the shift; 0 for the plain fixed point.
 
     References
     ----------

@@ -20,22 +20,22 @@ from nsdyn.tools.options import Allowed, Count, Options, Positive
 Relaxation = Annotated[float, Allowed("in [1, 2)", lambda a: 1.0 <= a < 2.0)]
 
 PROXIMAL = 1e-6
-"""Proximal term η added to W of unit blocks: redundant contacts need it."""
+"""Proximal term η added to W of unit blocks; redundant contacts need it."""
 
 CHECK = 10
-"""Iterations between two measurements and changes of the penalty."""
+"""Iterations between two measurements of the error and changes of the penalty."""
 
 
 @dataclass(frozen=True)
 class ADMM(Options):
-    """Proximal ADMM: x minimises on the affine part, z projects on the cones, y is the multiplier -û.
+    """Proximal ADMM: x minimises on the affine part, z is the projection on the cones, y is the multiplier -û.
 
     x = (W + (η + ρ) I)⁻¹ (η x + ρ z - y - q - s),  z ← P_K(x̂ + y/ρ),  y ← y + ρ (x̂ - z), with over-relaxed
-    x̂ = a x + (1 - a) z and de Saxcé's shift s = μ‖y_T‖ taken along. The penalty is ρ = (η L)^½ (L/η)^p with
+    x̂ = a x + (1 - a) z. De Saxcé's shift s = μ‖y_T‖ is updated along the way. The penalty is ρ = (η L)^½ (L/η)^p with
     L = λ_max(W); p moves by 0.05 when primal and dual residuals differ tenfold. The factorisation of each p is kept.
 
-    Good at mid accuracy on everything redundant: one factorisation and then cheap iterations. It fails to finish
-    where masses mix or everything slides at once: a long linear tail, since the shift follows with a lag.
+    Strength: medium accuracy on all redundant problems, with one factorisation and then cheap iterations. Weakness: a
+    long linear tail if masses differ or all contacts slide at once, since the shift lags behind.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ class ADMM(Options):
     max_iter : int
         Iterations.
     relaxation : float
-        Over-relaxation a in [1, 2). Above 1 it helps convex problems, but amplifies the lag of the shift: 1.6 reaches
-        1e-8 on fewer frictional problems and more slowly.
+        Over-relaxation a in [1, 2). Values above 1 help convex problems but amplify the lag of the shift: 1.6 reaches
+        1e-8 on fewer frictional problems, and more slowly.
 
     References
     ----------
@@ -57,7 +57,7 @@ class ADMM(Options):
     max_iter: Count = 100_000
     relaxation: Relaxation = 1.0
 
-    @np.errstate(over="ignore", invalid="ignore")  # what diverges is told by the status
+    @np.errstate(over="ignore", invalid="ignore")  # the status reports divergence
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
         run = Run(problem, r0, self.tol)
@@ -98,7 +98,7 @@ class ADMM(Options):
 def _penalty(
     W: Any, eye: Any, top: float, power: int, solves: dict[int, Callable[[Array], Array] | None]
 ) -> tuple[float, Callable[[Array], Array] | None]:
-    """(ρ, solve with W + (η + ρ) I) of a power in twentieths."""
+    """Return (ρ, function that solves with W + (η + ρ) I) for an exponent p in twentieths."""
     rho = float(np.sqrt(PROXIMAL * top) * (top / PROXIMAL) ** (0.05 * power))
     if power not in solves:
         solves[power] = factor(W + (PROXIMAL + rho) * eye)

@@ -17,15 +17,15 @@ from nsdyn.tools.options import Count, Options, Positive
 Merit = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural", "xuewen-soh-wanji"]
 
 MERITS = {**ELEMENTS, "xuewen-soh-wanji": xuewen_soh_wanji}
-"""The equations F whose φ = ½‖F‖² can be minimised."""
+"""Equations F for which φ = ½‖F‖² can be minimised."""
 
 
 def shortest(V: Array) -> Array:
-    """Point of least norm of the convex hull of the rows of V, by non-negative least squares.
+    """Return the point of smallest norm of the convex hull of the rows of V, by non-negative least squares.
 
-    min ‖Vᵀλ‖² + (Σλ - 1)² over λ ≥ 0 has its solution along that of the simplex; Σλ brings it there.
+    The minimiser of ‖Vᵀλ‖² + (Σλ - 1)² over λ ≥ 0 is parallel to that over the simplex; division by Σλ scales it.
     """
-    from scipy.optimize import nnls  # a tenth of a second that few need
+    from scipy.optimize import nnls  # a tenth of a second that few callers need
 
     V = V / (np.linalg.norm(V, axis=1).min() or 1.0)
     weights = nnls(np.vstack((V.T, np.ones(V.shape[0]))), np.r_[np.zeros(V.shape[1]), 1.0])[0]
@@ -34,27 +34,27 @@ def shortest(V: Array) -> Array:
 
 @dataclass(frozen=True)
 class Bundle(Options):
-    """ε-subdifferential bundle method on φ = ½‖F(r)‖², the contact conditions as a minimum.
+    """ε-subdifferential bundle method on φ = ½‖F(r)‖², the contact conditions as a minimisation.
 
-    The direction is minus the shortest vector of the hull of the subgradients gathered near r. If φ falls enough
-    along it the step is serious: r moves and the bundle starts anew. Otherwise it is null: the subgradient a little
-    further along joins the bundle, the oldest but the aggregate leave. When the hull holds nearly 0, r is stationary
-    for this ε, which shrinks.
+    The direction is minus the shortest vector of the hull of the subgradients collected near r. If φ falls enough along
+    it the step is serious: r moves and the bundle starts anew. Otherwise the step is null: the subgradient a little
+    further along joins the bundle, and the oldest except the aggregate leave. If the hull nearly contains 0, r is
+    stationary for this ε, which then shrinks.
 
-    Good as a reference for a handful of contacts and as the residual of last resort: every serious step lowers φ.
-    It fails by being a first-order method, ten to a thousand times slower than Newton, and by its theorem, which
-    promises stationary points of φ, not solutions. On more than about 20 contacts expect a rough answer.
+    Strength: a reference for a handful of contacts, and the residual of last resort: every serious step lowers φ.
+    Weakness: it is a first-order method, ten to a thousand times slower than Newton. Its theorem promises stationary
+    points of φ, not solutions. On more than about 20 contacts expect a rough answer.
 
     Parameters
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     max_iter : int
-        Steps, serious and null.
+        Largest number of steps, serious and null.
     function : {'fischer-burmeister', 'natural', 'alart-curnier', 'jean-moreau', 'xuewen-soh-wanji'}
-        Equation F. φ of the first is smooth but for û; the last is the paper's, whose third line flattens φ.
+        Equation F. φ of the first is smooth except for û; the last is the paper's, whose third equation flattens φ.
     size : int
-        Subgradients kept.
+        Number of subgradients kept.
 
     References
     ----------
@@ -76,7 +76,7 @@ class Bundle(Options):
         element, W, rho = MERITS[self.function], scaled.W, np.ones((problem.nc, 2))
 
         def value(x: Array) -> tuple[float, Array]:
-            """φ and an element of its Clarke subdifferential, (∂F)ᵀ F."""
+            """Return φ and an element of its Clarke subdifferential, (∂F)ᵀ F."""
             F, F_u, F_r = element((W @ x + scaled.q).reshape(-1, 3), x.reshape(-1, 3), scaled.mu, rho)
             back_u, back_r = ((F[:, None, :] @ A)[:, 0].ravel() for A in (F_u, F_r))
             return 0.5 * float((F * F).sum()), np.asarray(W.T @ back_u + back_r)
@@ -88,7 +88,7 @@ class Bundle(Options):
             hull = np.array(bundle)
             h = -shortest(hull) @ hull
             slope = float(h @ h)
-            # The hull holds nearly 0 when its shortest vector is short against the subgradients in it.
+            # The hull nearly contains 0 if its shortest vector is short compared with its subgradients.
             if slope <= 1e-12 * float((hull**2).sum(axis=1).max()) or slope == 0.0:
                 radius *= 0.1
                 bundle = [V]
@@ -102,7 +102,7 @@ class Bundle(Options):
                     break
                 t *= 0.5
             else:
-                # Null step: the subgradient at the end of the search, and -h for all that was there before.
+                # Null step: add the subgradient at the end of the search, and -h in place of all earlier ones.
                 bundle = [*bundle[-self.size + 2 :], -h, value(x + t * h)[1]]
                 if len(bundle) >= self.size:
                     radius *= 0.5

@@ -15,8 +15,8 @@ from nsdyn.tools.options import Count, Options, Positive
 class Extragradient(Options):
     """Extragradient method r̄ = P_K(r - ρ û(r)), r ← P_K(r - ρ û(r̄)), EG-VI, with a self-adaptive step.
 
-    Good as a last resort that rarely diverges: it converges for every monotone Lipschitz operator, without
-    co-coercivity, where the fixed point needs it. Two products with W an iteration, and as slow as the fixed point
+    Strength: a last resort that rarely diverges. It converges for every monotone Lipschitz operator; the fixed point
+    needs co-coercivity as well. Weakness: it takes two products with W per iteration, and is as slow as the fixed point
     on redundant contacts and tight tolerances.
 
     Parameters
@@ -26,7 +26,7 @@ class Extragradient(Options):
     max_iter : int
         Iterations.
     rule : {'khobotov', 'solodov-tseng'}
-        Ratio the step is adapted by, see `FixedPoint`.
+        Ratio that adapts the step, see `FixedPoint`.
 
     References
     ----------

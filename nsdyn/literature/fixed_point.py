@@ -17,14 +17,14 @@ from nsdyn.tools.options import Count, Options, Positive
 Rule = Literal["khobotov", "solodov-tseng"]
 
 CHECK = 20
-"""Iterations between two measurements."""
+"""Iterations between two measurements of the error."""
 
 
 def march(problem: FC3D, r0: Array | None, tol: float, max_iter: int, rule: Rule, extra: bool) -> Solution:
-    """Iterate x ← P_K(x - ρ F(x)), with an `extra` gradient x ← P_K(x - ρ F(x̄)), under the rule for ρ.
+    """Iterate x ← P_K(x - ρ F(x)), or with `extra` gradient x ← P_K(x - ρ F(x̄)), with ρ adapted by the rule.
 
-    x̄ = P_K(x - ρ F(x)) is computed with ρ ← ν ρ until the ratio of the rule is at most L; ρ ← ρ/ν after a step
-    whose ratio was below L_min.
+    x̄ = P_K(x - ρ F(x)) is computed with ρ ← ν ρ until the ratio of the rule is at most L. After a step whose ratio was
+    below L_min, ρ ← ρ/ν.
     """
     limit, low, shrink = 0.9, 0.3, 2.0 / 3.0  # L, L_min, ν of the paper
     run, count = Run(problem, r0, tol), 0
@@ -70,9 +70,9 @@ def march(problem: FC3D, r0: Array | None, tol: float, max_iter: int, rule: Rule
 class FixedPoint(Options):
     """Projected fixed point r ← P_K(r - ρ û(r)), FP-VI, with a self-adaptive step.
 
-    Good as the simplest method: one product with W an iteration, no factorisation, no parameter. Linear at best; it
-    needs W well conditioned and fails on tight tolerances of redundant contacts. The operator is not monotone, so
-    that no theorem covers large μ.
+    Strength: the simplest method, with one product with W per iteration, no factorisation and no parameter. Weakness:
+    its convergence is linear at best. It needs a well-conditioned W and fails at tight tolerances on redundant
+    contacts. The operator is not monotone, so no theorem covers large μ.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class FixedPoint(Options):
     max_iter : int
         Iterations.
     rule : {'khobotov', 'solodov-tseng'}
-        Ratio the step is adapted by: ρ‖F(r) - F(r̄)‖/‖r - r̄‖ or ρ (r - r̄)ᵀ(F(r) - F(r̄))/‖r - r̄‖².
+        Ratio that adapts the step: ρ‖F(r) - F(r̄)‖/‖r - r̄‖ or ρ (r - r̄)ᵀ(F(r) - F(r̄))/‖r - r̄‖².
 
     References
     ----------

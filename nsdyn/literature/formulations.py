@@ -1,9 +1,9 @@
-"""The formulations of the frictional contact problem as nonsmooth equations: every function is zero at a solution.
+"""Formulations of the frictional contact problem as nonsmooth equations: every function is zero at a solution.
 
 With u = W r + q and û = u + μ‖u_T‖ e_N, each ``residual_*`` maps an impulse r [N·s] to F(r). Steps ρ [kg] turn a
-velocity into an impulse: a number, one per contact, or a pair (normal, tangential) per contact where the map allows it;
-the default 1/λ_max(W_cc) does not depend on units. The four maps of `ELEMENTS` also return an element of their
-generalised Jacobian.
+velocity into an impulse. A step is a number, one per contact, or a pair (normal, tangential) per contact if the map
+allows it; the default 1/λ_max(W_cc) does not depend on units. The four maps of `ELEMENTS` also return an element of
+their generalised Jacobian.
 
 References
 ----------
@@ -51,7 +51,7 @@ Element = tuple[Array, Array, Array]
 
 
 def _steps(problem: FC3D, rho: Any) -> Array:
-    """Steps as an array (nc, 2), normal and tangential; ValueError unless they are positive."""
+    """Return steps as an array (nc, 2), normal and tangential; ValueError unless they are positive."""
     given = 1.0 / problem.scales if rho is None else np.asarray(rho, dtype=float)
     out: Array = np.broadcast_to(given[:, None] if given.ndim == 1 else given, (problem.nc, 2))
     if not (out > 0.0).all():
@@ -60,7 +60,7 @@ def _steps(problem: FC3D, rho: Any) -> Array:
 
 
 def _uniform(problem: FC3D, rho: Any) -> Array:
-    """Steps as an array (nc,); ValueError for pairs, which the cone does not allow."""
+    """Return steps as an array (nc,); ValueError for pairs, which the cone does not allow."""
     out = _steps(problem, rho)
     if (out[:, 0] != out[:, 1]).any():
         raise ValueError("rho must be one number per contact: the projection on the cone is not split")
@@ -68,19 +68,19 @@ def _uniform(problem: FC3D, rho: Any) -> Array:
 
 
 def _state(problem: FC3D, r: Array) -> tuple[Array, Array]:
-    """(u, r) as arrays (nc, 3)."""
+    """Return (u, r) as arrays (nc, 3)."""
     r = np.asarray(r, dtype=float)
     return problem.velocity(r.ravel()).reshape(-1, 3), r.reshape(-1, 3)
 
 
 def _direction(x: Array) -> tuple[Array, Array]:
-    """(‖x‖, x/‖x‖ or 0) of vectors (nc, 2)."""
+    """Return (‖x‖, x/‖x‖ or 0) of vectors (nc, 2)."""
     size = np.hypot(x[:, 0], x[:, 1])
     return size, np.divide(x, size[:, None], out=np.zeros_like(x), where=size[:, None] > 0.0)
 
 
 def _saxce_derivative(u: Array, mu: Array) -> Array:
-    """∂û/∂u = I + μ e_N tᵀ with t = u_T/‖u_T‖, and 0 of the unit ball where nothing slips, shape (nc, 3, 3)."""
+    """∂û/∂u = I + μ e_N tᵀ with t = u_T/‖u_T‖, or t = 0 (in the unit ball) without slip, shape (nc, 3, 3)."""
     out = np.tile(np.eye(3), (mu.size, 1, 1))
     out[:, 0, 1:] = mu[:, None] * _direction(u[:, 1:])[1]
     return out
@@ -95,7 +95,7 @@ def natural_map(u: Array, r: Array, mu: Array, rho: Array) -> Element:
 
 
 def _disk_map(u: Array, r: Array, mu: Array, rho: Array, predicted: bool) -> Element:
-    """Half-line and disk; the radius of the disk is μ (r_N - ρ_N u_N)₊ if predicted, else μ (r_N)₊."""
+    """Map on half-line and disk; the radius of the disk is μ (r_N - ρ_N u_N)₊ if predicted, otherwise μ (r_N)₊."""
     rn, rt = rho[:, 0], rho[:, 1]
     a = r[:, 0] - rn * u[:, 0]
     y = r[:, 1:] - rt[:, None] * u[:, 1:]
@@ -132,14 +132,14 @@ def alart_curnier(u: Array, r: Array, mu: Array, rho: Array) -> Element:
 
 
 def _arrow(x: Array) -> Array:
-    """L_x of the Jordan product x ∘ y = L_x y, shape (nc, 3, 3)."""
+    """Matrix L_x of the Jordan product x ∘ y = L_x y, shape (nc, 3, 3)."""
     out = x[:, :1, None] * np.eye(3)
     out[:, 0, 1:] = out[:, 1:, 0] = x[:, 1:]
     return out
 
 
 def _spectral(x: Array, f: Callable[[Array], Array]) -> Array:
-    """Function f applied to the eigenvalues x_N ∓ ‖x_T‖ of every x."""
+    """Apply f to the eigenvalues x_N ∓ ‖x_T‖ of every x."""
     size, t = _direction(x[:, 1:])
     low, high = f(x[:, 0] - size), f(x[:, 0] + size)
     return np.column_stack((0.5 * (low + high), (0.5 * (high - low))[:, None] * t))
@@ -148,7 +148,7 @@ def _spectral(x: Array, f: Callable[[Array], Array]) -> Array:
 def fischer_burmeister(u: Array, r: Array, mu: Array, rho: Array) -> Element:
     """F = x + y - (x² + y²)^½ in the Jordan algebra of the cone, with x = (μ r_N, r_T), y = ρ (û_N, μ u_T).
 
-    A contact with μ = 0 has the scalar function of r_N and ρ u_N, and F_T = r_T.
+    A contact with μ = 0 uses the scalar function of r_N and ρ u_N, and F_T = r_T.
     """
     smooth = mu == 0.0
     m = np.where(smooth, 1.0, mu)
@@ -161,7 +161,7 @@ def fischer_burmeister(u: Array, r: Array, mu: Array, rho: Array) -> Element:
     y = rho[:, :1] * np.column_stack((cones.saxce(u, mu)[:, 0], mu[:, None] * u[:, 1:]))
     squares = (_arrow(x) @ x[:, :, None] + _arrow(y) @ y[:, :, None])[:, :, 0]
     w = _spectral(squares, lambda s: np.sqrt(np.maximum(s, 0.0)))
-    # On the boundary of the cone L_w is singular: lifting its least eigenvalue by round-off gives a nearby element.
+    # On the boundary of the cone L_w is singular: raising its smallest eigenvalue by round-off gives a nearby element.
     floor = 1e-10 * w[:, 0] + 1e-300
     inverse = np.linalg.inv(_arrow(_spectral(w, lambda s: np.maximum(s, floor))))
     F = x + y - w
@@ -172,10 +172,10 @@ def fischer_burmeister(u: Array, r: Array, mu: Array, rho: Array) -> Element:
 
 
 def xuewen_soh_wanji(u: Array, r: Array, mu: Array, rho: Array) -> Element:
-    """The lines of `residual_xuewen_soh_wanji`; not in `ELEMENTS`, for the third makes Newton's matrix singular.
+    """Three equations of `residual_xuewen_soh_wanji`; not in `ELEMENTS`: the third makes Newton's matrix singular.
 
-    μ r_N - ‖r_T‖ has a concave kink at r_T = 0. The mean of its gradients around it is 0, an element of Clarke's hull
-    from which no descent is seen; taken is their limit for friction that begins against the slip.
+    μ r_N - ‖r_T‖ has a concave kink at r_T = 0. The mean of its gradients around the kink is 0, an element of Clarke's
+    hull that shows no descent. Instead the limit of the gradients is used for friction that starts against the slip.
     """
     step = rho[:, 0]
     u = step[:, None] * u
@@ -231,7 +231,7 @@ def residual_fischer_burmeister(problem: FC3D, r: Array, rho: Any = None) -> Arr
 def residual_hueber_stadler_wohlmuth(problem: FC3D, r: Array, rho: Any = None) -> Array:
     """Alart–Curnier without a quotient: max(μ a, ‖y‖) r_T - μ a₊ y with a = r_N - ρ_N u_N, y = r_T - ρ_T u_T.
 
-    Shape (3 nc,): the normal line in N·s, the tangential ones in (N·s)².
+    Shape (3 nc,): the normal equation in N·s, the tangential ones in (N·s)².
 
     References
     ----------
@@ -253,7 +253,7 @@ def residual_xuewen_soh_wanji(problem: FC3D, r: Array, rho: Any = None) -> Array
 
     Notes
     -----
-    Printed with max(0, u_T1 r_T1) in the last line, which admits friction along the slip where u_T1 = r_T1 = 0; the
+    The paper prints max(0, u_T1 r_T1) in the last line, which admits friction along the slip if u_T1 = r_T1 = 0; the
     scalar product does not.
 
     References
@@ -289,8 +289,8 @@ def residual_normal_map(problem: FC3D, z: Array, rho: Any = None) -> Array:
 def quasi_variational_gap(problem: FC3D, r: Array, rho: Any = None) -> Array:
     """Regularised gap max over s ∈ C(r_N) of u·(r - s) - ‖r - s‖²/(2ρ) of each contact, shape (nc,), J.
 
-    C(r_N) = {s_N ≥ 0, ‖s_T‖ ≤ μ (r_N)₊} is the cylinder that moves with r. The maximum is at s = P_C(r - ρ u); it is
-    not negative for r ∈ C(r_N), and zero there if u·(s - r) ≥ 0 for all s ∈ C(r_N), and only then.
+    C(r_N) = {s_N ≥ 0, ‖s_T‖ ≤ μ (r_N)₊} is the cylinder that moves with r. The maximum is at s = P_C(r - ρ u). For
+    r ∈ C(r_N) it is not negative, and it is zero if and only if u·(s - r) ≥ 0 for all s ∈ C(r_N).
 
     References
     ----------
@@ -308,9 +308,9 @@ def quasi_variational_gap(problem: FC3D, r: Array, rho: Any = None) -> Array:
 def residual_quasi_variational_inequality(problem: FC3D, r: Array, rho: Any = None) -> Array:
     """Quasi-variational inequality r ∈ C(r_N), u·(s - r) ≥ 0 for all s ∈ C(r_N), shape (4 nc,).
 
-    Its `quasi_variational_gap` in J, then r - P_C(r) in N·s, C(r_N) = {s_N ≥ 0, ‖s_T‖ ≤ μ (r_N)₊}. The operator is
-    u = W r + q alone, affine and monotone; what is lost is that the set stands still. Its natural map r - P_C(r - ρ u)
-    is `residual_jean_moreau`.
+    Returns `quasi_variational_gap` in J, then r - P_C(r) in N·s, C(r_N) = {s_N ≥ 0, ‖s_T‖ ≤ μ (r_N)₊}. The operator
+    u = W r + q is affine and monotone, but the set moves with r. The natural map r - P_C(r - ρ u) of the inequality is
+    `residual_jean_moreau`.
     """
     feasible = jean_moreau(np.zeros((problem.nc, 3)), _state(problem, r)[1], problem.mu, np.ones((problem.nc, 2)))[0]
     return np.concatenate((quasi_variational_gap(problem, r, rho), feasible.ravel()))
@@ -319,8 +319,8 @@ def residual_quasi_variational_inequality(problem: FC3D, r: Array, rho: Any = No
 def residual_bipotential(problem: FC3D, r: Array) -> Array:
     """De Saxcé's bipotential b(-u, r) + u·r and its constraints, shape (5 nc,).
 
-    b(-u, r) = μ r_N ‖u_T‖ where u_N ≥ 0 and r ∈ K, else infinite; b(-u, r) + u·r ≥ 0 with equality for the pairs of
-    Coulomb's law alone. First μ r_N ‖u_T‖ + u·r = r·û in J, then (-u_N)₊ in m/s, then r - P_K(r) in N·s.
+    b(-u, r) = μ r_N ‖u_T‖ if u_N ≥ 0 and r ∈ K, otherwise infinite. b(-u, r) + u·r ≥ 0, with equality exactly for pairs
+    of Coulomb's law. Returns μ r_N ‖u_T‖ + u·r = r·û in J, then (-u_N)₊ in m/s, then r - P_K(r) in N·s.
 
     References
     ----------
@@ -337,7 +337,7 @@ def jacobian(problem: FC3D, r: Array, function: str, rho: Any = None) -> sp.csr_
     Raises
     ------
     ValueError
-        For an unknown name, naming the known ones.
+        For an unknown name; the message lists the known ones.
     """
     choice(function, sorted(ELEMENTS), "function")
     split = function in ("alart-curnier", "jean-moreau")

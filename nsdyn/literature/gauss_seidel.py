@@ -22,19 +22,19 @@ Order = Literal["given", "shuffled", "reshuffled", "symmetric"]
 Relaxation = Annotated[float, Allowed("between 0 and 2", lambda omega: 0.0 < omega < 2.0)]
 
 CHECK = 10
-"""Sweeps between two measurements."""
+"""Sweeps between two measurements of the error."""
 
 LOCAL_ITERATIONS = 100
-"""Iterations granted to one contact: Newton takes about 5, the fixed point on the cone some tens."""
+"""Largest number of iterations for one contact: Newton takes about 5, the fixed point on the cone some tens."""
 
 
 @dataclass(frozen=True)
 class GaussSeidel(Options):
-    """NSGS and PSOR: every contact in turn by a local solver, FC(W_cc/ω, q̄_c), without acceleration.
+    """NSGS and PSOR: solve each contact in turn by a local solver, FC(W_cc/ω, q̄_c), without acceleration.
 
-    Good on granular scenes and loose tolerances, where nothing is cheaper. It fails where information must travel far,
-    on stacks, walls and large mass ratios, whatever its options. `pgs` is the one to use: compiled whole and
-    accelerated; this one is for comparing what the literature compares.
+    Strength: granular scenes and loose tolerances, where no method is cheaper. Weakness: scenes in which information
+    must travel far (stacks, walls, large mass ratios), with any options. For applications use `pgs`, which is fully
+    compiled and accelerated; this class is for comparing the variants of the literature.
 
     Parameters
     ----------
@@ -44,15 +44,16 @@ class GaussSeidel(Options):
         Sweeps.
     local : {'alart-curnier', 'jean-moreau', 'natural', 'fischer-burmeister', 'projection', 'iterated-projection', \
 'exact'}
-        Local solver: semismooth Newton on one of four maps; one step r ← P_K(r - ρ û), or such steps with Khobotov's ρ
-        until they settle; or the enumeration of take-off, stick and slip, each in closed form but for one root.
+        Local solver: semismooth Newton on one of four maps; one step r ← P_K(r - ρ û), or repeated steps with
+        Khobotov's ρ until they settle; or enumeration of take-off, stick and slip, each in closed form but for a root.
     local_tol : float, optional
-        Where a local iteration ends, relative to ‖q‖; default a tenth of what one contact has in the mean of the
-        defect last measured.
+        Tolerance of a local iteration, relative to ‖q‖; by default a tenth of the mean share of one contact in the last
+        measured defect.
     omega : float
         Relaxation ω in (0, 2): below 1 is under-relaxed.
+        Relaxation ω in (0, 2): below 1 is under-relaxed.
     order : {'given', 'shuffled', 'reshuffled', 'symmetric'}
-        Of the contacts: as in the problem, a random one, a new random one every sweep, or forth and back in turns.
+        Order of the contacts: as in the problem, random, random in every sweep, or alternately forward and backward.
 
     References
     ----------

@@ -15,21 +15,22 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive
 
 SAFE = 100
-"""Extragradient iterations before the first Newton, the number of the paper."""
+"""Extragradient iterations before the first Newton method, the number in the paper."""
 
 FACTORISATIONS = 30
-"""Of one Newton: what converges takes ten or so, the rest cycles."""
+"""Factorisations of one Newton method: it converges within about ten, or it cycles."""
 
 
 @dataclass(frozen=True)
 class Hybrid(Options):
-    """NSN-HYBRID: extragradient iterations, Newton from their best iterate, and again from the best of both.
+    """NSN-HYBRID: extragradient iterations, Newton from their best iterate, then again from the best of both.
 
-    The first round is the paper's: 100 safe iterations, then Newton. Where that fails a round follows with twice the
-    safe iterations, so that neither method starves.
+    The first round is that of the paper: 100 safe iterations, then Newton. If Newton fails, the next round has twice as
+    many safe iterations, so that both methods get their share.
 
-    Good where Newton converges once the contact states are nearly right: elastic bodies, few contacts per coordinate.
-    On redundant contacts Newton's matrix stays singular, and what is left is the extragradient method.
+    Strength: problems on which Newton converges once the contact states are nearly right: elastic bodies, few contacts
+    per coordinate. Weakness: on redundant contacts Newton's matrix stays singular, and only the extragradient method
+    remains.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ class Hybrid(Options):
             count += max(start.iterations, 1)
             if run.done(start.r) or count >= self.max_iter:
                 break
-            with np.errstate(over="ignore", invalid="ignore"):  # a Newton that diverges is one that has failed
+            with np.errstate(over="ignore", invalid="ignore"):  # a Newton method that diverges has failed
                 _, used, _ = newton(
                     W,
                     scaled.q,

@@ -1,4 +1,4 @@
-"""Semismooth Newton on a nonsmooth equation in the impulses."""
+"""Semismooth Newton method on a nonsmooth equation in the impulses."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Search = Literal["goldstein-price", "armijo", "none"]
 Rho = Literal["spectral", "split", "condition", "one"]
 
 LIFT = 1e-10
-"""Added to W (of unit blocks) in the matrix only, which redundant contacts make singular: it picks a solution."""
+"""Added to W (of unit blocks) in the matrix only, which redundant contacts make singular: it selects a solution."""
 
 
 def steps(problem: FC3D, rule: Rho) -> Array:
-    """Steps ρ = (ρ_N, ρ_T) of the diagonal blocks, times λ_max(W_cc), shape (nc, 2).
+    """Steps ρ = (ρ_N, ρ_T) from the diagonal blocks, times λ_max(W_cc), shape (nc, 2).
 
-    'spectral' 1/λ_max(W_cc) for both; 'split' 1/W_NN and 1/λ_max(W_TT); 'condition' with ρ_T = λ_min/λ_max² of W_TT
-    instead; 'one' is ρ = 1 kg, which the paper calls dramatic.
+    'spectral' is 1/λ_max(W_cc) for both. 'split' is 1/W_NN and 1/λ_max(W_TT). 'condition' is 'split' with
+    ρ_T = λ_min/λ_max² of W_TT. 'one' is ρ = 1 kg, whose effect the paper calls dramatic.
     """
     if rule == "spectral":
         return np.ones((problem.nc, 2))
@@ -35,7 +35,7 @@ def steps(problem: FC3D, rule: Rho) -> Array:
         return np.tile(problem.scales[:, None], (1, 2))
     D = _diagonal_blocks(problem.W)
     eigenvalues = np.linalg.eigvalsh(0.5 * (D + D.transpose(0, 2, 1))[:, 1:, 1:])
-    # A direction the bodies cannot move in (2D problems) has a zero eigenvalue; its step only has to be positive.
+    # A direction in which the bodies cannot move (2D problems) has eigenvalue zero; its step only must be positive.
     low, high = np.maximum(eigenvalues, 1e-3 * problem.scales[:, None]).T
     normal = 1.0 / np.maximum(D[:, 0, 0], 1e-3 * problem.scales)
     tangent = 1.0 / high if rule == "split" else low / high**2
@@ -43,7 +43,7 @@ def steps(problem: FC3D, rule: Rho) -> Array:
 
 
 def _diagonal_blocks(W: Any) -> Array:
-    """Blocks W_cc of a BSR array, shape (nc, 3, 3)."""
+    """Return the blocks W_cc of a BSR array, shape (nc, 3, 3)."""
     row = np.repeat(np.arange(W.indptr.size - 1), np.diff(W.indptr))
     on = W.indices == row
     out = np.zeros((W.indptr.size - 1, 3, 3))
@@ -52,10 +52,11 @@ def _diagonal_blocks(W: Any) -> Array:
 
 
 def _length(merit: Callable[[float], float], start: float, search: Search) -> float:
-    """Step length along a Newton direction; merit(t) = ½‖F‖² with slope -2 merit(0).
+    """Return the step length along a Newton direction; merit(t) = ½‖F‖² with slope -2 merit(0).
 
-    Armijo halves until the fall is m₁ times the slope's. Goldstein–Price also asks for a fall of at most m₂ times
-    it, so that steps are not short: doubling and bisection, m₁ = 0.01 < ½ < m₂ = 0.99.
+    Armijo's rule halves the step until merit falls by at least m₁ times the linear prediction. Goldstein–Price also
+    requires a fall of at most m₂ times the prediction, so that steps are not short: doubling and bisection,
+    m₁ = 0.01 < ½ < m₂ = 0.99.
     """
     if search == "none":
         return 1.0
@@ -71,7 +72,7 @@ def _length(merit: Callable[[float], float], start: float, search: Search) -> fl
         t = 0.5 * (low + high) if np.isfinite(high) else 2.0 * t
         if t > 4.0:
             return low
-    # A full step past a kink beats a standstill before it.
+    # A full step past a kink is better than no progress before it.
     return low if low > 0.0 else 1.0
 
 
@@ -86,23 +87,23 @@ def newton(
     done: Callable[[Array, float], bool],
     max_iter: int,
 ) -> tuple[Array, int, bool]:
-    """Newton's method on a map of `ELEMENTS`; (x, factorisations, whether `done` ended it).
+    """Apply Newton's method to a map of `ELEMENTS`; return (x, factorisations, whether `done` ended the iteration).
 
     Parameters
     ----------
     W : ndarray or sparse array, shape (3 nc, 3 nc)
-        Sparse where that pays.
+        Sparse if a sparse factorisation is cheaper.
     q, x : ndarray, shape (3 nc,)
-        x is where it begins.
+        Free velocity, and the initial x.
     mu : ndarray, shape (nc,)
     rho : ndarray, shape (nc, 3)
-        Of the map.
+        Steps of the map.
     function : str
-        Of `ELEMENTS`.
+        Name in `ELEMENTS`.
     search : str
-        Of `_length`.
+        Line search of `_length`.
     done : callable
-        done(x, ‖F(x)‖) is asked at every iterate.
+        done(x, ‖F(x)‖) is called at every iterate; True ends the iteration.
     max_iter : int
     """
     element, nc = ELEMENTS[function], mu.size
@@ -137,7 +138,7 @@ def newton(
 
 
 def matrix(W: Any) -> Any:
-    """W as `newton` wants it: dense, or as it is where a sparse factorisation pays."""
+    """Return W in the form for `newton`: dense, or unchanged if a sparse factorisation is cheaper."""
     return W if is_sparse(W) else W.toarray()
 
 
@@ -145,23 +146,23 @@ def matrix(W: Any) -> Any:
 class ImpulseNewton(Options):
     """Semismooth Newton in the impulses, NSN, on one of four nonsmooth equations, with a line search.
 
-    Good where W is well conditioned: elastic bodies, few contacts per coordinate; quadratic near the solution. It
-    fails on redundant contacts, where W is singular and so may the matrix be (`newton` works in velocities instead,
-    `proximal` makes W definite), and from cold starts with many changes of state.
+    Strength: well-conditioned W, as of elastic bodies with few contacts per coordinate; quadratic convergence near the
+    solution. Weakness: on redundant contacts W is singular, and Newton's matrix may be (`newton` works in velocities
+    instead, `proximal` makes W definite). It also fails from cold starts with many changes of contact states.
 
     Parameters
     ----------
     tol : float
-        On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
+        Tolerance of both `FC3D.error` [-] and `FC3D.residual` [m/s].
     max_iter : int
-        Factorisations.
+        Largest number of factorisations.
     function : {'fischer-burmeister', 'alart-curnier', 'jean-moreau', 'natural'}
-        Equation, see `nsdyn.literature.formulations`. Full steps on the first reach most: it is the smoothest, a line
-        search on the others stops at kinks and full steps on them cycle.
+        Equation, see `nsdyn.literature.formulations`. Full steps on the first solve most problems: it is the smoothest.
+        On the other equations a line search stops at kinks, and full steps cycle.
     search : {'none', 'goldstein-price', 'armijo'}
         Line search on ½‖F‖².
     rho : {'spectral', 'split', 'condition', 'one'}
-        Rule for the steps ρ, see `steps`; only Alart–Curnier and Jean–Moreau tell normal from tangential ones.
+        Rule for the steps ρ, see `steps`; only Alart–Curnier and Jean–Moreau have separate normal and tangential steps.
 
     Raises
     ------

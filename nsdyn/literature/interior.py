@@ -1,4 +1,4 @@
-"""Interior point method for Coulomb's law as it is, nonassociated, with a Newton finish."""
+"""Interior point method for Coulomb's law as it is (nonassociated), with a final Newton method."""
 
 from __future__ import annotations
 
@@ -18,11 +18,14 @@ from nsdyn.tools.options import Count, Options, Positive, Whole
 __all__ = ["Interior", "interior"]
 
 PENALTY = 1e3
-"""First penalty of Newton's method from where the interior point method ends."""
+"""First penalty of Newton's method when it starts from the result of the interior point method."""
 
 
 def interior(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
-    """The method of `_kernels.interior` from nothing: (factorisations, measure of r), the best impulse into r."""
+    """Run the method of `_kernels.interior` from a cold start; put the best impulse into r.
+
+    Returns (factorisations, measure of r).
+    """
     mu, scales, q_norm, nc = problem.mu, problem.scales, problem.q_norm, problem.nc
     speed, mean = float(np.abs(problem.q).max()) or 1.0, float(scales.mean())
     q = problem.q / speed
@@ -66,11 +69,12 @@ def interior(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tup
 
 @dataclass(frozen=True)
 class Interior(Options):
-    """Nonassociated interior point method from nothing, finished by the Newton of `newton`, island by island.
+    """Nonassociated interior point method from a cold start, then the Newton method of `newton`, island by island.
 
-    Good as the cold start of last resort: 20 to 40 factorisations whatever the masses, and it finds the contact
-    states of kicked walls and piles where everything slides at once. It fails to use a warm start, ends between 1e-6
-    and 1e-9 where contacts are redundant or weakly active (hence the finish), and costs a factorisation a step.
+    Strength: the cold start of last resort. It takes 20 to 40 factorisations whatever the masses, and finds the contact
+    states of kicked walls and of piles in which all contacts slide at once. Weakness: it cannot use a warm start and
+    costs one factorisation per step. On redundant or weakly active contacts it ends between 1e-6 and 1e-9, hence the
+    Newton method at the end.
 
     Parameters
     ----------
@@ -79,7 +83,7 @@ class Interior(Options):
     max_iter : int
         Factorisations of the interior point method per island.
     max_newton : int
-        Factorisations of the finish per island.
+        Factorisations of the final Newton method per island.
 
     References
     ----------
@@ -94,7 +98,7 @@ class Interior(Options):
     max_newton: Whole = 500
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem; of r0 is only asked whether it is the solution."""
+        """Solve the problem; r0 is only tested for being the solution."""
 
         def solve(part: FC3D, W: Operator, x: Array, tol: float) -> tuple[int, float]:
             count, best = interior(part, W, x, tol, self.max_iter)

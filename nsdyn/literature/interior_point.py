@@ -1,4 +1,4 @@
-"""Interior point method for the convex problem at frozen shift."""
+"""Interior point method for the convex problem at a frozen shift."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
 FACTORISATIONS = 60
-"""Granted to one convex problem."""
+"""Largest number of iterations for one convex problem."""
 
 
 def _times(A: Any, x: Any) -> Array:
-    """A_c x_c of every contact."""
+    """Return A_c x_c of every contact."""
     return np.asarray((A @ x[:, :, None])[:, :, 0])
 
 
 def _longest(x: Array, dx: Array) -> float:
-    """Largest step along dx that stays in the cones."""
+    """Return the largest step along dx that stays in the cones."""
     a = dx[:, 0] ** 2 - dx[:, 1] ** 2 - dx[:, 2] ** 2
     b = x[:, 0] * dx[:, 0] - x[:, 1] * dx[:, 1] - x[:, 2] * dx[:, 2]
     t = np.hypot(x[:, 1], x[:, 2])
     c = np.maximum(x[:, 0] - t, 1e-16 * x[:, 0]) * (x[:, 0] + t)
     below = -b + np.sqrt(np.maximum(b * b - a * c, 0.0))
     crosses = (below > 0.0) & (b * b >= a * c)
-    falls = dx[:, 0] < 0.0  # through the apex the root is double, and rounding may hide it
+    falls = dx[:, 0] < 0.0  # a step through the apex has a double root, which rounding may hide
     apex = float(np.min(-x[falls, 0] / dx[falls, 0], initial=1e3))
     return float(np.min(c[crosses] / below[crosses], initial=apex))
 
 
 def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
-    """Impulse x ∈ K with W x + q ∈ K* orthogonal to it, and the factorisations used.
+    """Return the impulse x ∈ K with W x + q ∈ K* orthogonal to it, and the number of factorisations.
 
-    In z = (μ x_N, x_T) and s = (u_N/μ, u_T) both cones are Lorentz's; a step solves (D W D + T²) dz = T d - (residual)
-    with Nesterov–Todd's T, Mehrotra's predictor and corrector. W need not be symmetric, only its symmetric part
-    positive semi-definite.
+    In z = (μ x_N, x_T) and s = (u_N/μ, u_T) both cones are the Lorentz cone. A step solves
+    (D W D + T²) dz = T d - (residual) with Nesterov–Todd's T and Mehrotra's predictor and corrector. W need not be
+    symmetric; only its symmetric part must be positive semi-definite.
     """
     mu, nc = scaled.mu, scaled.mu.size
     D = np.ones((nc, 3))
@@ -104,20 +104,20 @@ def _inner(scaled: Equilibrated, shift: Array, x: Array, goal: float) -> tuple[A
 
 @dataclass(frozen=True)
 class InteriorPoint(Options):
-    """Frozen shift as in `ACLM`, each convex problem by a primal-dual interior point method.
+    """Frozen shift as in `ACLM`; a primal-dual interior point method solves each convex problem.
 
-    Good at high accuracy on redundant contacts, where sweeps are slow: 10 to 25 factorisations a problem, whatever
-    its condition. It cannot be warm-started, so that it pays a full solve for each of the 5 to 30 shifts, and the
-    shift hardly contracts on strongly sliding piles at μ = 1.
+    Strength: high accuracy on redundant contacts, where sweeps are slow. It takes 10 to 25 factorisations per problem,
+    whatever its condition. Weakness: no warm start, so that each of the 5 to 30 shifts costs a full solve. On strongly
+    sliding piles at μ = 1 the shift hardly contracts.
 
     Parameters
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     max_iter : int
-        Shifts; the iterations reported are factorisations.
+        Largest number of shifts; the iterations reported are factorisations.
     memory : int
-        Differences kept by Anderson's acceleration of the shift.
+        Number of differences kept by Anderson's acceleration of the shift.
 
     References
     ----------

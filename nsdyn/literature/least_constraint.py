@@ -1,21 +1,22 @@
 """Gauss's principle at the level of accelerations: the extended least constraint and its dual.
 
-At a state without impact, contacts that are closed and do not move apart either slide (u_T ≠ 0) or stick, with
-relative accelerations a = Hᵀ v̇ + p, p = Ḣᵀ v. With bounds k on the normal forces frozen (Tresca's friction) the motion
-minimises
+Consider a state without impact. Contacts that are closed and do not separate either slide (u_T ≠ 0) or stick. Their
+relative accelerations are a = Hᵀ v̇ + p, p = Ḣᵀ v. With frozen bounds k on the normal forces (Tresca's friction) the
+motion minimises
 
     ½ v̇ᵀ M v̇ - fᵀ v̇ + Σ_slide μ k a_T·u_T/‖u_T‖ + Σ_stick μ k ‖a_T‖   under a_N ≥ 0,
 
-kinetic constraint plus the rate at which dissipation changes. Its dual is a quadratic program in the contact forces γ,
+kinetic constraint plus the rate of change of the dissipation. Its dual is a quadratic program in the contact forces γ,
 
-    min ½ γᵀ G γ + κᵀ γ   over γ_N ≥ 0, ‖γ_T‖ ≤ μ k where it sticks,   G = Hᵀ M⁻¹ H,
+    min ½ γᵀ G γ + κᵀ γ   over γ_N ≥ 0, ‖γ_T‖ ≤ μ k of sticking contacts,   G = Hᵀ M⁻¹ H,
 
-and Coulomb's law asks for k = γ_N. Unlike a step, this may have no solution: Painlevé's rod.
+and Coulomb's law requires k = γ_N. Unlike a step, this may have no solution: Painlevé's rod.
 
-Any convex dissipation potential Φ(v) adds the rate dΦ/dt along the motion. A smooth one, as of viscous joints, gives a
-term linear in v̇: the force -∇Φ among the applied ones. Dry joint friction τ_c|v_j| gives τ_c sign(v_j) v̇_j where the
-joint turns and τ_c |v̇_j| where it is still, with constant bounds. A joint limit that is reached is ±v̇_j ≥ 0. Loops and
-driven joints are B v̇ = b, with v̇ = v̇_p + Z y and ZᵀMZ = I: the programs are in y and in the forces, with Z Zᵀ for M⁻¹.
+Any convex dissipation potential Φ(v) adds the rate dΦ/dt along the motion. A smooth potential, as of viscous joints,
+gives a term linear in v̇: the force -∇Φ among the applied ones. Dry joint friction τ_c|v_j| gives τ_c sign(v_j) v̇_j
+for a moving joint and τ_c |v̇_j| for one at rest, with constant bounds. A joint at its limit gives ±v̇_j ≥ 0. Loops and
+driven joints give B v̇ = b, so v̇ = v̇_p + Z y with ZᵀMZ = I. The programs are then in y, and in the forces with Z Zᵀ in
+place of M⁻¹.
 
 References
 ----------
@@ -39,11 +40,11 @@ from nsdyn.tools.arrays import Array
 __all__ = ["Acceleration", "Existence", "JointTerms", "LeastConstraint", "accelerations"]
 
 PASSES = 100
-"""Most updates of the bounds k."""
+"""Largest number of updates of the bounds k."""
 
 
 class Existence(IntEnum):
-    """Whether Coulomb's law has an answer; `message` says it in words."""
+    """Whether Coulomb's law has a solution; `message` says it in words."""
 
     SOLVED = 0
     NO_SOLUTION = 1
@@ -51,7 +52,7 @@ class Existence(IntEnum):
 
     @property
     def message(self) -> str:
-        """One sentence for a person."""
+        """One sentence that explains the value."""
         return {
             Existence.SOLVED: "forces and accelerations satisfy Coulomb's law",
             Existence.NO_SOLUTION: "no contact forces keep the bodies apart: an impact without collision (Painlevé)",
@@ -66,13 +67,13 @@ class JointTerms:
     Attributes
     ----------
     limits : ndarray, shape (n, nl)
-        Column ±e_j of every limit that is reached and not being left: its acceleration away must not be negative.
+        Column ±e_j of every limit that is reached and not being left: the acceleration away from it must be ≥ 0.
     friction : ndarray, shape (n, nf)
         Column e_j of every joint with dry friction.
     bound : ndarray, shape (nf,)
         τ_c, N m or N.
     slip : ndarray, shape (nf,)
-        Sign of the joint's velocity, 0 where it is still.
+        Sign of the joint's velocity, 0 for a joint at rest.
     """
 
     limits: Array
@@ -82,7 +83,7 @@ class JointTerms:
 
     @property
     def turning(self) -> NDArray[np.bool_]:
-        """Which joints with friction move, shape (nf,)."""
+        """Mask of joints with friction that move, shape (nf,)."""
         return np.asarray(self.slip != 0.0)
 
 
@@ -93,7 +94,7 @@ class LeastConstraint:
     Attributes
     ----------
     contacts : ContactSet
-        The closed ones.
+        The closed contacts.
     frame : ndarray, shape (nc, 3, 3)
         Contact frames, rows (n, t1, t2), world axes.
     M : ndarray, shape (n, n)
@@ -103,11 +104,11 @@ class LeastConstraint:
     p : ndarray, shape (3 nc,)
         Ḣᵀ v, m/s².
     slip : ndarray, shape (nc, 2)
-        Direction of u_T where the contact slides, 0 where it sticks.
+        Direction of u_T of sliding contacts, 0 for sticking ones.
     Z : ndarray, shape (n, ny)
-        Accelerations that loops and driven joints leave free, ZᵀMZ = I.
+        Basis of the accelerations that loops and driven joints leave free, ZᵀMZ = I.
     given : ndarray, shape (n,)
-        v̇_p, what loops and driven joints ask for: all admissible accelerations are v̇_p + Z y.
+        v̇_p, the acceleration prescribed by loops and driven joints: all admissible accelerations are v̇_p + Z y.
     joints : JointTerms
     """
 
@@ -124,15 +125,15 @@ class LeastConstraint:
 
     @property
     def sliding(self) -> NDArray[np.bool_]:
-        """Which contacts slide, shape (nc,)."""
+        """Mask of sliding contacts, shape (nc,)."""
         return np.asarray(self.slip.any(axis=1))
 
     def relative(self, a: Array) -> Array:
-        """Relative accelerations Hᵀ v̇ + p, shape (nc, 3)."""
+        """Return the relative accelerations Hᵀ v̇ + p, shape (nc, 3)."""
         return (self.H.T @ a + self.p).reshape(-1, 3)
 
     def functional(self, a: Array, k: Array) -> float:
-        """The functional that the motion minimises, at an admissible acceleration v̇, for frozen bounds k [N]."""
+        """Return the functional that the motion minimises, at an admissible acceleration v̇, for frozen bounds k [N]."""
         a_T, joints = self.relative(a)[:, 1:], self.joints
         change = np.where(self.sliding, (a_T * self.slip).sum(axis=1), np.linalg.norm(a_T, axis=1))
         a_j = joints.friction.T @ a
@@ -140,9 +141,9 @@ class LeastConstraint:
         return float(0.5 * a @ self.M @ a - self.f @ a + (self.contacts.mu * k) @ change + joints.bound @ turn)
 
     def primal(self, k: Array) -> Array:
-        """Acceleration v̇ (n,) that minimises `functional` for bounds k [N]: the primal program, equation 58.
+        """Return the acceleration v̇ (n,) that minimises `functional` for bounds k [N]: the primal program, equation 58.
 
-        A cone program in y and in bounds s of what sticks, ‖a_T‖ ≤ s and |v̇_j| ≤ s.
+        It is a cone program in y and in bounds s for sticking contacts and resting joints, ‖a_T‖ ≤ s and |v̇_j| ≤ s.
 
         Raises
         ------
@@ -185,9 +186,9 @@ class LeastConstraint:
         return np.asarray(self.given + self.Z @ y[:ny])
 
     def dual(self, k: Array) -> Array:
-        """Forces of the dual program for bounds k [N], shape (3 nc + nl + nf,): contacts, limits, joint friction.
+        """Return the dual program's forces for bounds k [N], shape (3 nc + nl + nf,): contacts, limits, joint friction.
 
-        Frictional ones of what slides or turns are given by the bounds.
+        The bounds give the friction of sliding contacts and moving joints.
         """
         mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
         nl = joints.limits.shape[1]
@@ -219,18 +220,18 @@ class LeastConstraint:
         return out
 
     def acceleration(self, forces: Array) -> Array:
-        """v̇ (n,) under the forces of `dual`."""
+        """Return v̇ (n,) under the forces of `dual`."""
         pushed = self.f + self._columns() @ forces - self.M @ self.given
         return np.asarray(self.given + self.Z @ (self.Z.T @ pushed))
 
     def impossible(self) -> bool:
-        """Whether no forces of the laws, friction opposing the slip where there is any, keep contacts and limits."""
+        """Whether no forces of the laws satisfy contacts and limits, with friction opposing any existing slip."""
         mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
         nl, nf = joints.limits.shape[1], joints.bound.size
         G, kappa = self._delassus()
         kappa = kappa + G[:, 3 * nc + nl :] @ (-joints.bound * joints.slip)
         stick, still = np.flatnonzero(~self.sliding), np.flatnonzero(~joints.turning)
-        # γ of the unknowns: normal forces, sticking friction, limits, joint friction that holds.
+        # γ of the unknowns: normal forces, friction of sticking contacts, limits, friction of resting joints.
         cone = np.zeros((3 * nc + nl + nf, nc + 2 * stick.size + nl + still.size))
         first = nc + 2 * stick.size
         cone[np.arange(0, 3 * nc, 3), np.arange(nc)] = 1.0
@@ -256,7 +257,7 @@ class LeastConstraint:
         return np.hstack((self.H, self.joints.limits, self.joints.friction))
 
     def _delassus(self) -> tuple[Array, Array]:
-        """(G, κ) over all forces: accelerations along their directions are G γ + κ."""
+        """Return (G, κ) over all forces: accelerations along their directions are G γ + κ."""
         C = self._columns()
         U = self.Z.T @ C
         free = self.given + self.Z @ (self.Z.T @ (self.f - self.M @ self.given))
@@ -271,13 +272,13 @@ class Acceleration:
     Attributes
     ----------
     existence : Existence
-        Unless it is SOLVED, the numbers below are the last bounds' answer.
+        If it is not SOLVED, the arrays hold the result for the last bounds.
     a : ndarray, shape (n,)
         v̇ in the coordinates of `Dynamics`.
     force : ndarray, shape (nc, 3)
         Contact forces γ on body 2, normal first, N.
     relative : ndarray, shape (nc, 3)
-        Relative accelerations of the contacts, m/s²: ‖a_T‖ > 0 at a contact that sticks means that it starts to slip.
+        Relative accelerations of the contacts, m/s²: ‖a_T‖ > 0 at a sticking contact means that it starts to slip.
     limit, friction : ndarray, shapes (nl,), (nf,)
         Forces of joint limits and of dry joint friction, in the order of `JointTerms`, N m or N.
     problem : LeastConstraint
@@ -293,7 +294,7 @@ class Acceleration:
 
 
 def _cone_program(P: Array, q: Array, A: Any, b: Array, linear: int, cones: int) -> Array | None:
-    """min ½ xᵀ P x + qᵀ x under b - A x ≥ 0 for `linear` rows, then in second-order cones; None if infeasible."""
+    """Minimise ½ xᵀ P x + qᵀ x under b - A x ≥ 0 (`linear` rows, then second-order cones); None if infeasible."""
     try:
         import clarabel
     except ImportError as error:
@@ -302,7 +303,7 @@ def _cone_program(P: Array, q: Array, A: Any, b: Array, linear: int, cones: int)
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
-    # In units in which the matrix and the right side are 1.
+    # Scale to units in which the matrix and the right side are 1.
     size = np.abs(P).max(initial=0.0) or 1.0
     load = max(np.abs(q).max(initial=0.0), np.abs(b).max(initial=0.0)) or 1.0
     unit = load / size if q.any() else load
@@ -312,20 +313,20 @@ def _cone_program(P: Array, q: Array, A: Any, b: Array, linear: int, cones: int)
     status = clarabel.SolverStatus
     if solution.status in (status.PrimalInfeasible, status.AlmostPrimalInfeasible):
         return None
-    # With a tolerance of round-off the method may stop a digit or two before it.
+    # At a tolerance of round-off the method may stop a digit or two short of it.
     if solution.status not in (status.Solved, status.AlmostSolved, status.InsufficientProgress):
         raise RuntimeError(f"the quadratic program was not solved: {solution.status}")
     return unit * np.array(solution.x)
 
 
 def accelerations(problem: LeastConstraint, tol: float = 1e-9) -> Acceleration:
-    """Accelerations under Coulomb's law: bounds k = γ_N by fixed point with Aitken's relaxation.
+    """Compute accelerations under Coulomb's law: k = γ_N by fixed-point iteration with Aitken's relaxation.
 
     Parameters
     ----------
     problem : LeastConstraint
     tol : float
-        Relative change of the normal forces at which they have settled.
+        Relative change of the normal forces at which the iteration ends.
     """
     nc = problem.p.size // 3
     k, omega = np.zeros(nc), 1.0

@@ -1,4 +1,4 @@
-"""Normal and tangential problems in turns."""
+"""Alternate between the normal and the tangential problem."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
 SWEEPS = 2000
-"""Sweeps granted to one convex problem."""
+"""Largest number of sweeps for one convex problem."""
 
 
 def _tangential_impulse(scaled: Equilibrated, x: Array) -> Array:
@@ -37,8 +37,8 @@ def _inner(scaled: Equilibrated, tangent: Array, x: Array, goal: float) -> tuple
 class Panagiotopoulos(Options):
     """Alternate the normal problem at frozen friction and the friction problem on disks at frozen normal impulses.
 
-    Good where W_NT is small, as on flat interfaces: two quadratic programs of the simplest kind. It fails where
-    friction and pressure depend on each other (wedges, masonry, large μ): the alternation need not contract.
+    Strength: small W_NT, as on flat interfaces; both are quadratic programs of the simplest kind. Weakness: cases in
+    which friction and pressure depend on each other (wedges, masonry, large μ): the alternation need not contract.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Panagiotopoulos(Options):
     max_iter : int
         Alternations; the iterations reported are sweeps.
     memory : int
-        Differences kept by Anderson's acceleration of the tangential impulses; 0 for the plain alternation.
+        Number of differences kept by Anderson's acceleration of the tangential impulses; 0 for the plain alternation.
 
     References
     ----------

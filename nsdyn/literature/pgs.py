@@ -16,10 +16,10 @@ from nsdyn.tools.options import Count, Options, Positive, Whole
 
 @dataclass(frozen=True)
 class PGS(Options):
-    """Block Gauss–Seidel: each contact in turn solved exactly, Anderson-accelerated.
+    """Block Gauss–Seidel: solve each contact exactly in turn, with Anderson's acceleration.
 
-    Good on loose tolerances and granular scenes, where a sweep costs 0.1 µs per contact block. It fails where
-    information must travel far: tall stacks, heavy bodies on light ones, hyperstatic walls at tight tolerance.
+    Strength: loose tolerances and granular scenes, where a sweep costs 0.1 µs per contact block. Weakness: scenes in
+    which information must travel far: tall stacks, heavy bodies on light ones, hyperstatic walls at tight tolerance.
 
     Parameters
     ----------
@@ -28,9 +28,9 @@ class PGS(Options):
     max_iter : int
         Sweeps.
     memory : int
-        Differences kept by Anderson's acceleration; 0 gives the plain method.
+        Number of differences kept by Anderson's acceleration; 0 gives the plain method.
     patience : int
-        Sweeps from which on the solve is called stalled once their rate leaves no hope within max_iter.
+        Sweeps after which the solve may be declared stalled, if its rate cannot reach the tolerance within max_iter.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Proximal point algorithm with Newton inside."""
+"""Proximal point algorithm with an inner Newton method."""
 
 from __future__ import annotations
 
@@ -21,28 +21,29 @@ Rule = Literal["adaptive", "error"]
 
 @dataclass(frozen=True)
 class Proximal(Options):
-    """Proximal point algorithm, PPA-NSN: solve the problem of W + α I and q - α r_k by Newton, r_k its solution.
+    """Proximal point algorithm, PPA-NSN: solve the problem with W + α I and q - α r_k by Newton for the next r_k.
 
-    Good on redundant contacts at tight tolerances, masonry and stacks, where it is the robust one of the paper:
-    W + α I is definite. It fails where α must stay large, for then it creeps: strongly sliding piles at high friction.
+    Strength: redundant contacts at tight tolerances, masonry and stacks; it is the robust method of the paper, as
+    W + α I is definite. Weakness: it is slow if α must stay large, as on strongly sliding piles at high friction.
 
     Parameters
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     max_iter : int
-        Factorisations in all.
+        Total number of factorisations.
     alpha : float
         First α, times λ_max(W_cc); σ for the rule 'error'.
     rule : {'adaptive', 'error'}
-        α falls tenfold when the inner Newton succeeds, or is σ error^ν with the `FC3D.error` of r_k. Either grows
-        fivefold when Newton fails.
+        'adaptive' divides α by ten when the inner Newton succeeds. 'error' sets σ error^ν with the `FC3D.error` of r_k.
+        Both multiply α by five when Newton fails.
     nu : float
         Exponent ν of the rule 'error'.
     inner : int
-        Newton steps granted to one proximal step.
+        Largest number of Newton steps for one proximal step.
     function, search
-        Inner Newton, see `ImpulseNewton`; full steps reach more than searched ones, which stop at kinks.
+        Options of the inner Newton, see `ImpulseNewton`; full steps solve more problems than line searches, which stop
+        at kinks.
 
     References
     ----------
@@ -100,5 +101,5 @@ class Proximal(Options):
         return run.finish(count, Status.MAX_ITERATIONS if count >= self.max_iter else Status.STALLED)
 
     def _by_error(self, r: Array, problem: FC3D) -> float:
-        """α = σ error^ν, not below the round-off that keeps W + α I definite."""
+        """Return α = σ error^ν, but at least the round-off that keeps W + α I definite."""
         return float(max(self.alpha * problem.error(r) ** self.nu, 1e-12))

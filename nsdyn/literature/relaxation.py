@@ -1,4 +1,4 @@
-"""The convex relaxation of the frictional contact problem, as a start."""
+"""Convex relaxation of the frictional contact problem, as a start for other solvers."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from nsdyn.tools.arrays import Array
 
 
 def relaxed(problem: FC3D, tol: float = 1e-4, max_sweeps: int = 2000, r0: Array | None = None) -> Array:
-    """Minimiser of ½ rᵀWr + qᵀr on K, the problem without de Saxcé's shift, shape (3 nc,), N·s.
+    """Minimise ½ rᵀWr + qᵀr on K, the problem without de Saxcé's shift; return r, shape (3 nc,), N·s.
 
-    W r + q ∈ K* and r ∈ K are orthogonal: a sliding contact opens at u_N = μ‖u_T‖ (dilation), so this is no motion
-    under Coulomb's law, but where nothing slides it is, and elsewhere a start for other solvers. Accelerated
-    Gauss–Seidel sweeps, slow on redundant contacts.
+    W r + q ∈ K* and r ∈ K are orthogonal. So a sliding contact opens at u_N = μ‖u_T‖ (dilation), which is no motion
+    under Coulomb's law. If no contact slides the minimiser solves Coulomb's problem; otherwise it is a start for other
+    solvers. The method is accelerated Gauss–Seidel sweeps, which are slow on redundant contacts.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def relaxed(problem: FC3D, tol: float = 1e-4, max_sweeps: int = 2000, r0: Array 
     tol : float
         On the last change of the equilibrated impulses relative to the free velocities.
     max_sweeps : int
-        After which the last iterate is returned as it is.
+        Largest number of sweeps; the last iterate is then returned unchanged.
     r0 : ndarray, shape (3 nc,), optional
         Initial impulse, default 0.
 

@@ -1,4 +1,4 @@
-"""Frozen bounds: a sequence of convex problems on cylinders."""
+"""Frozen friction bounds: a sequence of convex problems on cylinders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
 SWEEPS = 2000
-"""Sweeps granted to one convex problem."""
+"""Largest number of sweeps for one convex problem."""
 
 
 def _inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[Array, int]:
@@ -29,8 +29,9 @@ def _inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[A
 class Tresca(Options):
     """Haslinger's fixed point: freeze the bounds μθ, minimise ½ rᵀWr + rᵀq on r_N ≥ 0, ‖r_T‖ ≤ μθ, set θ = r_N.
 
-    Good where normal and tangential impulses are weakly coupled: granular packings, elastic bodies at small μ, where
-    the map contracts. It fails at large μ with strong coupling, and as slowly as its sweeps on redundant contacts.
+    Strength: weak coupling of normal and tangential impulses, as in granular packings and elastic bodies at small μ,
+    where the map contracts. Weakness: it fails at large μ with strong coupling. On redundant contacts it is as slow as
+    its sweeps.
 
     Parameters
     ----------
@@ -39,7 +40,7 @@ class Tresca(Options):
     max_iter : int
         Passes; the iterations reported are sweeps.
     memory : int
-        Differences kept by Anderson's acceleration of the bounds; 0 for the plain fixed point.
+        Number of differences kept by Anderson's acceleration of the bounds; 0 for the plain fixed point.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Uzawa's method for given friction, in an outer loop on the friction bound."""
+"""Uzawa's method for given friction bounds (Tresca), in an outer loop that updates the bounds."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Step = Annotated[float, Allowed("between 0 and 2 (in units of 1/λ_max)", lambda
 
 
 def uzawa_iterates(csr: tuple[Index, Index, Array], q: Array, radius: Array, rho: float, r: Array) -> Iterator[Array]:
-    """Iterates r ← P_C(r - ρ (W r + q)) on C = {r_N ≥ 0, ‖r_T‖ ≤ radius}, without end.
+    """Yield iterates r ← P_C(r - ρ (W r + q)) on C = {r_N ≥ 0, ‖r_T‖ ≤ radius}, without end.
 
-    W r + q is the velocity Hᵀv + w of the bodies v that Uzawa's primal step computes from r. For symmetric W the map
-    is non-expansive, the distance to every solution falls monotonically, if 0 < ρ < 2/λ_max(W), and only then.
+    W r + q is Hᵀv + w with the velocities v of the bodies that Uzawa's primal step computes from r. For symmetric W the
+    map is non-expansive if and only if 0 < ρ < 2/λ_max(W). The distance to every solution then falls monotonically.
     """
     r, u = r.copy(), np.empty_like(r)
     while True:
@@ -37,35 +37,35 @@ def uzawa_iterates(csr: tuple[Index, Index, Array], q: Array, radius: Array, rho
 
 @dataclass(frozen=True)
 class Uzawa(Options):
-    """Uzawa: a gradient step on the impulses of given friction (Tresca), the bound μ r_N updated outside.
+    """Uzawa: gradient steps on the impulses at given friction bounds (Tresca); an outer loop updates the bounds μ r_N.
 
-    Good as the plainest method with a proof: for symmetric W it converges for every step below 2/λ_max(W), linearly.
-    It fails by being slow: the rate is 1 - λ_min/λ_max over the active contacts, so that tall stacks and heavy on
-    light bodies need thousands of products with W; the outer loop is that of `tresca`, unaccelerated.
+    Strength: the plainest method with a proof. For symmetric W it converges linearly for every step below 2/λ_max(W).
+    Weakness: it is slow. The rate is 1 - λ_min/λ_max over the active contacts, so tall stacks and heavy bodies on light
+    ones need thousands of products with W. The outer loop is that of `tresca`, unaccelerated.
 
     Parameters
     ----------
     tol : float
         On `FC3D.error` [-] and `FC3D.residual` [m/s] alike.
     max_iter : int
-        Updates of the bound; the iterations reported are Uzawa's.
+        Updates of the bounds; the iterations reported are Uzawa's.
     step : float
-        Step times λ_max of the equilibrated W, between 0 and 2.
+        Step length times λ_max of the equilibrated W, between 0 and 2.
 
     References
     ----------
-    N. Pop, A mixed finite element discretization of a quasistatic contact problem with friction, section 4: its
-    2ρ - 2ρ² ≥ β > 0 is 0 < ρ < 2/λ_max(W) here.
+    N. Pop, A mixed finite element discretization of a quasistatic contact problem with friction, section 4: the paper's
+    condition 2ρ - 2ρ² ≥ β > 0 corresponds to 0 < ρ < 2/λ_max(W).
     """
 
     tol: Positive = 1e-8
     max_iter: Count = 500
     step: Step = 1.8
 
-    @np.errstate(over="ignore", invalid="ignore")  # what diverges is told by the status
+    @np.errstate(over="ignore", invalid="ignore")  # the status reports divergence
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
-        length: list[float] = []  # once per problem, not once per pass
+        length: list[float] = []  # computed once per problem, not once per pass
 
         def inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[Array, int]:
             if not length:

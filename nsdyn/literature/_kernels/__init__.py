@@ -1,1 +1,1 @@
-"""Kernels of the methods of the literature."""
+"""Kernels of the methods from the literature."""

@@ -7,10 +7,10 @@ from nsdyn._kernels.compiled import kernel, no_alloc
 
 @no_alloc
 def products(F, f, used, out):
-    """F_j · f of the first `used` rows of F, into out."""
+    """Compute F_j · f for the first `used` rows of F, into out."""
     ends = f.size // 4 * 4
     for j in range(used):
-        a, b, c, d = 0.0, 0.0, 0.0, 0.0  # the sums of one are too slow: each waits for the one before
+        a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four partial sums: in a single sum each addition waits for the last one
         for i in range(0, ends, 4):
             a += F[j, i] * f[i]
             b += F[j, i + 1] * f[i + 1]
@@ -23,10 +23,10 @@ def products(F, f, used, out):
 
 @kernel
 def mix(F, G, gram, slot, used, x):
-    """The combination of past G(x) whose defects f = G(x) - x, alike combined, are least, into x (n,).
+    """Combine past G(x), with weights for which the combined defect f = G(x) - x is smallest, into x (n,).
 
-    The first `used` rows of F and G (m, n) hold them, the newest in row `slot`; gram (m, m) keeps F Fᵀ, of which row
-    and column `slot` are renewed. Where they all changed alike, to round-off, they are no basis: x = G of the newest.
+    The first `used` rows of F and G (m, n) hold defects and G(x), the newest in row `slot`. gram (m, m) keeps F Fᵀ; its
+    row and column `slot` are updated. If all defects changed alike, to round-off, they are no basis: x is the newest G.
     """
     g, own = G[slot], gram[slot]
     products(F, F[slot], used, own)

@@ -1,13 +1,13 @@
-"""Interior point method for K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K, the law of Coulomb as it is (nonassociated): contact loops.
+"""Interior point method for K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K, Coulomb's law as it is (nonassociated): loops over contacts.
 
 Per contact x = (u_N / μ + ‖u_T‖, u_T) and z = (μ r_N, r_T) lie in the Lorentz cone, and x ∘ z = σ e on the central
-path. With Nesterov and Todd's matrix T (T z = T⁻¹ x = λ) a Newton step of it reads dr = E T⁻¹ d - A du,
+path. With Nesterov and Todd's matrix T (T z = T⁻¹ x = λ) the Newton step along the path reads dr = E T⁻¹ d - A du,
 
-    A = E T⁻² C,   E = diag(1/μ, 1, 1),   C = [[1/μ, tᵀ], [0, I]],   t = u_T / ‖u_T‖,
+    A = E T⁻² C,   E = diag(1/μ, 1, 1),   C = [[1/μ, tᵀ], [0, I]],   t = u_T / ‖u_T‖.
 
-so that (I + A W) p = g gives du = W p - F with g = E T⁻¹ d + A F and F the defect u - W r - q. u stays linear in the
-step, its only constraint is u_N > 0; z moves along the cone, for the direction of slip may turn. All is in units
-where max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has only its normal component.
+So (I + A W) p = g gives du = W p - F, with g = E T⁻¹ d + A F and F the defect u - W r - q. u stays linear in the
+step; its only constraint is u_N > 0. z moves along the cone, because the direction of slip may turn. All quantities
+are in units in which max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has only its normal component.
 """
 
 import math
@@ -15,12 +15,12 @@ import math
 from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import dot, row, square
 
-START = 100.0  # first x and z: far inside, whatever the solution of a problem of unit size
+START = 100.0  # first x and z: far inside the cones, whatever the solution of a problem of unit size
 
 
 @no_alloc
 def start(q, mu, u, z):
-    """First point: u_T = q_T, everything else far inside the cones."""
+    """Set the first point: u_T = q_T, all other quantities far inside the cones."""
     for c in range(mu.size):
         u[c, 0] = START * (mu[c] if mu[c] > 0.0 else 1.0)
         u[c, 1], u[c, 2] = q[3 * c + 1], q[3 * c + 2]
@@ -29,7 +29,7 @@ def start(q, mu, u, z):
 
 @no_alloc
 def impulse(z, mu, unit, r):
-    """Impulses of z in units of `unit`, into r (3 nc,)."""
+    """Convert z to impulses in units of `unit`, into r (3 nc,)."""
     for c in range(mu.size):
         r[3 * c] = (z[c, 0] / mu[c] if mu[c] > 0.0 else z[c, 0]) * unit
         r[3 * c + 1], r[3 * c + 2] = z[c, 1] * unit, z[c, 2] * unit
@@ -37,7 +37,7 @@ def impulse(z, mu, unit, r):
 
 @no_alloc
 def defect(u, v, mu, F):
-    """F = u - v for v = W r + q, into F (nc, 3); returns its largest entry."""
+    """Compute F = u - v for v = W r + q, into F (nc, 3); return its largest entry."""
     worst = 0.0
     for c in range(mu.size):
         for i in range(3):
@@ -48,16 +48,16 @@ def defect(u, v, mu, F):
 
 @no_alloc
 def root(x):
-    """(x_0² - ‖x_T‖²)^½ of a point of the Lorentz cone, kept above round-off."""
+    """Return (x_0² - ‖x_T‖²)^½ of a point of the Lorentz cone, kept above round-off."""
     t = math.sqrt(x[1] * x[1] + x[2] * x[2])
     return math.sqrt(max(x[0] - t, 1e-16 * x[0]) * (x[0] + t))
 
 
 @no_alloc
 def nesterov_todd(x, z, dx, dz, T, V):
-    """Symmetric T with T z = T⁻¹ x of two points of the Lorentz cone and V = T⁻¹, into T and V (3, 3).
+    """Compute the symmetric T with T z = T⁻¹ x of two points of the Lorentz cone and V = T⁻¹, into T and V (3, 3).
 
-    dx and dz are their `root`.
+    dx and dz are the `root` of x and z.
     """
     g = math.sqrt(0.5 * (1.0 + dot(x, z) / (dx * dz)))
     w0, w1, w2 = (x[0] / dx + z[0] / dz) / (2 * g), (x[1] / dx - z[1] / dz) / (2 * g), (x[2] / dx - z[2] / dz) / (2 * g)
@@ -74,7 +74,7 @@ def nesterov_todd(x, z, dx, dz, T, V):
 
 @no_alloc
 def scaled_point(x, z, dx, dz, lam):
-    """λ = T z = T⁻¹ x of `nesterov_todd`, into lam (3,), inside the cone also where both points are on its boundary."""
+    """Compute λ = T z = T⁻¹ x of `nesterov_todd`, into lam (3,), inside the cone also for points on its boundary."""
     g, e = math.sqrt(0.5 * (1.0 + dot(x, z) / (dx * dz))), math.sqrt(dx * dz)
     x0, z0 = x[0] / dx, z[0] / dz
     a, b = (g + z0) / (x0 + z0 + 2.0 * g) / dx, (g + x0) / (x0 + z0 + 2.0 * g) / dz
@@ -84,7 +84,7 @@ def scaled_point(x, z, dx, dz, lam):
 
 @no_alloc
 def scalings(x, z, T, V, lam):
-    """`nesterov_todd` of many points (n, 3), and λ = T z."""
+    """Apply `nesterov_todd` to many points (n, 3), and compute λ = T z."""
     for c in range(x.shape[0]):
         a, b = row(x, c), row(z, c)
         nesterov_todd(a, b, root(a), root(b), T[c], V[c])
@@ -93,7 +93,7 @@ def scalings(x, z, T, V, lam):
 
 @no_alloc
 def scaling(u, z, mu, T, V, C, A, lam):
-    """T, V = T⁻¹, C, A and λ = T z of every contact; returns the mean of x·z."""
+    """Compute T, V = T⁻¹, C, A and λ = T z of every contact; return the mean of x·z."""
     total = 0.0
     for c in range(mu.size):
         m = mu[c] if mu[c] > 0.0 else 1.0
@@ -150,7 +150,7 @@ def target(lam, T, V, dx, dz, sigma, correct, d):
 
 @no_alloc
 def right_side(mu, V, A, d, F, g):
-    """G = E T⁻¹ d + A F, into g (3 nc,)."""
+    """Compute G = E T⁻¹ d + A F, into g (3 nc,)."""
     for c in range(mu.size):
         for i in range(3):
             e = 1.0 / mu[c] if i == 0 and mu[c] > 0.0 else 1.0
@@ -169,9 +169,9 @@ def recover(mu, V, C, d, F, Wp, du, dx, dz):
     ----------
     mu : ndarray, shape (nc,)
     V, C : ndarray, shape (nc, 3, 3)
-        T⁻¹ of the scaling, and the blocks that make x of u.
+        T⁻¹ of the scaling, and the blocks that map u to x.
     d, F : ndarray, shape (nc, 3)
-        Of `target`, and the residual.
+        Result of `target`, and the residual.
     Wp : ndarray, shape (3 nc,)
     du, dx, dz : ndarray, shape (nc, 3)
     """
@@ -191,7 +191,7 @@ def recover(mu, V, C, d, F, Wp, du, dx, dz):
 
 @no_alloc
 def longest(u, z, du, dz):
-    """Largest step that keeps u_N, z_N and the slack z_N - ‖z_T‖ (to first order) from becoming negative."""
+    """Return the largest step for which u_N, z_N and the slack z_N - ‖z_T‖ (to first order) do not become negative."""
     a = 1e300
     for c in range(u.shape[0]):
         if du[c, 0] < 0.0:
@@ -209,10 +209,10 @@ def longest(u, z, du, dz):
 
 @no_alloc
 def move(mu, u, z, du, dz, a, nu, nz):
-    """Points after a step a, into nu and nz; returns the mean of x·z there.
+    """Compute the points after a step a, into nu and nz; return the mean of x·z there.
 
-    Where the straight step leaves less than half of the slack the linear model promises, z_T is shortened: the cone
-    is round and the direction of slip has turned.
+    If the straight step leaves less than half the slack of the linear model, z_T is shortened: the cone is round and
+    the direction of slip has turned.
     """
     total = 0.0
     for c in range(mu.size):
@@ -238,8 +238,8 @@ def move(mu, u, z, du, dz, a, nu, nz):
 
 @no_alloc
 def centring(gap, after, full, worst, last):
-    """Share of the gap to aim at: after the affine step `full`, with the defect `worst` and the last step `last`."""
-    if last < 0.1:  # the last step hit the boundary at once
+    """Return the target share of the gap, from the affine step `full`, the defect `worst` and the last step `last`."""
+    if last < 0.1:  # the last step hit the boundary almost immediately
         return 1.0
     left, rest = after / gap, 1.0 - full
     return max(min(1.0, square(left) * left), 1e-4, 0.5 * square(rest) * rest, min(1.0, 0.1 * worst / gap))

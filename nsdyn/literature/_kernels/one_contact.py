@@ -1,4 +1,4 @@
-"""Local solvers of the literature for block Gauss–Seidel: one contact, u = W r + q with W 3 x 3, and their sweep."""
+"""Local solvers of the literature for block Gauss–Seidel (one contact, u = W r + q with W 3 x 3), and their sweep."""
 
 import math
 
@@ -14,21 +14,21 @@ PROJECTION, ITERATED, EXACT, ALART_CURNIER, JEAN_MOREAU, NATURAL, FISCHER_BURMEI
 
 @no_alloc
 def _product(W, q, r, u):
-    """u = W r + q."""
+    """Return u = W r + q."""
     for i in range(3):
         u[i] = W[i, 0] * r[0] + W[i, 1] * r[1] + W[i, 2] * r[2] + q[i]
 
 
 @no_alloc
 def _shifted(u, mu, out):
-    """û = u + mu |u_T| e_N, into out."""
+    """Compute û = u + mu |u_T| e_N, into out."""
     out[0] = u[0] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
     out[1], out[2] = u[1], u[2]
 
 
 @kernel
 def iterate(W, q, mu, rho, goal, most, r):
-    """Fixed point r ← P_K(r - rho û) with Khobotov's step, in place of r; returns the iterations."""
+    """Fixed point r ← P_K(r - rho û) with Khobotov's step, in place of r; return the number of iterations."""
     u, F, v, G = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     _product(W, q, r, u)
     _shifted(u, mu, F)
@@ -59,7 +59,7 @@ def iterate(W, q, mu, rho, goal, most, r):
 
 @no_alloc
 def _disk(predicted, u, r, mu, rho, F, A, B):
-    """Alart–Curnier (predicted) and Jean–Moreau: F, A = ∂F/∂u, B = ∂F/∂r; A and B come as zeros."""
+    """Alart–Curnier (predicted) and Jean–Moreau: F, A = ∂F/∂u, B = ∂F/∂r; A and B must be zero at entry."""
     a = r[0] - rho * u[0]
     y1, y2 = r[1] - rho * u[1], r[2] - rho * u[2]
     F[0] = r[0] - max(a, 0.0)
@@ -104,7 +104,7 @@ def _natural(u, r, mu, rho, F, A, B):
 
 @no_alloc
 def _root(s0, s1, s2):
-    """Square root of (s0, s_T) in the Jordan algebra of the cone."""
+    """Return the square root of (s0, s_T) in the Jordan algebra of the cone."""
     size = math.sqrt(s1 * s1 + s2 * s2)
     low, high = math.sqrt(max(s0 - size, 0.0)), math.sqrt(max(s0 + size, 0.0))
     f = 0.5 * (high - low) / size if size > 0.0 else 0.0
@@ -113,7 +113,7 @@ def _root(s0, s1, s2):
 
 @no_alloc
 def _one_minus_quotient(w0, w1, w2, x0, x1, x2, out):
-    """I - L_w⁻¹ L_x into out, L_w lifted by round-off where it is singular."""
+    """Compute I - L_w⁻¹ L_x into out; a singular L_w is first shifted by round-off."""
     size = math.sqrt(w1 * w1 + w2 * w2)
     low, high = max(w0 - size, 1e-10 * w0 + 1e-300), max(w0 + size, 1e-10 * w0 + 1e-300)
     a = 0.5 * (low + high)
@@ -131,7 +131,7 @@ def _one_minus_quotient(w0, w1, w2, x0, x1, x2, out):
 
 @no_alloc
 def _fischer_burmeister(u, r, mu, rho, F, A, B):
-    """Fischer–Burmeister: F, A = ∂F/∂u, B = ∂F/∂r; A and B come as zeros."""
+    """Fischer–Burmeister: F, A = ∂F/∂u, B = ∂F/∂r; A and B must be zero at entry."""
     if mu == 0.0:
         x, y = r[0], rho * u[0]
         w = math.sqrt(x * x + y * y)
@@ -160,7 +160,7 @@ def _fischer_burmeister(u, r, mu, rho, F, A, B):
 
 @no_alloc
 def element(kind, u, r, mu, rho, F, A, B):
-    """F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; returns |F|."""
+    """Compute F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; return |F|."""
     A[:] = 0.0
     B[:] = 0.0
     if kind == NATURAL:
@@ -174,7 +174,7 @@ def element(kind, u, r, mu, rho, F, A, B):
 
 @kernel
 def _newton_step(W, A, B, F, r):
-    """r ← r - (A W + B)⁻¹ F by Cramer's rule; False where the matrix is singular to round-off."""
+    """Update r ← r - (A W + B)⁻¹ F by Cramer's rule; return False if the matrix is singular to round-off."""
     J = np.empty((3, 3))
     top = 0.0
     for i in range(3):
@@ -201,9 +201,9 @@ def _newton_step(W, A, B, F, r):
 
 @kernel
 def newton(kind, W, q, mu, rho, goal, most, r):
-    """Full semismooth Newton steps on one of the four maps, in place of r; returns (|F| at the end, iterations).
+    """Take full semismooth Newton steps on one of the four maps, in place of r; return (|F| at the end, iterations).
 
-    At least one step: contacts that each rest at a goal given from outside would stay in their places for good.
+    Takes at least one step. Otherwise contacts that each meet a goal given from outside would never move again.
     """
     u, F, A, B = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     _product(W, q, r, u)
@@ -218,9 +218,9 @@ def newton(kind, W, q, mu, rho, goal, most, r):
 
 @kernel(rounds=1000)
 def solve(kind, W, q, mu, rho, goal, most, r):
-    """One-contact problem u = W r + q by the local solver of that kind, from r and in place of it.
+    """Solve the one-contact problem u = W r + q by the local solver `kind`, from r and in place of it.
 
-    A Newton that does not come to its goal is replaced by one projection. Returns the local iterations.
+    If Newton's method misses its goal, one projection replaces its result. Returns the number of local iterations.
     """
     if kind == EXACT:
         r[0], r[1], r[2] = coulomb(W, q[0], q[1], q[2], mu)
@@ -242,7 +242,7 @@ def solve(kind, W, q, mu, rho, goal, most, r):
 
 @kernel
 def sweep(indptr, indices, data, q, mu, scales, order, kind, omega, goal, most, r):
-    """One sweep of block successive over-relaxation in the given order, in place of r; returns the local iterations.
+    """One sweep of block successive over-relaxation in the given order, in place of r; return the local iterations.
 
     Each contact solves FC(W_cc/ω, ·): W = (L + D/ω) + (U + (1 - 1/ω) D), so that r stays in the cones for every ω.
 
@@ -253,14 +253,14 @@ def sweep(indptr, indices, data, q, mu, scales, order, kind, omega, goal, most, 
     q, r : ndarray, shape (3 nc,)
     mu, scales : ndarray, shape (nc,)
     order : ndarray of int
-        Contacts, as they are swept.
+        Order in which the contacts are swept.
     kind : int
-        Method of the local solver, as of `solve`.
+        Local solver, as in `solve`.
     omega : float
     goal : float
         Change of r, or residual of Newton's equations, at which a local solve ends.
     most : int
-        Iterations of a local solve.
+        Largest number of iterations of a local solve.
     """
     W, b, x, count = np.empty((3, 3)), np.empty(3), np.empty(3), 0
     for c in order:

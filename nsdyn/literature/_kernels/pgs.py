@@ -1,7 +1,7 @@
 """Block Gauss–Seidel sweeps with the exact one-contact solver, Anderson-accelerated.
 
-W is given as a `Matrix` of 3 x 3 blocks, where a contact costs its neighbours, or by its `Factors`, where it costs its
-two bodies, however many contacts they have.
+W is given as a `Matrix` of 3 x 3 blocks, or by its `Factors`. A contact costs time in proportion to its neighbours with
+the first; with the second it costs its two bodies, however many contacts they have.
 """
 
 import math
@@ -25,7 +25,7 @@ from nsdyn.literature._kernels.anderson import mix
 
 
 class Matrix(NamedTuple):
-    """Block-sparse W: rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3); the inverses of its W_cc."""
+    """Block-sparse W: rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3), and the inverses of its W_cc."""
 
     indptr: np.ndarray
     indices: np.ndarray
@@ -44,7 +44,7 @@ class Factors(NamedTuple):
 
 @no_alloc
 def invert(W, S):
-    """Inverse of a 3 x 3 block into S; 0 where it is singular to round-off."""
+    """Compute the inverse of a 3 x 3 block into S; 0 if the block is singular to round-off."""
     c0 = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1]
     c1 = W[1, 2] * W[2, 0] - W[1, 0] * W[2, 2]
     c2 = W[1, 0] * W[2, 1] - W[1, 1] * W[2, 0]
@@ -62,7 +62,7 @@ def invert(W, S):
 
 @kernel
 def matrix(indptr, indices, data):
-    """`Matrix` of a block-sparse W."""
+    """Build the `Matrix` of a block-sparse W."""
     S = np.zeros((indptr.size - 1, 3, 3))
     for c in range(indptr.size - 1):
         for p in range(indptr[c], indptr[c + 1]):
@@ -73,7 +73,7 @@ def matrix(indptr, indices, data):
 
 @kernel
 def factors(blocks):
-    """`Factors` of W = Hᵀ M⁻¹ H."""
+    """Build the `Factors` of W = Hᵀ M⁻¹ H."""
     offset, block, start, H = blocks[:4]
     nc = block.shape[0]
     y = weighted_rows(blocks)
@@ -97,7 +97,7 @@ def factors(blocks):
 
 @no_alloc
 def solve_contact(W, own, S, c, b0, b1, b2, mu):
-    """Impulse of contact c with free velocity b, three scalars; its block is W[own], S[c] its inverse, 0 without."""
+    """Return the impulse of contact c with free velocity b, 3 scalars; W[own] is its block, S[c] the inverse or 0."""
     if b0 >= 0.0:
         return 0.0, 0.0, 0.0
     x0 = -(S[c, 0, 0] * b0 + S[c, 0, 1] * b1 + S[c, 0, 2] * b2)
@@ -112,10 +112,10 @@ def solve_contact(W, own, S, c, b0, b1, b2, mu):
 
 @no_alloc
 def sweep_matrix(W, q, mu, r):
-    """One Gauss–Seidel sweep in place: each contact solved exactly with the others frozen."""
+    """One Gauss–Seidel sweep in place: solve each contact exactly with all other impulses frozen."""
     indptr, indices, data, inverse = W
     for c in range(mu.size):
-        # Unsigned: the compiler need not ask whether an index counts from the end.
+        # Unsigned, so that the compiler skips the test for negative indices.
         k = np.uint64(c)
         i, own = np.uint64(3) * k, k
         b0, b1, b2 = q[i], q[i + np.uint64(1)], q[i + np.uint64(2)]
@@ -133,7 +133,7 @@ def sweep_matrix(W, q, mu, r):
 
 @no_alloc
 def sweep_factors(W, q, mu, v, r):
-    """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: each contact solved exactly with the others frozen."""
+    """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: solve each contact exactly, other impulses frozen."""
     blocks, y, diagonal, inverse = W
     for c in range(mu.size):
         i = 3 * c
@@ -150,7 +150,7 @@ def sweep_factors(W, q, mu, v, r):
 
 @kernel
 def change_of(W, r):
-    """v = M⁻¹ H r by the factors, shape (n,)."""
+    """Return v = M⁻¹ H r from the factors, shape (n,)."""
     offset, block, start, _, m_start, m, minv = W.blocks
     v = np.zeros(offset[-1])
     momentum((offset, block, start, W.y, m_start, m, minv), r, v)
@@ -158,7 +158,7 @@ def change_of(W, r):
 
 
 def _sweep(W, q, mu, r):
-    """A sweep in place of r."""
+    """One sweep in place of r."""
     if isinstance(W, Matrix):
         sweep_matrix(W, q, mu, r)
     else:
@@ -173,7 +173,7 @@ def _sweep_of(W, q, mu, r):
 
 
 def _velocity(W, q, r, u):
-    """u = W r + q, into u."""
+    """Compute u = W r + q, into u."""
     if isinstance(W, Matrix):
         velocity((W.indptr, W.indices, W.data), q, r, u)
     else:
@@ -195,13 +195,13 @@ def _velocity_of(W, q, r, u):
 
 @kernel(rounds=1000)
 def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, patience):
-    """Anderson-accelerated sweeps (type II) in place of r; memory 0 is plain Gauss–Seidel.
+    """Repeat Anderson-accelerated sweeps (type II) in place of r; memory 0 is plain Gauss–Seidel.
 
-    The fixed point is r = sweep(r). Differences f = sweep(r) - r are scaled by sqrt(lambda_max(W_cc)); the new
-    iterate is the combination of the last `memory` sweeps whose combined f is least, projected on the cones; the
-    memory is dropped when |f| exceeds twice its best. Every `check` sweeps both measures are tested, and where a sweep
-    moves velocities by less than the tolerance; r keeps the best iterate seen by a test. From `patience` sweeps on the
-    method gives up when, at the rate of the later half of the sweeps so far, the tolerance lies beyond `max_sweeps`.
+    The fixed point is r = sweep(r). Differences f = sweep(r) - r are scaled by sqrt(lambda_max(W_cc)). The new iterate
+    is the combination of the last `memory` sweeps whose combined f is smallest, projected on the cones. The memory is
+    dropped when |f| exceeds twice its smallest value. Both measures are tested every `check` sweeps, and when a sweep
+    changes velocities by less than the tolerance; r keeps the best iterate seen by a test. From `patience` sweeps on
+    the method gives up if, at the rate of the later half of the sweeps so far, the tolerance lies beyond `max_sweeps`.
     Returns (sweeps, measure of r).
 
     Parameters
@@ -211,7 +211,7 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
     mu, scales : ndarray, shape (nc,)
         Friction, and λ_max(W_cc).
     tol : float
-        On both measures.
+        Tolerance of both measures.
     q_norm : float
         ‖q‖.
     max_sweeps, check, memory, patience : int

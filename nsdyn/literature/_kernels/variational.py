@@ -9,7 +9,7 @@ from nsdyn._kernels.problem.given import velocity, velocity_of
 
 @no_alloc
 def operator(indptr, indices, data, q, mu, r, out):
-    """F(r) = W r + q + mu |u_T| e_N, into out (3 nc,)."""
+    """Compute F(r) = W r + q + mu |u_T| e_N, into out (3 nc,)."""
     velocity((indptr, indices, data), q, r, out)
     for c in range(mu.size):
         i = 3 * c
@@ -18,7 +18,7 @@ def operator(indptr, indices, data, q, mu, r, out):
 
 @no_alloc
 def step_on_cones(r, F, rho, mu, out):
-    """P_K(r - rho F), into out (3 nc,)."""
+    """Compute P_K(r - rho F), into out (3 nc,)."""
     for c in range(mu.size):
         i = 3 * c
         a = project(r[i] - rho * F[i], r[i + 1] - rho * F[i + 1], r[i + 2] - rho * F[i + 2], mu[c])
@@ -27,7 +27,7 @@ def step_on_cones(r, F, rho, mu, out):
 
 @no_alloc
 def step_on_cylinders(r, F, rho, radius, out):
-    """Projection of r - rho F on r_N >= 0, |r_T| <= radius, into out (3 nc,)."""
+    """Project r - rho F on r_N >= 0, |r_T| <= radius, into out (3 nc,)."""
     for c in range(radius.size):
         i = 3 * c
         out[i] = max(0.0, r[i] - rho * F[i])
@@ -57,9 +57,9 @@ def cylinder_sweep(indptr, indices, data, q, radius, scales, normal, tangent, r)
         W in CSR form.
     q, r : ndarray, shape (3 nc,)
     radius, scales : ndarray, shape (nc,)
-        Of the cylinders, N·s, and upper bounds of the blocks W_cc, 1/kg.
+        Radii of the cylinders, N·s, and upper bounds of the blocks W_cc, 1/kg.
     normal, tangent : bool
-        Whether normal and tangential parts change.
+        Whether normal and tangential parts are updated.
     """
     for c in range(radius.size):
         i = 3 * c
