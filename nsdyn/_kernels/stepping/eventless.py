@@ -354,10 +354,8 @@ def eventless_step(system, detection, old, begun, new, rooms, next_key, directio
                 return DETECT_AHEAD
         now = found
         if out[col.GOES] > 0.0:
-            placed, detected_at = ready and stage == DETECT_AHEAD, col.placed(b, col.DETECTED_AT, n)
-            code = detect(
-                detection, placed, detected_at, (found, head[col.KEY_MIDDLE]), rooms[2], head, col.END, (room, wide)
-            )
+            placed, pose = ready and stage == DETECT_AHEAD, col.placed(b, col.DETECTED_AT, n)
+            code = detect(detection, placed, pose, (found, head[col.KEY_MIDDLE]), rooms[2], head, col.END, (room, wide))
             if code != DONE:
                 return DETECT_AHEAD if code == DETECT else code
             now = col.contacts(rooms[2], head[col.END])
