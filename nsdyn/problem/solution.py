@@ -38,7 +38,7 @@ class Status(IntEnum):
         """One sentence for the user, with the remedy."""
         return {
             Status.CONVERGED: "converged",
-            Status.MAX_ITERATIONS: "the iteration limit was reached; allow more or use solver='auto'",
+            Status.MAX_ITERATIONS: "the iteration limit was reached; allow more, loosen tol or use solver='auto'",
             Status.STALLED: "the residual no longer falls; loosen tol or use another solver",
             Status.NOT_FINITE: "the iterates are not finite; check W, q and mu",
             Status.NO_SLATER_POINT: "no velocity opens every contact, so that a solution need not exist; "

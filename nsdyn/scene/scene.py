@@ -400,6 +400,8 @@ class Scene:
     def set_motion(self, name: str, velocity: Velocity | None = None, surface_velocity: Velocity | None = None) -> None:
         """Prescribe the motion of a fixed body, of its surface, or of a joint; its work is in the ledger.
 
+        A later call for the same name replaces the motion.
+
         A body or joint with prescribed motion pushes free bodies out of its way. If it moves into a fixed body, another
         prescribed motion or the limit of its own joint, a step raises a ValueError that names both, the depth and the
         time.

@@ -34,13 +34,17 @@ def lists(name: str, assignments: list[str]) -> dict[str, list[Any]]:
 
 
 def _assignments(name: str, assignments: list[str]) -> Iterator[tuple[str, str, Any]]:
-    """Yield (name, text, default) for every setting of a scene."""
-    known = parameters(name)
+    """Yield (name, text, default) for every setting of a scene; ValueError for a name that is set twice."""
+    known, given = parameters(name), set()
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
             raise ValueError(f"--set expects NAME=VALUE, got {assignment!r}")
-        yield choice(key, known, f"parameter of scene {name}"), text, known[key]
+        default = known[choice(key, known, f"parameter of scene {name}")]
+        if key in given:
+            raise ValueError(f"--set expects every name once, got {key!r} again; a sweep takes {key}=VALUE,VALUE,...")
+        given.add(key)
+        yield key, text, default
 
 
 def parse(text: str, default: Any, name: str) -> Any:

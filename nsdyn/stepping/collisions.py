@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, ordered, take
-from nsdyn.dynamics.values import MidpointState, Placement
+from nsdyn.dynamics.values import MidpointState
 from nsdyn.stepping.active_set import normal_velocities
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.impacts import Round
@@ -23,26 +23,23 @@ __all__ = ["captured_impacts", "collide", "limits_struck", "striking"]
 NO_SLOTS = np.empty(0, np.int64)
 
 
-def captured_impacts(
-    s: System, kin: ContactKinematics, there: Placement, rate: Array, h: float
-) -> tuple[ContactKinematics, Impact | None]:
-    """Apply impacts in no time, at the midpoint, of contacts that close within the move of h s.
+def captured_impacts(s: System, kin: ContactKinematics, mid: Midpoint) -> tuple[ContactKinematics, Impact | None]:
+    """Apply impacts in no time, at the midpoint, of contacts that close within the move.
 
-    Return the kinematics for the other impulses, and the impacts, if there are any. `rate` (n,) is the free
-    acceleration.
+    Return the kinematics for the other impulses, and the impacts, if there are any.
     """
-    struck = striking(s, kin, there, rate, h)
+    struck = striking(s, kin, mid)
     if struck is None:
         return kin, None
     # The drift of rows that turn with their bodies is no approach.
-    resting = s.resting(kin, there, rate)
+    resting = s.resting(kin, mid.state, mid.rate, mid.quickening)
     resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.jacobian_drift[0::3]))
     closed = struck | (kin.end_gap <= s.gap_tol)
     while True:
         impact = _strike(s, kin, closed, resting, resting)
         after = kin.changed(kin.rows.velocity_change(impact.r), struck)
         # Contacts that these impacts make approach and close strike, too.
-        driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, h)
+        driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, mid.h)
         if not driven.any():
             return after, impact
         closed, struck = closed | driven, struck | driven
@@ -55,13 +52,13 @@ def _closes(s: System, kin: ContactKinematics, h: float) -> Bools:
     return out
 
 
-def striking(s: System, kin: ContactKinematics, there: Placement, rate: Array, h: float) -> Bools | None:
-    """Mark the rows that strike within a move of h s, for `captured_impacts`; None if none does."""
+def striking(s: System, kin: ContactKinematics, mid: Midpoint) -> Bools | None:
+    """Mark the rows that strike within a move, for `captured_impacts`; None if none does."""
     if not s.elastic or not kin.mu.size:
         return None
-    u_begin, u = kin.u_begin[0::3], kin.u[0::3]
-    resting = s.resting(kin, there, rate)
-    struck: Bools = (kin.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, kin, h)
+    u_begin, u = kin.begun[0, 0::3], kin.u[0::3]
+    resting = s.resting(kin, mid.state, mid.rate, mid.quickening)
+    struck: Bools = (kin.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, kin, mid.h)
     return struck if struck.any() else None
 
 
@@ -82,7 +79,7 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
         s, 0.0, t, MidpointState(at.position, at.v, at.placement, ()), forces, at.v, (twist, twist, twist), SILENT
     )
     kin = ContactKinematics.of(mid, at.placement, contacts, joints, at._replace(contacts=contacts))
-    resting = s.resting(kin, at.placement, rate)
+    resting = s.resting(kin, mid.state, rate, (d.surfaces.twists(t + h) - twist) / h)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * OPTIONS.joint)
     depth[:nc] = s.penetration_tol(contacts)
     if s.depth >= OPTIONS.depth_located:

@@ -255,7 +255,7 @@ class Islands:
         if not a.solution.converged:
             out += self._nodes(c, np.ones(c.gap.size, np.bool_))
         mid = a.mid
-        if (struck := striking(s, a.kin, mid.state.placement, mid.rate, mid.h)) is not None:
+        if (struck := striking(s, a.kin, mid)) is not None:
             out += self._of_rows(a.kin, struck)
         limited = d.within_limits(a.mid.state, a.mid.forces, a.v)
         changed = [x is not y for x, y in zip(limited.trees, a.mid.forces.trees, strict=True)]

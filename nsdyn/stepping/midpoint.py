@@ -82,6 +82,12 @@ class Midpoint:
         out /= self.h
         return out
 
+    @property
+    def quickening(self) -> Array:
+        """Mean acceleration of what moves as prescribed, shape (surfaces, 2, 3), m/s² and rad/s²."""
+        begun, _, ended = self.surfaces
+        return (ended - begun) / self.h
+
     @cached_property
     def reach(self) -> Array:
         """How far points of the frames may move in the second half, shape (frames,), m."""

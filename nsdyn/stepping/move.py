@@ -309,7 +309,7 @@ def _kinematics(
     kin = ContactKinematics.of(mid, there._replace(x=detected_at.x, R=detected_at.R), contacts, every, begin)
     impact: Impact | None = None
     if label is None:
-        kin, impact = captured_impacts(s, kin, there, mid.rate, mid.h)
+        kin, impact = captured_impacts(s, kin, mid)
     limits = _limits(s, kin.joints, begin.placement)
     return kin.lasting(s, begin, limits, mid.h, impact is not None), impact
 

@@ -14,7 +14,7 @@ from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, DetectionPose, Poses, Touches
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
-from nsdyn.dynamics.values import Energies, Placement, Position
+from nsdyn.dynamics.values import Energies, MidpointState, Placement, Position
 from nsdyn.solvers import Solver
 from nsdyn.stepping.contact_kinematics import ContactKinematics, GapRule
 from nsdyn.stepping.impacts import Law
@@ -167,17 +167,21 @@ class System(NamedTuple):
         """Half a step, s, and the least 1 - e that counts in it, for `resting`."""
         return 0.5 * self.dt, 1.0 / OPTIONS.bounces
 
-    def resting(self, kin: ContactKinematics, there: Placement, rate: Array) -> Array:
+    def resting(self, kin: ContactKinematics, at: MidpointState, rate: Array, quickening: Array) -> Array:
         """Return speeds of approach, m/s, up to which contacts rest after an impact, at the free acceleration `rate`.
 
-        The shape of `rate` is (n,). After an impact that leaves u the flight takes 2 u/a_n, where a_n adds up the free
+        The shape of `rate` is (n,), that of `quickening`, the acceleration of kinematic bodies and moving surfaces,
+        (surfaces, 2, 3). After an impact that leaves u the flight takes 2 u/a_n, where a_n adds up the free
         accelerations of both bodies along the normal. The next flights take e, e², ... times as long. Where u ≤ ½ a_n
         dt max(1 - e, 1/N), all flights end within a step, or the N = `Options.bounces` flights do that count as
         infinitely many. An approach within the solver's tolerance is none.
         """
         d, c, e = self.dynamics, kin.contacts, kin.restitution
         weight = np.empty(c.gap.size)
-        _touching.weights(c[:3], there.x, d.twists(there, rate), weight)
+        _touching.weights(c[:3], at.placement.x, d.twists(at.placement, rate), weight)
+        if d.surfaces.count:
+            pushed = d.surfaces.velocities(c, at.position.driven_x, quickening)
+            weight += np.abs((c.normal * pushed).sum(axis=1))
         if kin.joints is not None:
             weight = np.concatenate((weight, np.abs(d.joints.rates(kin.joints.slot, rate))))
         least_time, least = self.bounces

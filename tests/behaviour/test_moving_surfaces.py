@@ -136,3 +136,18 @@ def test_what_slides_onto_the_next_plate_does_not_meet_its_edge(shape, speeds, r
     if speeds[0] == speeds[1]:
         np.testing.assert_allclose(thing.linear_velocity[:, 0], speed, rtol=1e-12)
     assert nd.check(run)
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize("e", [0.5, 0.9])
+def test_what_lies_on_a_plate_that_quickens_moves_with_it_whatever_its_restitution(axis, e):
+    """Over the ground, and pushed without gravity: the plate catches up within a move, which is no approach."""
+    n, a = np.eye(3)[axis], 12.0
+    scene, material = nd.Scene(gravity=(0, 0, -9.81 if axis == 2 else 0)), nd.Material(0.5, restitution=e)
+    scene.add_box("plate", (1, 1, 1), fixed=True, position=-0.5 * n, material=material)
+    scene.set_motion("plate", velocity=lambda t: a * t * n)
+    scene.add_sphere("ball", 0.1, 1.0, position=0.1 * n, material=material)
+    run = nd.simulate(scene, 0.1, dt=1e-2)
+    late = run.body("ball").linear_velocity[:, axis] - a * run.t
+    assert np.abs(late).max() <= 1e-5  # m/s: its bounces end in a step; 2e-2 where it struck in every step
+    assert abs(run.energy.projection.sum()) <= 1e-9  # J

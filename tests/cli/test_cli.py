@@ -298,6 +298,7 @@ def test_run_that_does_not_converge_keeps_its_steps(run, tmp_path):
             "parameter of scene slide must be one of mu, speed,",
         ),
         (["run", "slide", "--set", "mu"], "--set expects NAME=VALUE"),
+        (["sweep", "slide", "--set", "mu=0.2", "--set", "mu=0.3"], "--set expects every name once"),
         (["run", "slide", "--set", "mu=much"], "mu must be a number, got 'much'"),
         (["run", "slide", "--set", "mu=-1"], "mu must not be negative"),
         (["run", "stack", "--set", "height=2.5"], "height must be a whole number, got '2.5'"),
