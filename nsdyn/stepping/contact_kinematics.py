@@ -49,8 +49,9 @@ NO_TRANSPORT = np.empty((2, 0))
 
 
 GapRule = tuple[float, float, float, float]
-"""How gaps close in a move: the largest that counts as none and the largest that is left to close until the next
-impulses, m or rad; times from the impulses to the end of the move, h₂, and to the next impulses at the latest, s."""
+"""Rule by which gaps close in a move: the gap tolerance, and the largest gap that may stay open until the next
+impulses, m or rad; the times from the impulses to the end of the move, h₂, and to the next impulses at the latest,
+s."""
 
 
 class ContactKinematics(NamedTuple):

@@ -28,10 +28,10 @@ __all__ = ["Acted", "FlatState", "Found", "detected_at", "matrices", "packed", "
 
 VIEWS = "column", "vectors", "rotations", "velocity", "placed", "contacts", "rows"
 column, vectors, matrices, velocity, placed, contacts, rows = (plain(_col.__name__)[name] for name in VIEWS)
-"""Views of columns as Python makes them at once: to call a kernel takes longer."""
+"""Views of columns, made by the same functions as plain Python: a call of a kernel takes longer."""
 
 Acted = tuple[Array, Index, NDArray[np.int8]]
-"""A state as the kernel has it: floats; keys, then pairs of shapes of what acted last; what these were."""
+"""State in the kernel's layout: floats; keys, then pairs of shapes, of the contacts that acted last; their states."""
 
 
 class Found(NamedTuple):

@@ -228,7 +228,7 @@ LAWS: dict[str, Callable[[], Law]] = {
     "poisson": Poisson,
     "fremond": Fremond,
 }
-"""By the names that users give."""
+"""Laws by their names."""
 
 
 def as_law(given: str | Law) -> Law:

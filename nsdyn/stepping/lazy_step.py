@@ -30,7 +30,7 @@ COLUMNS: dict[str, tuple[int, ...]] = {
     "work_normal": (_col.NORMAL_WORK,),
     "work_friction": (_col.FRICTION_WORK,),
 }
-"""What a step has of its contacts as columns of a state: the first, and the shape of one contact."""
+"""Contact values of a step that are columns of a state: the first column, and the shape of the value of one contact."""
 
 
 class LazyStep(NamedTuple):

@@ -28,15 +28,15 @@ __all__ = ["STILL_SURFACES", "Callbacks", "Given", "Midpoint", "Loads", "correct
 STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 
 Given = tuple[Wrenches | None, Controls]
-"""What the user's functions say."""
+"""Values of the user's callbacks: wrenches on bodies, and controls of articulations."""
 
 SILENT: Given = None, {}
 
 Callbacks = Callable[[Position, Array], Given] | None
-"""What the user's functions say at a position and a velocity; None where there are none, or where they are done."""
+"""Values of the callbacks as a function of position and velocity; None without callbacks, or after their last call."""
 
 Loads = Callable[[float], Callbacks]
-"""What they say at a time, s."""
+"""The callbacks at a time, s."""
 
 
 @dataclass(frozen=True, eq=False)

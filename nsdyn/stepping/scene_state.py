@@ -28,7 +28,8 @@ __all__ = ["SceneState", "System", "WarmStart", "among"]
 NOTHING = np.empty(0)
 
 STILL = 0.5
-"""Fraction of what counts as closed by which frames may have moved while the contacts that were found stay those."""
+"""Share of the gap tolerance by which frames may have moved since the last detection if its contacts are to be used
+again."""
 
 
 class System(NamedTuple):
