@@ -52,13 +52,13 @@ warnings.simplefilter("ignore")
 import numpy as np
 from numba.core.runtime import rtsys
 from everything import everything
-from nsdyn._kernels.compiled import in_place, kernel
+from nsdyn._kernels.compiled import kernel, no_alloc
 
 @kernel
 def made(n):
     return np.zeros(n)
 
-@in_place
+@no_alloc
 def lost(n):
     return made(n)[0]
 
@@ -90,7 +90,7 @@ def kernels() -> list[ast.FunctionDef]:
         if "_kernels" in path.parts
         for node in ast.parse(path.read_text()).body
         if isinstance(node, ast.FunctionDef)
-        and any(ast.unparse(d).startswith(("kernel", "in_place")) for d in node.decorator_list)
+        and any(ast.unparse(d).startswith(("kernel", "no_alloc")) for d in node.decorator_list)
     ]
 
 
