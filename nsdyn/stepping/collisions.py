@@ -32,7 +32,7 @@ def captured_impacts(s: System, kin: ContactKinematics, mid: Midpoint) -> tuple[
     if struck is None:
         return kin, None
     # The drift of rows that turn with their bodies is no approach.
-    resting = s.resting(kin, mid.state, mid.rate, mid.quickening)
+    resting = s.resting(kin, mid.state, mid.rate, mid.surface_acceleration)
     resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.jacobian_drift[0::3]))
     closed = struck | (kin.end_gap <= s.gap_tol)
     while True:
@@ -57,7 +57,7 @@ def striking(s: System, kin: ContactKinematics, mid: Midpoint) -> Bools | None:
     if not s.elastic or not kin.mu.size:
         return None
     u_begin, u = kin.begun[0, 0::3], kin.u[0::3]
-    resting = s.resting(kin, mid.state, mid.rate, mid.quickening)
+    resting = s.resting(kin, mid.state, mid.rate, mid.surface_acceleration)
     struck: Bools = (kin.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, kin, mid.h)
     return struck if struck.any() else None
 

@@ -83,7 +83,7 @@ class Midpoint:
         return out
 
     @property
-    def quickening(self) -> Array:
+    def surface_acceleration(self) -> Array:
         """Mean acceleration of what moves as prescribed, shape (surfaces, 2, 3), m/s² and rad/s²."""
         begun, _, ended = self.surfaces
         return (ended - begun) / self.h

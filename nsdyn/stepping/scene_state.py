@@ -168,11 +168,11 @@ class System(NamedTuple):
         """Half a step, s, and the least 1 - e that counts in it, for `resting`."""
         return 0.5 * self.dt, 1.0 / OPTIONS.bounces
 
-    def resting(self, kin: ContactKinematics, at: MidpointState, rate: Array, quickening: Array) -> Array:
+    def resting(self, kin: ContactKinematics, at: MidpointState, rate: Array, surface_acceleration: Array) -> Array:
         """Return speeds of approach, m/s, up to which contacts rest after an impact, at the free acceleration `rate`.
 
-        The shape of `rate` is (n,), that of `quickening`, the acceleration of kinematic bodies and moving surfaces,
-        (surfaces, 2, 3). After an impact that leaves u the flight takes 2 u/a_n, where a_n adds up the free
+        The shape of `rate` is (n,), that of `surface_acceleration`, the acceleration of kinematic bodies and moving
+        surfaces, (surfaces, 2, 3). After an impact that leaves u the flight takes 2 u/a_n, where a_n adds up the free
         accelerations of both bodies along the normal. The next flights take e, e², ... times as long. Where u ≤ ½ a_n
         dt max(1 - e, 1/N), all flights end within a step, or the N = `Options.bounces` flights do that count as
         infinitely many. An approach within the solver's tolerance is none.
@@ -181,7 +181,7 @@ class System(NamedTuple):
         weight = np.empty(c.gap.size)
         _touching.weights(c[:3], at.placement.x, d.twists(at.placement, rate), weight)
         if d.surfaces.count:
-            pushed = d.surfaces.velocities(c, at.position.driven_x, quickening)
+            pushed = d.surfaces.velocities(c, at.position.driven_x, surface_acceleration)
             weight += np.abs((c.normal * pushed).sum(axis=1))
         if kin.joints is not None:
             weight = np.concatenate((weight, np.abs(d.joints.rates(kin.joints.slot, rate))))

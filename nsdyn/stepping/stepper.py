@@ -378,6 +378,7 @@ class Stepper:
     ) -> Step:
         """Return the results of the moves and impacts of a step."""
         d, end = self.dynamics, self.get_state().instant
+        problem.kept.clear()  # as large as the problem, and of no use after the step
         acted = done[0] if len(done) == 1 else Impulses.joined(done)
         q, v = d.pinocchio_state(end.position, end.v)
         x, quaternion = d.poses(end.position, end.placement)

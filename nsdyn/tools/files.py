@@ -148,7 +148,7 @@ def lock(path: Path) -> int:
 
     Readers and HDF5's own locks are not affected. Systems without locks of open files do not lock.
     """
-    descriptor = os.open(path, os.O_RDWR)
+    descriptor = os.open(path, os.O_WRONLY)
     if kind := getattr(fcntl, "F_OFD_SETLK", None):
         try:
             fcntl.fcntl(descriptor, kind, struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))

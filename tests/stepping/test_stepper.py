@@ -671,3 +671,12 @@ def test_a_body_of_any_mass_tumbles_as_one_of_a_kilogram():
             warnings.simplefilter("ignore")  # of steps that miss the tolerance
             ends.append(nd.simulate(scene, 0.4, dt=2e-3).body("box").position[-1])
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-6)
+
+
+def test_a_step_keeps_nothing_that_its_solves_worked_with():
+    """Beside its problem that would be as much again, for every step that a user keeps."""
+    scene = nd.scenes.load("wall")()
+    scene.add_sphere("ball", 0.12, 8.0, position=(1.0, -0.17, 0.5), linear_velocity=(0, 10, 0))
+    stepper = nd.Stepper(scene, dt=5e-3, on_fail="ignore")
+    steps = [stepper.step() for _ in range(6)]
+    assert max(step.problem.nc for step in steps) > 400 and not any(step.problem.kept for step in steps)
