@@ -59,8 +59,8 @@ class Tuning:
     warm_gain: float = 0.1
     """Largest ratio of the measures after and before a run of `warm_steps` at which another run follows."""
 
-    loose_limit: int = 200
-    """Factorisations allowed in all if the start already meets the loose tolerance."""
+    loose_limit: int = 50
+    """Most factorisations beyond the loose tolerance. Problems that take more rarely reach the tight one."""
 
     small: tuple[float, int] = (1e2, 60)
     """Penalty, and Newton steps at most, for islands of few bodies. The impulses that redundant contacts exchange drift
@@ -141,7 +141,7 @@ class Search:
             if x is not None:
                 self.r[:] = x
         if self.best <= self.loose < before:
-            self.limit = (1.0 + self._effort) * self.spent or TUNING.loose_limit
+            self.limit = self.spent + min(self._effort * self.spent or np.inf, TUNING.loose_limit)
 
     def _most(self, wanted: float) -> float:
         """Return the `wanted` factorisations, or as many as the limit still allows."""
@@ -256,8 +256,8 @@ class Auto(Options):
     the first round, in turn with Newton's method where that costs no more. The same methods follow.
 
     A solution that meets `tol` is CONVERGED. The effort towards `tol` is bounded by a multiple of the effort that met
-    `loose`. Effort is counted in operations and not in time, so that results do not depend on the machine. A solution
-    that then meets only `loose` is LOOSE: it is accepted and its error recorded. A solution that misses `loose` has
+    `loose`, and by `Tuning.loose_limit`. Effort is counted in operations and not in time, so that results do not depend
+    on the machine. A solution that then meets only `loose` is LOOSE: it is accepted and its error recorded. A solution that misses `loose` has
     failed. It is STALLED if its error is mere round-off. Otherwise the problem is checked for a Slater point, without
     which no solution is guaranteed, and the status says so.
 
@@ -269,8 +269,8 @@ class Auto(Options):
         Tolerance that is acceptable where `tol` costs too much. If `tol` is looser it replaces `loose`, and every
         problem gets all methods.
     effort : float
-        Bound on the effort beyond `loose`, as a multiple of the effort that met `loose`; `Tuning.loose_limit` where
-        the start meets `loose`.
+        Bound on the effort beyond `loose`, as a multiple of the effort that met `loose`. It is at most
+        `Tuning.loose_limit` anyway, and equal to it where the start meets `loose`.
     """
 
     tol: Positive = 1e-8
