@@ -15,8 +15,8 @@ from nsdyn._kernels.packing import pack
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.distances import SHRINK, Batch, empty_model, split
 from nsdyn.scene.bodies import Geom
-from nsdyn.scene.shapes import HALFSPACE, ROUND
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.scene.shapes import HALFSPACE, ROUND, SPHERE
+from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.options import is_number
 
 __all__ = ["MARGIN", "TOLERANCE", "Candidates"]
@@ -118,6 +118,13 @@ class Candidates:
         lower, upper = self._lower.copy(), self._upper.copy()
         broadphase.bounds(self.fields, x, R, lower, upper)
         return lower, upper
+
+    def of_balls(self, contacts: ContactSet) -> Bools:
+        """Mark contacts of balls with balls and half-spaces, shape (nc,)."""
+        kind = self._geometry.kind
+        first, second = (np.isin(kind[g], (HALFSPACE, SPHERE)) for g in (contacts.geom1, contacts.geom2))
+        out: Bools = first & second
+        return out
 
     @property
     def pairs(self) -> tuple[Index, Index]:

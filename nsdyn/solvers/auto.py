@@ -257,9 +257,9 @@ class Auto(Options):
 
     A solution that meets `tol` is CONVERGED. The effort towards `tol` is bounded by a multiple of the effort that met
     `loose`, and by `Tuning.loose_limit`. Effort is counted in operations and not in time, so that results do not depend
-    on the machine. A solution that then meets only `loose` is LOOSE: it is accepted and its error recorded. A solution that misses `loose` has
-    failed. It is STALLED if its error is mere round-off. Otherwise the problem is checked for a Slater point, without
-    which no solution is guaranteed, and the status says so.
+    on the machine. A solution that then meets only `loose` is LOOSE: it is accepted and its error recorded. A solution
+    that misses `loose` has failed. It is STALLED if its error is mere round-off. Otherwise the problem is checked for a
+    Slater point, without which no solution is guaranteed, and the status says so.
 
     Parameters
     ----------

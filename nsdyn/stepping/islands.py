@@ -77,7 +77,7 @@ class Islands:
         label, count = self._labels_ahead(begin, mid)
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._striking_nodes(begin, mid)]] = True
-        large = OPTIONS.event * np.bincount(label[s.nodes(begin.contacts)], minlength=count) > OPTIONS.work
+        large = self._large(begin.contacts, label, count)
         if made is None and (unseen := large & ~opened).any():
             # A rough move first shows whether an island whose events are not located meets any.
             meets |= self._islands_hit(
@@ -215,6 +215,11 @@ class Islands:
             out += self._nodes(c, strikes)
         return np.concatenate(out)
 
+    def _large(self, contacts: ContactSet, label: Index, count: int) -> Bools:
+        """Mark islands (count,) with so many contacts that their impacts and reversals of slip are not located."""
+        out: Bools = OPTIONS.event * np.bincount(label[self.whole.nodes(contacts)], minlength=count) > OPTIONS.work
+        return out
+
     def _nodes(self, c: ContactSet, which: Bools) -> list[Index]:
         """Return the nodes of the contacts marked by `which`, as a list of one array."""
         node = self.whole.dynamics.node
@@ -239,7 +244,7 @@ class Islands:
     def _open_events(self, begin: SceneState, a: Attempt, label: Index, opened: Bools, large: Bools) -> None:
         """Mark in `opened` the islands for which an attempt does not hold: they meet an event or need another solve.
 
-        In `large` islands (islands,) reversals of slip are not located.
+        In `large` islands (islands,) reversals of slip do not count.
         """
         s, d = self.whole, self.whole.dynamics
         out = [np.empty(0, np.int64)]
@@ -277,14 +282,17 @@ class Islands:
     def _open_gaining(self, begin: SceneState, made: StepResult, tried: Attempt, label: Index, opened: Bools) -> None:
         """Mark in `opened` the islands whose contacts add energy in the move `made`, or whose bodies turn far.
 
-        Moved by themselves, these islands take the step in smaller pieces.
+        Moved by themselves, these islands take the step in smaller pieces, as in `substepping`.
         """
         s, d, a, kin = self.whole, self.whole.dynamics, made.done[0], tried.kin
         if not a.status.size:
             return
-        far = turns_far(s, s.dt, a, begin, made.end)
-        opened[label[s.nodes(a.contacts)[far]]] = True
         nc, island, count = a.status.size, label[s.nodes(a.contacts)], opened.size
+        refines = ~self._large(begin.contacts, label, count)
+        refines[label[s.nodes(begin.contacts)[~s.detector.of_balls(begin.contacts)]]] = True
+        far = np.zeros(count, np.bool_)
+        far[island[turns_far(s, s.dt, a, begin, made.end)]] = True
+        opened |= far & refines
         nothing = np.where(kin.stays[:nc], a.work_normal, 0.0) + np.where(
             kin.sticks & (a.status == 1), a.work_friction, 0.0
         )
@@ -298,7 +306,7 @@ class Islands:
                 linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
                 of_bodies = d.mass * (linear * linear).sum(axis=1) + np.einsum("ki,kij,kj->k", spin, d.J, spin)
                 energies.append(np.bincount(label[: d.free], 0.5 * of_bodies, count))
-            opened |= gained > OPTIONS.gain * np.maximum(*energies)
+            opened |= refines & (gained > OPTIONS.gain * np.maximum(*energies))
 
     def _of_nodes(self, a: Attempt, left: Bools, next_key: int) -> Attempt:
         """Return the part of an attempt that concerns the nodes `left`; new contacts get keys from `next_key` on."""

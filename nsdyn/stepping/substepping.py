@@ -141,8 +141,17 @@ def _substep(
     m = m._replace(done=done + m.done, path=path)
     rejected = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
     if length > LEAST * s.dt and not any(_jammed(acted.solved[1]) for acted in m.done):
-        return m, length, rejected or _gains_energy(s, begin, m, length)
+        return m, length, rejected or (_refines(s, begin) and _gains_energy(s, begin, m, length))
     return m, length, False
+
+
+def _refines(s: System, begin: SceneState) -> bool:
+    """Return whether an island is moved in halves where it gains energy.
+
+    Many balls, whose impacts are captured, are not: in halves 200 of them err as much in position. With corners a gain
+    also tells of corners that pass each other.
+    """
+    return Budget().affords(begin, OPTIONS.event) or not s.detector.of_balls(begin.contacts).all()
 
 
 def _gains_energy(s: System, begin: SceneState, m: StepResult, h: float) -> bool:

@@ -286,3 +286,19 @@ def test_what_strikes_and_is_not_located_is_not_tried_in_full():
     for _ in range(60):
         stepper.step()
     assert Counting.full <= 10
+
+
+def test_many_balls_are_not_moved_in_halves():
+    """An island of balls too large to locate its impacts takes each step in one move; lifts had made it four."""
+    scene, rng, material = nd.Scene(), np.random.default_rng(1), nd.Material(mu=0.5)
+    scene.add_halfspace("floor", material=material)
+    for k in range(64):
+        i, j, level = np.unravel_index(k, (4, 4, 4))
+        x = np.array([0.225 * i, 0.225 * j, 0.1 + 0.201 * level]) + np.append(rng.uniform(-0.01, 0.01, 2), 0.0)
+        scene.add_sphere(f"ball {k}", 0.1, 4.0, position=x, material=material)
+    stepper = nd.Stepper(scene, dt=5e-3, on_fail="ignore")
+    for k in range(60):
+        step = stepper.step()
+        if k >= 40:  # all that stand have collapsed into one island
+            assert step.contact_duration.size > 50
+            np.testing.assert_array_equal(step.contact_duration, stepper.dt)
