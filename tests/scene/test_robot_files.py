@@ -394,7 +394,7 @@ def test_mjcf_against_mujoco(mjcf, rng):
     pin.forwardKinematics(a.model, placed, q)
     for start in (3, 9, 18):
         data.qpos[start : start + 4] = np.roll(q[start : start + 4], 1)
-    for joint, start in ((1, 0), (6, 13)):
+    for joint, start in ((1, 0), (7, 13)):
         turn[start : start + 3, start : start + 3] = placed.oMi[joint].rotation.T
     data.qvel[:] = np.linalg.solve(turn, v)
     data.qvel[[0, 1, 2, 13, 14, 15]] = 0.0
