@@ -178,6 +178,9 @@ POSES = [
     ("", 'quat="2 1 0 1"'),
     ("", 'xyaxes="0 1 0 1 0 .2"'),
     ("", 'zaxis="0 1 1"'),
+    ("", 'zaxis="0 0 -3"'),
+    ("", 'zaxis="1e-7 0 -1"'),
+    ("", 'zaxis="2e-7 0 -1"'),
 ]
 
 
@@ -218,10 +221,23 @@ def test_turns_about_several_axes(tmp_path):
     np.testing.assert_allclose(turn("", 'axisangle="0 0 2 30"'), z, rtol=0, atol=1e-15)
     for compiler, pose, words in (
         ('eulerseq="xyw"', "", "eulerseq must be three of x, y, z, X, Y, Z, got 'xyw'"),
-        ("", 'axisangle="0 0 0 1"', "axisangle of <geom> 'g' must have an axis that is not zero"),
+        *(
+            ("", f'{form}="{zero}"', f"{form} of <geom> 'g' must give an orientation, got '{zero}'")
+            for form, zero in (
+                ("axisangle", "0 0 0 1"),
+                ("quat", "0 0 0 0"),
+                ("zaxis", "0 0 0"),
+                ("xyaxes", "0 0 0 0 1 0"),
+                ("xyaxes", "1 1 1 .3 .3 .3"),
+            )
+        ),
+        ("", 'euler="1 2 3" quat="1 0 0 0"', "orientation of <geom> 'g' must be given once, got euler and quat"),
     ):
         with pytest.raises(ValueError, match=words):
             turn(compiler, pose)
+    inertial = '<inertial pos="0 0 0" mass="1" fullinertia="1 1 1 0 0 0" euler="1 2 3"/>'
+    with pytest.raises(ValueError, match="of <inertial> '' must be given once, got euler and fullinertia"):
+        loaded(tmp_path, "mjcf", f"<mujoco><worldbody><body><joint/>{inertial}</body></worldbody></mujoco>")
 
 
 def test_gains_that_defaults_of_another_kind_give_are_told(tmp_path):

@@ -27,7 +27,7 @@ from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
 from nsdyn.scene.robot_files.mjcf_geoms import Geoms, mesh_name
 from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, place_joints, set_joints, single, start_of
-from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
+from nsdyn.scene.robot_files.mjcf_poses import ORIENTATIONS, write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
 from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
@@ -38,9 +38,6 @@ __all__ = ["read_mjcf"]
 
 PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
 """Attributes by which a tendon acts by itself; without them it only acts through an actuator."""
-
-ORIENTATIONS = {*POSE.split()} - {"pos"}
-"""Attributes that give an orientation; an element has at most one of them."""
 
 NUMBERS = {*POSE.split(), "axis", "size", "fromto", "ref", "scale", "vertex"}
 """Attributes that must be numbers: Pinocchio reads other text as arbitrary values."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.elements import POSE
+from nsdyn.scene.robot_files.mjcf_poses import along
 from nsdyn.scene.robot_files.mjcf_visuals import Look, look_of
 from nsdyn.scene.robot_files.xml import Notes, Report, numbers
 from nsdyn.tools.arrays import Array
@@ -145,17 +145,9 @@ def _write_size(geom: Element, kind: str, label: str) -> None:
         for attribute in POSE.split():
             geom.attrib.pop(attribute, None)
         geom.set("pos", _text(ends[3:] + half))
-        geom.set("quat", _text(_turn(half / length)))
+        geom.set("quat", _text(along(half / length)))
     if SIZES[kind]:
         geom.set("size", _text(size[: SIZES[kind]]))
-
-
-def _turn(z: Array) -> Array:
-    """Return the quaternion w x y z of the shortest turn from the z axis to a unit vector, about x if parallel."""
-    sine = math.hypot(z[0], z[1])
-    axis = np.array([-z[1], z[0], 0.0]) / sine if sine > 1e-10 else np.array([1.0, 0.0, 0.0])  # MuJoCo's bound
-    angle = 0.5 * math.atan2(sine, z[2])
-    return np.array([math.cos(angle), *(math.sin(angle) * axis)])
 
 
 def _text(values: Array) -> str:

@@ -12,29 +12,78 @@ import pinocchio as pin
 from nsdyn.scene.robot_files.xml import numbers
 from nsdyn.tools.arrays import Array
 
-__all__ = ["write_quaternions"]
+__all__ = ["ORIENTATIONS", "along", "write_quaternions"]
+
+COUNTS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
+"""How many numbers each form of an orientation has."""
+
+ORIENTATIONS = {*COUNTS}
+"""Attributes that give an orientation; an element has at most one of them."""
+
+SHORTEST = 1e-14
+"""Length below which MuJoCo takes a vector for no direction; round-off of two parallel unit vectors is below it."""
+
+PARALLEL = 1e-14
+"""1 - |cosine| of the angle to the z axis up to which MuJoCo takes a direction for parallel to it."""
 
 
 def write_quaternions(root: Element) -> None:
-    """Replace euler and axisangle by quaternions, in the unit and order that the compiler has."""
+    """Replace all forms of orientations by quaternions, in the unit and order that the compiler has."""
     settings: Mapping[str, str] = root.attrib if (compiler := root.find("compiler")) is None else compiler.attrib
     unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
     order = settings.get("eulerseq", "xyz")
     if len(order) != 3 or set(order.lower()) - set("xyz"):
         raise ValueError(f"eulerseq must be three of x, y, z, X, Y, Z, got {order!r}")
     for element in root.iter():
-        label = f"of <{element.tag}> {element.get('name', '')!r}"
-        if "euler" in element.attrib:
-            turn = _euler(unit * numbers(element.attrib.pop("euler"), 3, None, f"euler {label}"), order)
-        elif "axisangle" in element.attrib:
-            given = numbers(element.attrib.pop("axisangle"), 4, None, f"axisangle {label}")
-            if not given[:3].any():
-                raise ValueError(f"axisangle {label} must have an axis that is not zero")
-            turn = _about(given[:3] / np.linalg.norm(given[:3]), unit * given[3])
-        else:
-            continue
-        w, x, y, z = np.roll(pin.Quaternion(turn).coeffs(), 1).tolist()
-        element.set("quat", f"{w!r} {x!r} {y!r} {z!r}")
+        given = sorted(ORIENTATIONS & element.attrib.keys())
+        if element.tag == "inertial" and "fullinertia" in element.attrib:
+            given.append("fullinertia")
+        of = f"of <{element.tag}> {element.get('name', '')!r}"
+        if len(given) > 1:
+            raise ValueError(f"orientation {of} must be given once, got {' and '.join(given)}")
+        for form in ORIENTATIONS.intersection(given):
+            turn = _read(form, element.attrib.pop(form), f"{form} {of}", unit, order)
+            element.set("quat", " ".join(map(repr, turn.tolist())))
+
+
+def _read(form: str, text: str, label: str, unit: float, order: str) -> Array:
+    """Return the quaternion w x y z of an orientation that is given in some form."""
+    values = numbers(text, COUNTS[form], None, label)
+
+    def direction(vector: Array) -> Array:
+        length = float(np.linalg.norm(vector))
+        if length < SHORTEST:
+            raise ValueError(f"{label} must give an orientation, got {text!r}")
+        return vector / length
+
+    match form:
+        case "euler":
+            return _quaternion(_euler(unit * values, order))
+        case "axisangle":
+            return _quaternion(_about(direction(values[:3]), unit * values[3]))
+        case "zaxis":
+            return along(direction(values))
+        case "xyaxes":
+            x, y = direction(values[:3]), direction(values[3:])
+            y = direction(y - x * (x @ y))
+            return _quaternion(np.column_stack((x, y, np.cross(x, y))))
+        case _:
+            return direction(values)
+
+
+def along(z: Array) -> Array:
+    """Return the quaternion w x y z of the shortest turn from the z axis to a unit vector, about x if parallel."""
+    x, y, sine = -z[1], z[0], math.hypot(z[0], z[1])
+    if 1.0 - abs(z[2]) <= PARALLEL:
+        x, y, sine = 1.0, 0.0, 0.0
+    angle = 0.5 * math.atan2(sine, z[2])
+    scale = math.sin(angle) / math.hypot(x, y)
+    return np.array([math.cos(angle), scale * x, scale * y, 0.0])
+
+
+def _quaternion(turn: Array) -> Array:
+    out: Array = np.roll(pin.Quaternion(turn).coeffs(), 1)
+    return out
 
 
 def _about(axis: Array, angle: float) -> Array:
