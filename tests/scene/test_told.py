@@ -623,6 +623,25 @@ def test_a_range_from_0_to_0_is_none(tmp_path):
     assert loaded(tmp_path, "mjcf", mjcf(joint='range="0 0" limited="true"'))[1].model.upperPositionLimit[0] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("joint", "motor", "words"),
+    [
+        ('range="-1 1"', "", "limited of joint 'j' must be given beside range: autolimits of <compiler> is false"),
+        ('actuatorfrcrange="-1 1"', "", "actuatorfrclimited of joint 'j' must be given beside actuatorfrcrange"),
+        ("", 'ctrlrange="-1 1"', "ctrllimited of actuator 'j' must be given beside ctrlrange"),
+        ('actuatorfrclimited="true"', "", "actuatorfrcrange of joint 'j' is missing"),
+        ('limited="true" range="1 -1"', "", "range of joint 'j' must not decrease, got '1 -1'"),
+        ("", 'ctrllimited="true" ctrlrange="1 -1"', "ctrlrange of actuator 'j' must not decrease, got '1 -1'"),
+        ("", 'inheritrange="1"', "inheritrange of actuator 'j' needs a range of joint 'j'"),
+    ],
+)
+def test_ranges_that_limit_nothing_are_refused(tmp_path, joint, motor, words):
+    """As by MuJoCo, which infers no limit where `autolimits` is false."""
+    drive = f'<actuator><position joint="j" {motor}/></actuator>'
+    with pytest.raises(ValueError, match=words):
+        loaded(tmp_path, "mjcf", mjcf(joint=joint, end=drive, compiler='autolimits="false"'))
+
+
 def test_all_of_a_static_model_is_fixed(tmp_path):
     """Whatever its joints; as in Gazebo."""
     assert loaded(tmp_path, "sdf", sdf())[1].model.nv == 1

@@ -12,7 +12,7 @@ import numpy as np
 
 from nsdyn.scene.actuation import Actuator
 from nsdyn.scene.robot_files.mjcf_elements import DRIVES
-from nsdyn.scene.robot_files.xml import Notes, is_range, numbers
+from nsdyn.scene.robot_files.xml import Notes, numbers, range_of
 
 __all__ = ["ACTUATORS", "actuators_of", "of_other_kinds"]
 
@@ -63,8 +63,10 @@ def actuators_of(
         if element.get("inheritrange"):
             share = float(numbers(element.get("inheritrange"), 1, None, f"inheritrange of actuator {label!r}")[0])
             low, high = model.lowerPositionLimit[q], model.upperPositionLimit[q]
+            if not math.isfinite(low):
+                raise ValueError(f"inheritrange of actuator {label!r} needs a range of joint {joint!r}")
             middle, half = 0.5 * (low + high), 0.5 * share * (high - low)
-            a = a._replace(control_range=(middle - half, middle + half)) if math.isfinite(half) else a
+            a = a._replace(control_range=(middle - half, middle + half))
         if max(a.bias[1:]) > 0.0:
             dropped.append(f"<actuator> {label!r}: biasprm that drives it away")
             continue
@@ -121,12 +123,7 @@ def _read(element: Element, label: str, joint: str, v: int, autolimits: bool) ->
         return float(numbers(element.get(attribute), None, (default,), f"{attribute} of actuator {label!r}")[0])
 
     def limits(what: str) -> tuple[float, float]:
-        limited = element.get(f"{what}limited", "auto")
-        given = element.get(f"{what}range")
-        if limited == "false" or (limited == "auto" and not (autolimits and is_range(given))):
-            return NONE
-        low, high = numbers(given, 2, None, f"{what}range of actuator {label!r}")
-        return float(low), float(high)
+        return range_of(element, f"{what}range", f"{what}limited", autolimits, f"actuator {label!r}") or NONE
 
     gain, bias = 1.0, np.zeros(3)
     if element.tag == "position":

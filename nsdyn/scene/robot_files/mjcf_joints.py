@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene.exclusions import FREE
-from nsdyn.scene.robot_files.xml import Report, is_range, numbers
+from nsdyn.scene.robot_files.xml import Report, numbers, range_of
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -91,6 +91,7 @@ def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]
     compiler = root.find("compiler")
     settings: dict[str, str] = {} if compiler is None else compiler.attrib
     unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
+    autolimits = settings.get("autolimits", "true") == "true"
     lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
     damping, friction, armature, stiffness, rest = np.zeros((5, model.nv))
     effort = np.full(model.nv, np.inf)
@@ -104,13 +105,9 @@ def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]
 
         damping[rows], friction[rows], armature[rows] = value("damping"), value("frictionloss"), value("armature")
         factor = unit if kind == "hinge" else 1.0
-        limited = element.get("limited", "auto")
-        if limited == "auto":
-            limited = (
-                "true" if settings.get("autolimits", "true") == "true" and is_range(element.get("range")) else "false"
-            )
-        if element.get("actuatorfrcrange") and element.get("actuatorfrclimited", "auto") != "false":
-            low, high = numbers(element.get("actuatorfrcrange"), 2, None, f"actuatorfrcrange of {label}")
+        bounds = range_of(element, "range", "limited", autolimits, label)
+        if forces := range_of(element, "actuatorfrcrange", "actuatorfrclimited", autolimits, label):
+            low, high = forces
             effort[rows] = most = max(-low, high)
             if kind == "ball":
                 report.dropped.append(f"{label}: actuatorfrcrange of a ball joint")
@@ -119,11 +116,10 @@ def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]
                 report.dropped.append(f"{label}: actuatorfrcrange, but for ±{most:g}")
         if kind in ("hinge", "slide"):
             stiffness[rows], rest[rows] = value("stiffness"), factor * value("springref")
-            if limited == "true":
-                bounds = factor * numbers(element.get("range"), 2, None, f"range of {label}")
-                lower[at], upper[at] = bounds[0], bounds[1]
+            if bounds:
+                lower[at], upper[at] = factor * bounds[0], factor * bounds[1]
         else:
-            if limited == "true":
+            if bounds:
                 report.missing.append(f"{label}: range of a {kind} joint")
             if value("stiffness"):
                 report.missing.append(f"{label}: stiffness of a {kind} joint")

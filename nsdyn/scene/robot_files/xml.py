@@ -16,7 +16,7 @@ from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import is_file
 
-__all__ = ["UNLIMITED", "Notes", "Report", "inside", "is_limit", "is_range", "mesh_file", "numbers", "parse"]
+__all__ = ["UNLIMITED", "Notes", "Report", "inside", "is_limit", "mesh_file", "numbers", "parse", "range_of"]
 
 DEEPEST = 400
 """Greatest depth of nested elements: readers recurse into each, and some thousands of levels end the process."""
@@ -105,9 +105,19 @@ def is_limit(text: str | None) -> bool:
         return bool(text and text.strip())
 
 
-def is_range(text: str | None) -> bool:
-    """Whether a text is a range of MJCF; 0 to 0 means no range."""
-    return any(word.strip("+-0.") for word in (text or "").split())
+def range_of(
+    element: Element, attribute: str, limited: str, autolimits: bool, label: str
+) -> tuple[float, float] | None:
+    """Return (least, greatest) of a range of MJCF, None where it does not limit; 0 to 0 means no range."""
+    given, word = element.get(attribute), element.get(limited, "auto")
+    if word == "false" or (word == "auto" and not any(part.strip("+-0.") for part in (given or "").split())):
+        return None
+    if word == "auto" and not autolimits:
+        raise ValueError(f"{limited} of {label} must be given beside {attribute}: autolimits of <compiler> is false")
+    low, high = numbers(given, 2, None, f"{attribute} of {label}").tolist()
+    if low > high:
+        raise ValueError(f"{attribute} of {label} must not decrease, got {given!r}")
+    return low, high
 
 
 def mesh_file(uri: str, folders: Sequence[Path], remedy: str = "; give its folder in package_dirs") -> Path:
