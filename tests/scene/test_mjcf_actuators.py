@@ -32,6 +32,12 @@ CONTROLS = {"hip": 0.8, "roll_motor": 0.9, "knee": 0.3, "slide": 0.2, "spring": 
 """Of which that of roll_motor is beyond its range, and the force of the knee beyond that of its joint."""
 
 
+def added(path):
+    scene = nd.Scene()
+    scene.add_mjcf("r", path)
+    return scene.articulations["r"]
+
+
 @pytest.fixture
 def leg(tmp_path):
     def loaded(drives):
@@ -210,3 +216,51 @@ def test_control_takes_the_names_of_the_file(leg):
     ):
         run(scene, {"ankle": 1.0})
     np.testing.assert_array_equal(run(scene, {"roll": 1.0}).q, run(scene, [0.0, 1.0, 0.0, 0.0]).q)
+
+
+@pytest.mark.parametrize(
+    ("default", "drive", "gain", "bias"),
+    [
+        ('<position kp="7" kv="2"/><motor gear="9"/>', "<position", 1, (0, -1, 0)),
+        ('<motor gear="9"/><position kp="7" kv="2"/>', "<position", 7, (0, -7, -2)),
+        ('<motor gear="9"/><position kp="7" kv="2"/>', "<general", 7, (0, -7, -2)),
+        ('<position kp="7" kv="2"/>', "<velocity", 1, (0, 0, -1)),
+        ('<position kp="7" kv="2"/><velocity kv="5"/>', '<position kp="3" kv="1"', 3, (0, -3, -1)),
+        ('<position kp="7"/><general gainprm="5"/>', "<general", 5, (0, -7, 0)),
+        ('<general gainprm="7" biastype="affine" biasprm="1 -8 -3"/>', '<position kp="5"', 5, (0, -5, -3)),
+        ('<general gainprm="7" biastype="affine" biasprm="1 -8 -3"/>', "<velocity", 7, (0, 0, -7)),
+        ('<general gainprm="7" biastype="affine" biasprm="1 -8 -3"/>', "<motor", 1, (0, 0, 0)),
+        ('<general biastype="affine" biasprm="1 -8 -3"/>', '<general biasprm="2 -4"', 1, (2, -4, -3)),
+        ('<muscle/><position kp="4"/>', '<position kv="1"', 4, (0, -4, -1)),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:'r' leaves out")
+def test_kinds_of_a_class_share_their_gains(tmp_path, default, drive, gain, bias):
+    """The numbers are MuJoCo 4.0's: a kind begins from the gains of its own kind or of `general`."""
+    body = '<body><joint name="j"/><geom size=".1"/></body>'
+    text = f"<default>{default}</default><worldbody>{body}</worldbody>" + f'<actuator>{drive} joint="j"/></actuator>'
+    (tmp_path / "one.xml").write_text(f"<mujoco>{text}</mujoco>")
+    (a,) = added(tmp_path / "one.xml").actuators
+    assert (a.gain, a.bias) == (gain, bias)
+
+
+@pytest.mark.parametrize(
+    ("parent", "child", "drive", "note"),
+    [
+        ('<position kp="7"/>', '<velocity kv="5"/>', "<position", "gains of several kinds in its class"),
+        ('<position kp="7"/>', '<motor gear="2"/>', "<position", "gains of several kinds in its class"),
+        ('<position kp="7"/>', '<motor gear="2"/>', "<motor", ""),
+        ('<position kp="7"/>', '<velocity kv="5"/>', '<position kp="3" kv="1"', ""),
+        ('<motor gear="2"/>', '<position kp="7"/>', "<position", ""),
+        ("", '<motor kp="7"/>', "<motor", "kp"),
+        ("", '<motor gainprm="7"/>', "<motor", "gainprm of a motor"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:'r' leaves out")
+def test_gains_of_several_kinds_are_told(tmp_path, parent, child, drive, note):
+    """Of a class, where MuJoCo may go back to those of a class before."""
+    body = '<body><joint name="j"/><geom size=".1"/></body>'
+    default = f'<default>{parent}<default class="c">{child}</default></default>'
+    drives = f'<actuator>{drive} class="c" joint="j"/></actuator>'
+    (tmp_path / "one.xml").write_text(f"<mujoco>{default}<worldbody>{body}</worldbody>{drives}</mujoco>")
+    assert added(tmp_path / "one.xml").dropped == ((f"actuator 'j': {note}",) if note else ())

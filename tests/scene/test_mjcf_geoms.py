@@ -158,3 +158,15 @@ def test_an_orientation_replaces_that_of_the_class(own, tmp_path):
     found = scene.articulations["r"].links[0].placement.rotation
     np.testing.assert_allclose(found, turned, rtol=0, atol=1e-15)
     del articulation
+
+
+@pytest.mark.parametrize(
+    ("kind", "first"), [("capsule", ".3"), ("box", ".3 .2"), ("ellipsoid", ".3"), ("box", ".5 .6 .7")]
+)
+def test_first_sizes_leave_the_others_of_the_class(tmp_path, kind, first):
+    """As in MuJoCo: the size of an element may be shorter than that of its class."""
+    given = [float(size) for size in first.split()]
+    expected = [*given, *[0.11, 0.12, 0.13][len(given) :]][: TAKES[kind]]
+    default = f'<mujoco><default><geom size="0.11 0.12 0.13" type="{kind}"/></default>'
+    text = mjcf("sphere", 0, size=first).replace("<mujoco>", default).replace(' type="sphere"', "")
+    np.testing.assert_array_equal(lengths(fixed(tmp_path, text).shape), expected)

@@ -240,20 +240,6 @@ def test_turns_about_several_axes(tmp_path):
         loaded(tmp_path, "mjcf", f"<mujoco><worldbody><body><joint/>{inertial}</body></worldbody></mujoco>")
 
 
-def test_gains_that_defaults_of_another_kind_give_are_told(tmp_path):
-    """In MuJoCo kp, kv and gainprm are one and the same; a motor has none of them."""
-    for default, kind, told in (
-        ('general gainprm="7"', "position", True),
-        ('general gainprm="7"', 'position kp="3"', False),
-        ('position kp="7"', "general", True),
-        ('position kp="7"', 'general gainprm="3"', False),
-        ('position kp="7"', "velocity", False),
-        ('position kp="7"', "motor", False),
-    ):
-        text = mjcf(top=f"<default><{default}/></default>", end=f'<actuator><{kind} joint="j"/></actuator>')
-        assert ("of the default of" in loaded(tmp_path, "mjcf", text)[0]) == told, (default, kind)
-
-
 def test_what_a_keyframe_says_beyond_its_configuration(tmp_path):
     key = '<keyframe><key name="k" qpos="0 0" act="{}" mpos="1" time="3"/></keyframe>'
     path = tmp_path / "r.xml"

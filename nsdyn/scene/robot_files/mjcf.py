@@ -22,12 +22,12 @@ from nsdyn.scene import meshes
 from nsdyn.scene.articulations import WORLD, Description, check_count, check_size, describe_model
 from nsdyn.scene.robot_files.elements import POSE, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, of_other_kinds
-from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE
+from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, laid_over
+from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE, over
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
 from nsdyn.scene.robot_files.mjcf_geoms import Geoms, mesh_name
 from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, place_joints, set_joints, single, start_of
-from nsdyn.scene.robot_files.mjcf_poses import ORIENTATIONS, write_quaternions
+from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
 from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
@@ -38,6 +38,9 @@ __all__ = ["read_mjcf"]
 
 PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
 """Attributes by which a tendon acts by itself; without them it only acts through an actuator."""
+
+DRIVE = "actuator"
+"""Where a class has its default of actuators, of whatever kind."""
 
 NUMBERS = {*POSE.split(), "axis", "size", "fromto", "ref", "scale", "vertex"}
 """Attributes that must be numbers: Pinocchio reads other text as arbitrary values."""
@@ -150,8 +153,10 @@ def _write_out_defaults(root: Element) -> None:
     def collect(default: Element, parent: str, name: str) -> None:
         own = {tag: dict(attributes) for tag, attributes in classes[parent].items()}
         for child in default:
-            if child.tag != "default":
-                own[child.tag] = _over(own.get(child.tag, {}), child.attrib)
+            if child.tag in ACTUATORS:
+                own[DRIVE] = laid_over(own.get(DRIVE, {}), child)
+            elif child.tag != "default":
+                own[child.tag] = over(own.get(child.tag, {}), child.attrib)
         classes[name] = own
         for child in default.findall("default"):
             collect(child, name, child.get("class", ""))
@@ -162,10 +167,10 @@ def _write_out_defaults(root: Element) -> None:
         name = element.attrib.pop("class", inherited)
         if name not in classes:
             raise ValueError(f"class {name!r} of a <{element.tag}> is not defined")
-        own = dict(classes[name].get(tag, {}))
         if tag in ACTUATORS:
-            own = of_other_kinds(tag, own | element.attrib, classes[name]) | own
-        element.attrib.update(_over(own, element.attrib))
+            element.attrib = laid_over(classes[name].get(DRIVE, {}), element)
+        else:
+            element.attrib = over(classes[name].get(tag, {}), element.attrib)
         for child in element:
             apply(child, inherited, child.tag)
 
@@ -175,13 +180,6 @@ def _write_out_defaults(root: Element) -> None:
     for section in root:
         for child in section:
             apply(child, "main", section.tag if section.tag in ("tendon", "equality") else child.tag)
-
-
-def _over(inherited: dict[str, str], own: dict[str, str]) -> dict[str, str]:
-    """Merge inherited and own attributes; an own orientation replaces an inherited one, in any of their forms."""
-    if ORIENTATIONS & own.keys():
-        inherited = {name: value for name, value in inherited.items() if name not in ORIENTATIONS}
-    return inherited | own
 
 
 def _note(root: Element, report: Report) -> None:

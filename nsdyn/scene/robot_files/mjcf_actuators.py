@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from nsdyn.scene.actuation import Actuator
-from nsdyn.scene.robot_files.mjcf_elements import DRIVES
+from nsdyn.scene.robot_files.mjcf_elements import DRIVES, over
 from nsdyn.scene.robot_files.xml import Notes, numbers, range_of
+from nsdyn.tools.arrays import Array
 
-__all__ = ["ACTUATORS", "actuators_of", "of_other_kinds"]
+__all__ = ["ACTUATORS", "actuators_of", "laid_over"]
 
 OWN = {
     "motor": set(),
-    "position": {"kp", "kv", "inheritrange"},
+    "position": {"kp", "kv", "inheritrange", "timeconst", "dampratio"},
     "velocity": {"kv"},
     "general": {"gaintype", "biastype", "dyntype", "gainprm", "biasprm"},
 }
@@ -35,10 +36,16 @@ ACTUATORS = {*DRIVES.split()}
 
 HARMLESS = {"name", "joint", "group", "lengthrange", "user", "interp"}
 
-GAINS = {"general": "gainprm", "position": "kp", "velocity": "kv"}
-"""Attributes that are one gain in MuJoCo: the attribute of general also sets the gain of the other kinds."""
-
 NONE = (-math.inf, math.inf)
+
+KIND = "its kind"
+"""A name, which no attribute can have, of the kind from which `laid_over` has made attributes of `general`."""
+
+MIXED = "gains of several kinds in its class"
+"""A note that defaults of kinds with gains of their own follow each other; MuJoCo may then take those of one before."""
+
+GENERAL = OWN["general"] | {KIND, "inheritrange", "timeconst", "dampratio"}
+"""Attributes that `laid_over` leaves, and that are read."""
 
 
 def actuators_of(
@@ -72,7 +79,9 @@ def actuators_of(
             continue
         if label in out:
             raise ValueError(f"actuator {label!r} comes twice: name both")
-        if others := sorted(element.attrib.keys() - USED - HARMLESS - OWN[element.tag]):
+        if element.tag == "motor":
+            element.attrib.pop(MIXED, None)
+        if others := sorted(element.attrib.keys() - USED - HARMLESS - GENERAL):
             dropped.append(f"actuator {label!r}: {', '.join(others)}")
         out[label] = a
     count = Counter(a.coordinate for a in out.values())
@@ -88,17 +97,48 @@ def actuators_of(
     return tuple(out.values())
 
 
-def of_other_kinds(tag: str, given: Mapping[str, str], defaults: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Return attributes of a `given` actuator from the defaults of other kinds; a gain gets a name that is reported."""
-    out: dict[str, str] = {}
-    for other, values in defaults.items():
-        if other not in ACTUATORS - {tag}:
-            continue
-        out |= {k: v for k, v in values.items() if k in SHARED}
-        gain = GAINS.get(other, "kp")
-        if gain in values and "general" in (tag, other) and GAINS.get(tag, gain) not in {*given, gain}:
-            out[f"{gain} of the default of {other!r}"] = ""
-    return out
+def laid_over(inherited: Mapping[str, str], element: Element) -> dict[str, str]:
+    """Return the attributes of `general` that an actuator, or a default, has with those `inherited` from its class.
+
+    All kinds of a class share their attributes, in the order of the file. As in MuJoCo 4, a kind begins from the gains
+    of its own kind or of `general`, and from none of any other kind.
+    """
+    kind, own, out = element.tag, dict(element.attrib), {**inherited, KIND: element.tag}
+    if kind != "general":
+        if inherited.get(KIND, kind) not in (kind, "general") or out.get("gaintype", "fixed") != "fixed":
+            if inherited.get(KIND) != "motor":
+                out[MIXED] = ""
+            out = {name: value for name, value in out.items() if name in SHARED | {KIND, MIXED}}
+        out |= {"gaintype": "fixed" if kind in OWN else kind, "dyntype": "none"}
+        own = {f"{name} of a {kind}" if name in OWN["general"] else name: value for name, value in own.items()}
+    out = over(out, own)
+
+    def first(attribute: str, count: int, default: Sequence[float]) -> Array:
+        given = numbers(out.get(attribute), None, default, f"{attribute} of <{kind}> {own.get('name', '')!r}")[:count]
+        return np.append(given, np.zeros(count - given.size))
+
+    (gain,), bias = first("gainprm", 1, (1.0,)), first("biasprm", 3, (0.0,))
+    match kind:
+        case "motor":
+            if gain != 1.0 or bias.any():
+                out[MIXED] = ""
+            gain, bias = 1.0, np.zeros(3)
+        case "position":
+            (gain,), (damping,) = first("kp", 1, (gain,)), first("kv", 1, (-bias[2],))
+            bias = np.array([0.0, -gain, -damping])
+            if "kv" in own:
+                out.pop("dampratio", None)
+        case "velocity":
+            (gain,) = first("kv", 1, (gain,))
+            bias = np.array([0.0, 0.0, -gain])
+        case _:
+            return out
+    out |= {"gainprm": repr(float(gain)), "biasprm": " ".join(map(repr, bias.tolist()))}
+    out["biastype"] = "none" if kind == "motor" else "affine"
+    gains = OWN[kind] & {"kp", "kv"}
+    if gains <= own.keys() and kind != "motor":
+        out.pop(MIXED, None)
+    return {name: value for name, value in out.items() if name not in gains}
 
 
 def _unused(element: Element, joint: str, places: Mapping[str, tuple[int, int]]) -> str:
@@ -108,7 +148,7 @@ def _unused(element: Element, joint: str, places: Mapping[str, tuple[int, int]])
     if joint not in places:
         return "on no hinge or slide"
     for attribute, known in (("gaintype", "fixed"), ("biastype", "none affine"), ("dyntype", "none")):
-        if element.tag == "general" and element.get(attribute, "none") not in ("none", *known.split()):
+        if element.get(attribute, "none") not in ("none", *known.split()):
             return f"{attribute}={element.get(attribute)!r}"
     for attribute in ("timeconst", "dampratio"):
         if any(float(x) for x in element.get(attribute, "").split()):
@@ -125,17 +165,10 @@ def _read(element: Element, label: str, joint: str, v: int, autolimits: bool) ->
     def limits(what: str) -> tuple[float, float]:
         return range_of(element, f"{what}range", f"{what}limited", autolimits, f"actuator {label!r}") or NONE
 
-    gain, bias = 1.0, np.zeros(3)
-    if element.tag == "position":
-        gain = value("kp", 1.0)
-        bias[1:] = -gain, -value("kv", 0.0)
-    elif element.tag == "velocity":
-        gain = value("kv", 1.0)
-        bias[2] = -gain
-    elif element.tag == "general":
-        gain = value("gainprm", 1.0)
-        if element.get("biastype", "none") == "affine":
-            given = numbers(element.get("biasprm"), None, (0.0,), f"biasprm of actuator {label!r}")[:3]
-            bias[: given.size] = given
+    bias = np.zeros(3)
+    if element.get("biastype", "none") == "affine":
+        given = numbers(element.get("biasprm"), None, (0.0,), f"biasprm of actuator {label!r}")[:3]
+        bias[: given.size] = given
     b0, b1, b2 = bias.tolist()
-    return Actuator(label, joint, v, value("gear", 1.0), gain, (b0, b1, b2), limits("ctrl"), limits("force"))
+    gear, gain = value("gear", 1.0), value("gainprm", 1.0)
+    return Actuator(label, joint, v, gear, gain, (b0, b1, b2), limits("ctrl"), limits("force"))

@@ -1,8 +1,16 @@
 """Rules for the elements of an MJCF file, named as in MuJoCo's reference."""
 
+from collections.abc import Mapping
+
 from nsdyn.scene.robot_files.elements import POSE, Rules
 
-__all__ = ["DRIVES", "MACROS", "TABLE"]
+__all__ = ["DRIVES", "MACROS", "ORIENTATIONS", "TABLE", "over"]
+
+ORIENTATIONS = {*POSE.split()} - {"pos"}
+"""Attributes that give an orientation; an element has at most one of them."""
+
+LEADING = {"size", "gainprm", "biasprm"}
+"""Attributes of which an element may give the first numbers only; the others are then those of its class."""
 
 MACROS = "attach composite flexcomp frame plugin replicate"
 """Elements inside bodies that MuJoCo's compiler replaces by other elements."""
@@ -99,3 +107,14 @@ TABLE = {
     "equality/joint": Rules("name class active joint1 joint2 polycoef", still=SOFT),
     "keyframe": Rules("key", many="key"),
 }
+
+
+def over(inherited: Mapping[str, str], own: Mapping[str, str]) -> dict[str, str]:
+    """Merge inherited and own attributes; an own orientation replaces an inherited one, in any of their forms."""
+    out = {**inherited, **own}
+    for name in ORIENTATIONS & inherited.keys() - own.keys() if ORIENTATIONS & own.keys() else ():
+        del out[name]
+    for name in LEADING & inherited.keys() & own.keys():
+        given = own[name].split()
+        out[name] = " ".join(given + inherited[name].split()[len(given) :])
+    return out

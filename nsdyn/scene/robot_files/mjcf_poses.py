@@ -12,13 +12,10 @@ import pinocchio as pin
 from nsdyn.scene.robot_files.xml import numbers
 from nsdyn.tools.arrays import Array
 
-__all__ = ["ORIENTATIONS", "along", "write_quaternions"]
+__all__ = ["along", "write_quaternions"]
 
 COUNTS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
 """How many numbers each form of an orientation has."""
-
-ORIENTATIONS = {*COUNTS}
-"""Attributes that give an orientation; an element has at most one of them."""
 
 SHORTEST = 1e-14
 """Length below which MuJoCo takes a vector for no direction; round-off of two parallel unit vectors is below it."""
@@ -35,13 +32,13 @@ def write_quaternions(root: Element) -> None:
     if len(order) != 3 or set(order.lower()) - set("xyz"):
         raise ValueError(f"eulerseq must be three of x, y, z, X, Y, Z, got {order!r}")
     for element in root.iter():
-        given = sorted(ORIENTATIONS & element.attrib.keys())
+        given = sorted(COUNTS.keys() & element.attrib.keys())
         if element.tag == "inertial" and "fullinertia" in element.attrib:
             given.append("fullinertia")
         of = f"of <{element.tag}> {element.get('name', '')!r}"
         if len(given) > 1:
             raise ValueError(f"orientation {of} must be given once, got {' and '.join(given)}")
-        for form in ORIENTATIONS.intersection(given):
+        for form in COUNTS.keys() & given:
             turn = _read(form, element.attrib.pop(form), f"{form} {of}", unit, order)
             element.set("quat", " ".join(map(repr, turn.tolist())))
 
