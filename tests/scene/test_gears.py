@@ -232,6 +232,32 @@ def test_mjcf_equalities_of_joints(tmp_path):
     assert scene.articulations["m"].missing == ("equality 'b': polycoef of degree 2, not linear",)
 
 
+def test_a_short_polycoef_keeps_the_ratio_1(tmp_path):
+    """As in MuJoCo, whose default is 0 1 0 0 0."""
+    path, scene = tmp_path / "m.xml", nd.Scene()
+    path.write_text(MJCF.format("0.3"))
+    scene.add_mjcf("m", path)
+    one, lock = scene.articulations["m"].gears
+    assert (one.ratio, lock.ratio) == (1.0, 0.0) and one.offset == pytest.approx(-0.1 + 0.3 - 0.2, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("equality", "words"),
+    [
+        ('<joint name="e" joint1="b" joint2="b"/>', "joint2 of equality 'e' must be another than joint1, got 'b'"),
+        ('<joint name="e" joint1="b" polycoef="0 1 0 0 0 0"/>', "polycoef of equality 'e' must be at most 5 numbers"),
+        ('<weld name="e" body1="k" body2="k"/>', "equality 'e' must join two bodies or sites, got 'k' twice"),
+        ('<connect name="e" site1="s"/>', "equality 'e' joins .*, which are not both bodies or sites"),
+    ],
+)
+def test_equalities_that_join_nothing_are_refused(tmp_path, equality, words):
+    path = tmp_path / "m.xml"
+    body = '<body name="k"><joint name="b"/><geom size=".1" pos="0 0 1"/><site name="s"/></body>'
+    path.write_text(f"<mujoco><worldbody>{body}</worldbody><equality>{equality}</equality></mujoco>")
+    with pytest.raises(ValueError, match=words):
+        nd.Scene().add_mjcf("m", path)
+
+
 def test_sdf_mimic(tmp_path):
     """multiplier (q1 - reference) + offset."""
     joint = '<joint name="{0}" type="revolute"><parent>{1}</parent><child>{2}</child><axis>{3}</axis></joint>'

@@ -34,8 +34,10 @@ def loops_of(root: Element, model: Any, q: Array, missing: Notes) -> Iterator[Lo
         names = [element.get(f"{what}{k}") for what in ("site", "body") for k in (1, 2)]
         sites = names[0] is not None
         first, second = (frames.get(n or WORLD) for n in (names[:2] if sites else names[2:]))
-        if first is None or second is None:
+        if first is None or second is None or (names[0] is None) != (names[1] is None):
             raise ValueError(f"equality {label!r} joins {names}, which are not both bodies or sites of the file")
+        if first is second:
+            raise ValueError(f"equality {label!r} must join two bodies or sites, got {first.name!r} twice")
         joint1, joint2 = int(first.parentJoint), int(second.parentJoint)
         placement1, placement2 = first.placement.copy(), second.placement.copy()
         pose = numbers(element.get("relpose"), 7, (0, 0, 0, 0, 0, 0, 0), f"relpose of {label!r}")
@@ -68,8 +70,12 @@ def gears_of(root: Element, model: Any, places: Mapping[str, tuple[int, int]], m
             continue
         q2, v2 = places[choice(given, places, f"joint1 of equality {label!r}")]
         q1, v1 = places[choice(element.get("joint2", given), places, f"joint2 of equality {label!r}")]
-        polynomial = np.zeros(5)
-        terms = numbers(element.get("polycoef"), None, (0, 1), f"polycoef of equality {label!r}")[:5]
+        if element.get("joint2") == given:
+            raise ValueError(f"joint2 of equality {label!r} must be another than joint1, got {given!r}")
+        polynomial = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
+        terms = numbers(element.get("polycoef"), None, (), f"polycoef of equality {label!r}")
+        if terms.size > polynomial.size:
+            raise ValueError(f"polycoef of equality {label!r} must be at most 5 numbers, got {terms.size}")
         polynomial[: terms.size] = terms
         if "joint2" not in element.attrib:
             polynomial[1:] = 0.0
