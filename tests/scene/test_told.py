@@ -610,6 +610,33 @@ def test_a_range_from_0_to_0_is_none(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        ({"top": '<default class="q"/>'}, "class of the <default> at the top must be one of main; got 'q'"),
+        ({"top": '<default><default class="q"/><default class="q"/></default>'}, "class 'q' of a <default> must be a"),
+        ({"top": "<default><default/></default>"}, "class '' of a <default> must be a name of its own"),
+        ({"more": '<joint name="j" axis="1 0 0"/>'}, "joint 'j' must have a name of its own"),
+        ({"more": '<body name="b"/>'}, "body 'b' must have a name of its own"),
+        ({"more": '<geom name="p" type="plane" size="1 1 1"/>'}, "geom 'p' must not be a plane: body 'b' moves"),
+        ({"more": "<freejoint/>"}, "r.mjcf could not be read: [^/]*$"),
+        ({"compiler": 'inertiafromgeom="false"'}, "r.mjcf could not be read: [^/]*$"),
+    ],
+)
+def test_names_and_planes_that_mujoco_refuses_are_refused(tmp_path, places, words):
+    """Two hinges had one name, a moving plane weighed 1 kg, a class named at the top was no default; in one line."""
+    with pytest.raises(ValueError, match=words) as refused:
+        loaded(tmp_path, "mjcf", mjcf(**places))
+    assert "\n" not in str(refused.value)
+
+
+def test_bodies_without_a_name_get_another(tmp_path):
+    """Than those that have one."""
+    more = '<body name="body2"/><body><geom size=".1" pos="0 0 9"/></body>'
+    a = loaded(tmp_path, "mjcf", mjcf(more=more))[1]
+    assert "body2_" in a.bodies and a.model.existFrame("body2")
+
+
+@pytest.mark.parametrize(
     ("joint", "motor", "words"),
     [
         ('range="-1 1"', "", "limited of joint 'j' must be given beside range: autolimits of <compiler> is false"),

@@ -8,6 +8,7 @@ because Pinocchio reads only the first tree of a file.
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from itertools import combinations
 from pathlib import Path
@@ -90,7 +91,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
             frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not geoms.collide(a.name, b.name)
         )
     except (ValueError, RuntimeError, LookupError) as failure:  # Pinocchio raises all of them
-        raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
+        raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, [])}") from None
     return describe_model(
         model,
         links,
@@ -159,7 +160,9 @@ def _write_out_defaults(root: Element) -> None:
                 own[child.tag] = over(own.get(child.tag, {}), child.attrib)
         classes[name] = own
         for child in default.findall("default"):
-            collect(child, name, child.get("class", ""))
+            if (inner := child.get("class", "")) in {"", *classes}:
+                raise ValueError(f"class {inner!r} of a <default> must be a name of its own")
+            collect(child, name, inner)
 
     def apply(element: Element, inherited: str, tag: str) -> None:
         inherited = element.get("childclass", inherited)
@@ -175,6 +178,7 @@ def _write_out_defaults(root: Element) -> None:
             apply(child, inherited, child.tag)
 
     for default in root.findall("default"):
+        choice(default.get("class", "main"), ["main"], "class of the <default> at the top")
         collect(default, "main", "main")
         root.remove(default)
     for section in root:
@@ -206,6 +210,21 @@ def _trees(world: Element, moving: set[str]) -> dict[str, str]:
     return out
 
 
+def _name_bodies(world: Element) -> None:
+    """Give every body a name that no other has; ValueError for names of bodies or joints that the file gives twice."""
+    for tags in (["body"], ["joint", "freejoint"]):
+        names = Counter(e.attrib["name"] for tag in tags for e in world.iter(tag) if "name" in e.attrib)
+        if twice := [name for name, times in names.items() if times > 1]:
+            raise ValueError(f"{tags[0]} {twice[0]!r} must have a name of its own")
+    given = {body.get("name") for body in world.iter("body")}
+    for number, body in enumerate(world.iter("body")):
+        name = f"body{number}"
+        while name in given:
+            name += "_"
+        body.attrib.setdefault("name", name)
+    world.set("name", WORLD)
+
+
 def _meshes(root: Element) -> dict[str, Element]:
     """Return the mesh assets by name; give each a name, and paths of files relative to the folder of the main file."""
     compiler, out = root.find("compiler"), {}
@@ -224,9 +243,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     world = root.find("worldbody")
     if world is None:
         raise ValueError("it has no <worldbody>")
-    for number, body in enumerate(world.iter("body")):
-        body.attrib.setdefault("name", f"body{number}")
-    world.set("name", WORLD)
+    _name_bodies(world)
     _note(root, report)
     write_quaternions(root)
     carriers = [b for b in world.iter("body") if any(e.tag in ("joint", "freejoint") for e in b)]
@@ -248,6 +265,8 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
                 )
             if child.tag not in ("body", "joint", "freejoint", "inertial", "geom", "site"):
                 body.remove(child)
+            if child.tag == "geom" and child.get("type") == "plane" and where in moving:
+                raise ValueError(f"geom {child.get('name', '')!r} must not be a plane: body {where!r} moves")
             if child.tag == "freejoint" or (child.tag == "joint" and child.get("type") == "free"):
                 if body not in tops:
                     raise ValueError(f"body {where!r} must be at the top of the world to have a free joint")
