@@ -205,6 +205,7 @@ def test_what_files_say_of_joints_without_an_angle_fails_the_check(tmp_path, cap
     path = tmp_path / "r.urdf"
     path.write_text(
         f'<robot name="r"><link name="w"/><link name="a">{INERTIAL}</link><joint name="j" type="planar">'
+        '<axis xyz="0 0 1"/>'
         '<parent link="w"/><child link="a"/><limit lower="-1" upper="1" effort="1" velocity="0"/>'
         '<dynamics damping="1" friction="2"/><safety_controller k_velocity="1"/></joint>'
         '<gazebo reference="a"><mu1>0.2</mu1><turnGravityOff>true</turnGravityOff></gazebo></robot>'

@@ -645,3 +645,68 @@ def test_robots_of_example_robot_data_load_and_move(name):
             bare = nd.Scene()
             bare.add_urdf("r", path, base="free", package_dirs=[share], **{k: needed[k] for k in needed if k != option})
             nd.Stepper(bare)
+
+
+@pytest.mark.parametrize(
+    ("axis", "place"),
+    [
+        ("", (0, 0.2, -0.3)),
+        ('<axis xyz="0 0 2"/>', (0.3, 0.2, 0)),
+        ('<axis xyz="0 0 -1"/>', (0.3, -0.2, 0)),
+        ('<axis xyz="0 1 0"/>', (0.3, 0, -0.2)),
+    ],
+)
+def test_planar_joints_of_urdf_move_across_their_axis(tmp_path, axis, place):
+    """It is x by default, as URDF has it; along the plane as in MuJoCo, which turns z onto it the shortest way."""
+    path, scene = tmp_path / "r.urdf", nd.Scene()
+    inertial = INERTIAL.format(2).replace("<mass", '<origin xyz="0.1 0.2 0.3" rpy="0.1 0.2 0.3"/><mass')
+    path.write_text(
+        f'<robot name="r"><link name="w"/><link name="a">{inertial}</link><joint name="j" type="planar">'
+        f'<origin xyz="1 2 3"/><parent link="w"/><child link="a"/>{axis}</joint></robot>'
+    )
+    scene.add_urdf("r", path)
+    model = scene.articulations["r"].model
+    data, frame = model.createData(), model.getFrameId("a")
+    pin.framesForwardKinematics(model, data, np.array([0.3, 0.2, 1.0, 0.0]))
+    # The round-off of turns and of sums of numbers up to 3.
+    np.testing.assert_allclose(data.oMf[frame].translation - (1, 2, 3), place, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(data.oMf[frame].rotation, np.eye(3), rtol=0, atol=1e-15)
+    normal = np.array([float(x) for x in axis.split('"')[1].split()]) if axis else np.array([1.0, 0.0, 0.0])
+    pin.framesForwardKinematics(model, data, np.array([0.0, 0.0, np.cos(0.5), np.sin(0.5)]))
+    expected = pin.AngleAxis(0.5, normal / np.linalg.norm(normal)).toRotationMatrix()
+    np.testing.assert_allclose(data.oMf[frame].rotation, expected, rtol=0, atol=1e-15)
+    assert data.oMf[frame].actInv(data.oMi[1] * model.inertias[1].lever) == pytest.approx((0.1, 0.2, 0.3), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("origin", "words"),
+    [
+        ('xyz="1 2"', "xyz of <inertial> of link 'a' must be 3 numbers"),
+        ('rpy="0 x 0"', "rpy of <inertial> of link 'a' must be 3 numbers"),
+        ('quat_xyzw="0 0 0 0"', "quat_xyzw must not be zero"),
+    ],
+)
+def test_a_wrong_origin_of_an_inertia_is_refused(tmp_path, origin, words):
+    """The XML parser of Pinocchio drops all of such an inertia, without a word."""
+    path = tmp_path / "r.urdf"
+    inertial = INERTIAL.format(1).replace("<mass", f"<origin {origin}/><mass")
+    path.write_text(f'<robot name="r"><link name="a">{inertial}</link></robot>')
+    with pytest.raises(ValueError, match=words):
+        nd.Scene().add_urdf("r", path, base="free")
+
+
+@pytest.mark.parametrize(("version", "turned"), [("1.3", True), ("1.4", True), ("1.5", False), ("1.12", False)])
+def test_axes_of_old_sdf_are_in_the_frame_of_the_model(tmp_path, version, turned):
+    """As sdformat converts them."""
+    path, scene = tmp_path / "r.sdf", nd.Scene()
+    path.write_text(
+        f'<sdf version="{version}"><model name="m"><link name="a"><pose>0 0 0 0 0 1.5707963267948966</pose></link>'
+        '<joint name="j" type="revolute"><parent>world</parent><child>a</child><axis><xyz>1 0 0</xyz></axis></joint>'
+        "</model></sdf>"
+    )
+    scene.add_sdf("r", path)
+    model = scene.articulations["r"].model
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.zeros(1), np.ones(1))
+    spin = data.oMi[1].rotation @ data.v[1].angular
+    np.testing.assert_allclose(spin, (1, 0, 0) if turned else (0, 1, 0), rtol=0, atol=1e-15)

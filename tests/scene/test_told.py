@@ -593,6 +593,8 @@ def test_pairs_of_a_geometry_model(chain):
         ("mjcf", mjcf(end='<contact><exclude body1="b" bodytwo="c"/></contact>'), "body2 of an <exclude> must be one"),
         ("sdf", sdf(model='<link name="a"/>'), "link 'a' must have a name of its own"),
         ("sdf", sdf(model="<static>yes</static>"), "must be true or false, got 'yes'"),
+        ("sdf", sdf(axis='<mimic joint="j" axis="x"/>'), "axis of mimic of 'j' must be one of axis, axis2; got 'x'"),
+        ("sdf", sdf(model='<pose rotation_format="x">0 0 0 0 0 0</pose>'), "rotation_format of <pose> must be"),
     ],
 )
 def test_words_that_are_none_are_refused(tmp_path, kind, text, words):

@@ -6,6 +6,7 @@ them together. Every joint of the file is then a joint of the tree, with its lim
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -29,6 +30,7 @@ from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
 
 __all__ = ["read_sdf"]
 
@@ -45,7 +47,9 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
         found = [*root.findall("model"), *root.findall("world/model")]
         if len(found) != 1:
             raise ValueError(f"it must hold one model, got {[m.get('name') for m in found]}")
-        reader = _Reader(found[0], [path.parent, *package_dirs])
+        # Up to SDF 1.4 axes were in the frame of the model, as its converter to later versions says.
+        old = re.match(r"\s*1\.[0-4]\b", root.get("version", "")) is not None
+        reader = _Reader(found[0], [path.parent, *package_dirs], old)
         for gravity in root.iterfind("world/gravity"):  # the scene's is used; 9.8 is SDF's default
             if np.abs(numbers(gravity.text, 3, None, "<gravity>") - (0.0, 0.0, -9.81)).max() > 0.02:
                 reader.report.dropped.append("world: <gravity>")
@@ -58,7 +62,7 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
 class _Reader:
     """Builds a Pinocchio model from the elements of an SDF model."""
 
-    def __init__(self, element: Element, folders: Sequence[Path]) -> None:
+    def __init__(self, element: Element, folders: Sequence[Path], axes_in_model: bool) -> None:
         self.element, self.folders = element, folders
         self.report = Report()
         self.static = is_true(element.findtext("static"))  # if so, all of it is fixed, with any joints
@@ -66,7 +70,7 @@ class _Reader:
         for tag in ("model", "include"):
             if element.find(tag) is not None:
                 raise ValueError(f"a <{tag}> inside the model is not read: write it out")
-        self.frames = Frames(element)
+        self.frames = Frames(element, axes_in_model)
         self.links = self.frames.links
         if not self.links:
             raise ValueError("it has no <link>")
@@ -163,7 +167,8 @@ class _Reader:
                     float(numbers(mimic.findtext(what), 1, (default,), f"{what} of {label}")[0])
                     for what, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
                 )
-                which = int(mimic.get("axis") == "axis2"), k
+                word = choice(mimic.get("axis", "axis"), ("axis", "axis2"), f"axis of {label}")
+                which = int(word == "axis2"), k
                 yield gear(self.model, label, pair, ratio, offset - ratio * zero, which)
 
     def _descend(self, parent: str) -> None:

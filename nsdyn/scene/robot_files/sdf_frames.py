@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from nsdyn.scene.robot_files.xml import UNLIMITED, numbers
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.naming import choice
 
 __all__ = ["AXES", "Frames", "Joint", "is_true"]
 
@@ -24,6 +25,8 @@ AXES = {
     "revolute2": ("axis", "axis2"),
 }
 """Axes of the joint types that are read."""
+
+FORMATS = "euler_rpy", "quat_xyzw"
 
 DYNAMICS = "damping", "friction", "spring_stiffness", "spring_reference"
 
@@ -41,10 +44,10 @@ class Joint:
 
 
 class Frames:
-    """Links, joints and frames of a model, by their names."""
+    """Links, joints and frames of a model, by their names; in old files the model's frame has the axes of joints."""
 
-    def __init__(self, element: Element) -> None:
-        self._element = element
+    def __init__(self, element: Element, axes_in_model: bool) -> None:
+        self._element, self._axes_in_model = element, axes_in_model
         self.links = {e.get("name", ""): e for e in element.findall("link")}
         self._frames = self.links | {
             e.get("name", ""): e for e in [*element.findall("joint"), *element.findall("frame")]
@@ -97,7 +100,7 @@ class Frames:
         axis = joint.element.find(f"{tag}/xyz")
         text, frame = (None, None) if axis is None else (axis.text, axis.get("expressed_in"))
         xyz = numbers(text, 3, (0, 0, 1), f"{tag} of joint {joint.name!r}")
-        if is_true(joint.element.findtext(f"{tag}/use_parent_model_frame")):
+        if self._axes_in_model or is_true(joint.element.findtext(f"{tag}/use_parent_model_frame")):
             frame = "__model__"
         if frame:
             xyz = joint.pose.rotation.T @ self.pose_of(frame).rotation @ xyz
@@ -138,8 +141,10 @@ def read_pose(element: Element | None) -> Any:
     """Return the SE3 of a <pose>: x y z and roll pitch yaw, or a quaternion x y z w."""
     if element is None or element.text is None:
         return pin.SE3.Identity()
-    if element.get("rotation_format") == "quat_xyzw":
+    if choice(element.get("rotation_format", "euler_rpy"), FORMATS, "rotation_format of <pose>") == "quat_xyzw":
         values = numbers(element.text, 7, None, "<pose>")
+        if not values[3:].any():
+            raise ValueError(f"<pose> must have a quaternion that is not zero, got {element.text!r}")
         return pin.XYZQUATToSE3(np.r_[values[:3], values[3:] / np.linalg.norm(values[3:])])
     values = numbers(element.text, 6, None, "<pose>")
     unit = np.pi / 180.0 if is_true(element.get("degrees")) else 1.0

@@ -104,6 +104,9 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     try:
         _check_tree(elements, joints)
         flaws = [fault for e in elements for fault in _flaws(e)]
+        for joint in joints:
+            if joint.get("type") == "planar":
+                _turn_plane(root, joint)
         root_joint = (pin.JointModelFreeFlyer(),) if base == "free" else ()
         with noise.caught() as lines:
             model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"), *root_joint)
@@ -141,8 +144,11 @@ def _write_angles(name: str, path: Path, root: Element) -> None:
     """Write quat_xyzw as rpy: urdfdom reads it only if the file gives a version, and ignores it silently otherwise."""
     for origin in root.iter("origin"):
         if "quat_xyzw" in origin.attrib:
-            x, y, z, w = numbers(origin.attrib.pop("quat_xyzw"), 4, None, f"path of {name!r}: {path}, quat_xyzw")
-            angles = pin.rpy.matrixToRpy(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix())
+            what = f"path of {name!r}: {path}, quat_xyzw"
+            values = numbers(origin.attrib.pop("quat_xyzw"), 4, None, what)
+            if not values.any():
+                raise ValueError(f"{what} must not be zero")
+            angles = pin.rpy.matrixToRpy(pin.Quaternion(np.array(values)).normalized().toRotationMatrix())
             origin.set("rpy", " ".join(map(repr, angles.tolist())))
 
 
@@ -199,6 +205,32 @@ def _check_tree(links: Sequence[Element], joints: Sequence[Element]) -> None:
             raise ValueError(f"its links must hang on one root, but {sorted(seen)} hang on each other in a circle")
 
 
+def _turn_plane(root: Element, joint: Element) -> None:
+    """Put a planar joint that Pinocchio lays in its xy plane across its axis: its frame turns, and its child back."""
+    label, axis = joint.get("name", ""), joint.find("axis")
+    xyz = numbers(None if axis is None else axis.get("xyz"), 3, (1, 0, 0), f"axis of joint {label!r}")
+    if not xyz.any():
+        raise ValueError(f"axis of joint {label!r} must not be zero")
+    if xyz[2] > 0.0 and not xyz[:2].any():
+        return
+    turn = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), xyz), np.zeros(3))
+    child, origin = joint.find("child"), joint.find("origin")
+    place = _pose(origin, f" of joint {label!r}") * turn
+    between = ElementTree.SubElement(root, "link", {"name": f"{label} across"})
+    back = ElementTree.SubElement(root, "joint", {"name": f"{label} back", "type": "fixed"})
+    ElementTree.SubElement(back, "parent", {"link": between.attrib["name"]})
+    ElementTree.SubElement(back, "child", {"link": "" if child is None else child.get("link", "")})
+    for element, pose in ((joint, place), (back, turn.inverse())):
+        for old in element.findall("origin"):
+            element.remove(old)
+        rpy, at = pin.rpy.matrixToRpy(pose.rotation), pose.translation
+        ElementTree.SubElement(
+            element, "origin", {"xyz": " ".join(map(repr, at.tolist())), "rpy": " ".join(map(repr, rpy.tolist()))}
+        )
+    for old in joint.findall("child"):
+        old.set("link", between.attrib["name"])
+
+
 def _flaws(link: Element) -> Iterator[str]:
     """Yield in words why no body can have the inertia of a link."""
     inertial = link.find("inertial")
@@ -211,16 +243,17 @@ def _flaws(link: Element) -> Iterator[str]:
         float(numbers(inertia.get(f"i{axes}"), 1, None, f"i{axes} of {where}")[0])
         for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
     )
+    _pose(inertial.find("origin"), f" of <inertial> of {where}")  # urdfdom drops the mass with a wrong origin
     if fault := flaw(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), where):
         yield fault
 
 
-def _pose(origin: Element | None) -> Any:
+def _pose(origin: Element | None, of: str = "") -> Any:
     """Return the SE3 of an <origin>: xyz, and rpy about fixed axes."""
     if origin is None:
         return pin.SE3.Identity()
-    rpy = numbers(origin.get("rpy"), 3, (0, 0, 0), "rpy")
-    return pin.SE3(pin.rpy.rpyToMatrix(rpy), numbers(origin.get("xyz"), 3, (0, 0, 0), "xyz"))
+    rpy = numbers(origin.get("rpy"), 3, (0, 0, 0), f"rpy{of}")
+    return pin.SE3(pin.rpy.rpyToMatrix(rpy), numbers(origin.get("xyz"), 3, (0, 0, 0), f"xyz{of}"))
 
 
 def _visual(
