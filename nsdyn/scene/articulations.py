@@ -35,6 +35,7 @@ __all__ = [
     "Link",
     "Loop",
     "check_count",
+    "check_joints",
     "check_size",
     "describe_model",
 ]
@@ -281,6 +282,15 @@ def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str]
     """Describe a Pinocchio model unchanged: neutral configuration and no springs, unless `more` gives them."""
     defaults = {"q": pin.neutral(model), "stiffness": np.zeros(model.nv), "rest": np.zeros(model.nv)}
     return Description(model, links=tuple(links), bodies=tuple(bodies), **(defaults | more))
+
+
+def check_joints(name: str, joints: Iterable[str]) -> None:
+    """Refuse names that joints have twice, or that Pinocchio's world has: joints are found by their names."""
+    seen = {"universe"}
+    for joint in joints:
+        if joint in seen:
+            raise ValueError(f"joint {joint!r} of {name!r} must have a name of its own, which is not 'universe'")
+        seen.add(joint)
 
 
 def check_count(name: str, coordinates: int) -> None:

@@ -22,6 +22,7 @@ from nsdyn.scene.articulations import (
     Description,
     Link,
     Loop,
+    check_joints,
     check_size,
 )
 from nsdyn.scene.bodies import Body, BodyOptions, make_body
@@ -46,6 +47,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     """Assemble the articulation of a description, placed in the world, with the options of `nsdyn.Scene.add_model`."""
     o = DEFAULTS | options
     check_size(name, description.model)
+    check_joints(name, list(description.model.names)[1:])
     model, limits = description.model.copy(), o["limits"]
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
     if choice(o["inertias"], ("check", "trust"), f"inertias of {name!r}") == "check" and description.flaws:

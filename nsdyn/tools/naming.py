@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from difflib import get_close_matches
 from typing import Any
 
-__all__ = ["check_known", "choice", "counted", "unknown"]
+__all__ = ["check_known", "choice", "counted", "unknown", "unused"]
 
 MANY = 12
 """Largest number of names that are all listed."""
@@ -18,6 +18,13 @@ NEAR = 6
 def counted(number: int, one: str, more: str = "") -> str:
     """Return a number with its noun: ``1 step``, ``2 bodies``; `more` is the plural if it is not `one` with an s."""
     return f"{number} {one if number == 1 else more or one + 's'}"
+
+
+def unused(name: str, names: Container[str]) -> str:
+    """Return a name, with as many _ after it as make it none of `names`."""
+    while name in names:
+        name += "_"
+    return name
 
 
 def choice(value: Any, known: Iterable[str], what: str) -> str:

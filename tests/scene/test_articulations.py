@@ -548,3 +548,14 @@ def test_axes_that_are_no_unit_vectors(joint):
     model.appendBodyToJoint(model.addJoint(0, joint, pin.SE3.Identity(), "j"), pin.Inertia.Random(), pin.SE3.Identity())
     with pytest.raises(ValueError, match="axis of joint 'j' of 'r' must be of length 1, got"):
         nd.Scene().add_model("r", model)
+
+
+@pytest.mark.parametrize("names", [("a", "a"), ("universe", "b")])
+def test_joints_have_names_of_their_own(names):
+    """By which they are found: what was driven by its name stood still."""
+    model, parent = pin.Model(), 0
+    for name in names:
+        parent = model.addJoint(parent, pin.JointModelRX(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    with pytest.raises(ValueError, match=f"joint '{names[0]}' of 'r' must have a name of its own, which is not"):
+        nd.Scene().add_model("r", model)

@@ -617,7 +617,9 @@ def test_a_range_from_0_to_0_is_none(tmp_path):
         ({"top": '<default class="q"/>'}, "class of the <default> at the top must be one of main; got 'q'"),
         ({"top": '<default><default class="q"/><default class="q"/></default>'}, "class 'q' of a <default> must be a"),
         ({"top": "<default><default/></default>"}, "class '' of a <default> must be a name of its own"),
-        ({"more": '<joint name="j" axis="1 0 0"/>'}, "joint 'j' must have a name of its own"),
+        ({"more": '<joint name="j" axis="1 0 0"/>'}, "joint 'j' of 'r' must have a name of its own"),
+        ({"more": '<joint name="universe" axis="1 0 0"/>'}, "joint 'universe' of 'r' must have a name of its own"),
+        ({"more": '<body name="world"/>'}, "body 'world' must have a name of its own"),
         ({"more": '<body name="b"/>'}, "body 'b' must have a name of its own"),
         ({"more": '<geom name="p" type="plane" size="1 1 1"/>'}, "geom 'p' must not be a plane: body 'b' moves"),
         ({"more": "<freejoint/>"}, "r.mjcf could not be read: [^/]*$"),
@@ -631,11 +633,13 @@ def test_names_and_planes_that_mujoco_refuses_are_refused(tmp_path, places, word
     assert "\n" not in str(refused.value)
 
 
-def test_bodies_without_a_name_get_another(tmp_path):
+def test_bodies_and_joints_without_a_name_get_another(tmp_path):
     """Than those that have one."""
     more = '<body name="body2"/><body><geom size=".1" pos="0 0 9"/></body>'
     a = loaded(tmp_path, "mjcf", mjcf(more=more))[1]
     assert "body2_" in a.bodies and a.model.existFrame("body2")
+    more = '<joint axis="1 0 0"/><body name="d"><joint name="joint1"/><geom size=".1" pos="0 0 9"/></body>'
+    assert loaded(tmp_path, "mjcf", mjcf(more=more))[1].model.existJointName("joint1_")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ because Pinocchio reads only the first tree of a file.
 from __future__ import annotations
 
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from itertools import combinations
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene import meshes
-from nsdyn.scene.articulations import WORLD, Description, check_count, check_size, describe_model
+from nsdyn.scene.articulations import WORLD, Description, check_count, check_joints, check_size, describe_model
 from nsdyn.scene.robot_files.elements import POSE, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, laid_over
@@ -33,7 +32,7 @@ from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
 from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
 from nsdyn.tools import noise
-from nsdyn.tools.naming import choice
+from nsdyn.tools.naming import choice, unused
 
 __all__ = ["read_mjcf"]
 
@@ -71,6 +70,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         flaws = [fault for body in root.iter("body") for fault in _flaws(body)]
         # Before Pinocchio builds the model: it makes one joint of several on a body, with tables of the same size.
         check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in joints_of(root)))
+        check_joints(name, [e.attrib["name"] for e, *_ in joints_of(root) if "name" in e.attrib])
         model, geometry = _build(root, path)
         check_size(name, model)
         stiffness, rest = set_joints(root, model, report)
@@ -211,17 +211,14 @@ def _trees(world: Element, moving: set[str]) -> dict[str, str]:
 
 
 def _name_bodies(world: Element) -> None:
-    """Give every body a name that no other has; ValueError for names of bodies or joints that the file gives twice."""
-    for tags in (["body"], ["joint", "freejoint"]):
-        names = Counter(e.attrib["name"] for tag in tags for e in world.iter(tag) if "name" in e.attrib)
-        if twice := [name for name, times in names.items() if times > 1]:
-            raise ValueError(f"{tags[0]} {twice[0]!r} must have a name of its own")
-    given = {body.get("name") for body in world.iter("body")}
+    """Give every body a name that no other has; ValueError for a name given twice, or that the world has."""
+    given = {WORLD}
+    for name in [body.attrib["name"] for body in world.iter("body") if "name" in body.attrib]:
+        if name in given:
+            raise ValueError(f"body {name!r} must have a name of its own")
+        given.add(name)
     for number, body in enumerate(world.iter("body")):
-        name = f"body{number}"
-        while name in given:
-            name += "_"
-        body.attrib.setdefault("name", name)
+        body.attrib.setdefault("name", unused(f"body{number}", given))
     world.set("name", WORLD)
 
 

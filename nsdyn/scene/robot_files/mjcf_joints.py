@@ -18,7 +18,7 @@ import pinocchio as pin
 from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.robot_files.xml import Report, numbers, range_of
 from nsdyn.tools.arrays import Array
-from nsdyn.tools.naming import choice
+from nsdyn.tools.naming import choice, unused
 
 __all__ = ["SIZES", "joints_of", "place_joints", "set_joints", "single", "start_of"]
 
@@ -58,7 +58,8 @@ def single(root: Element, model: Any, geometry: Any) -> Any:
 
     Shapes of `geometry` move to the last joint of their body. Links between the joints of one body have no mass.
     """
-    names = [element.get("name") or f"joint{k}" for k, (element, *_) in enumerate(joints_of(root))]
+    given = {element.get("name", "") for element, *_ in joints_of(root)}
+    names = [e.get("name") or unused(f"joint{k}", given) for k, (e, *_) in enumerate(joints_of(root))]
     if len(names) == model.njoints - 1:
         return model
     out, last = pin.Model(), [0]
