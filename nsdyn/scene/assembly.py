@@ -39,6 +39,9 @@ __all__ = ["assemble"]
 UNBOUNDED = 1.01
 """Value that Pinocchio writes where a cosine, a sine or a component of a quaternion has no limit."""
 
+UNIT = 1e-12
+"""Round-off allowed in the length of an axis, which must be 1."""
+
 SHOWN = 4
 """Most notes on unused contents that a warning shows."""
 
@@ -48,6 +51,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     o = DEFAULTS | options
     check_size(name, description.model)
     check_joints(name, list(description.model.names)[1:])
+    _check_axes(name, description.model)
     model, limits = description.model.copy(), o["limits"]
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
     if choice(o["inertias"], ("check", "trust"), f"inertias of {name!r}") == "check" and description.flaws:
@@ -137,6 +141,18 @@ def _fixed(name: str, link: Link, material: Material, colour: Colour | None) -> 
     options: BodyOptions = {"position": x, "quaternion": quaternion, "material": material, "fixed": True}
     options["colour"] = colour
     return make_body(f"{name}/{link.name}", link.shape, None, options)
+
+
+def _check_axes(name: str, model: Any) -> None:
+    """Raise ValueError for axes whose length is not 1: Pinocchio would turn about them by another angle than q."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    for k in range(1, model.njoints):
+        along, about = np.split(np.reshape(data.joints[k].S, (6, -1)), 2)
+        turning, sliding = np.linalg.norm(about, axis=0), np.linalg.norm(along, axis=0)
+        length = np.where(turning > 0.0, turning, sliding)
+        if off := [float(x) for x in length if abs(x - 1.0) > UNIT]:
+            raise ValueError(f"axis of joint {model.names[k]!r} of {name!r} must be of length 1, got {off[0]!r}")
 
 
 def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | str) -> None:

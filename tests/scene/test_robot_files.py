@@ -710,3 +710,26 @@ def test_axes_of_old_sdf_are_in_the_frame_of_the_model(tmp_path, version, turned
     pin.forwardKinematics(model, data, np.zeros(1), np.ones(1))
     spin = data.oMi[1].rotation @ data.v[1].angular
     np.testing.assert_allclose(spin, (1, 0, 0) if turned else (0, 1, 0), rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        (
+            "urdf",
+            '<robot name="r"><link name="w"/><link name="a">{}</link><joint name="j" type="continuous">'
+            '<parent link="w"/><child link="a"/><axis xyz="0 0 0"/></joint></robot>',
+        ),
+        (
+            "mjcf",
+            '<mujoco><worldbody><body><joint name="j" axis="0 0 0"/><geom size=".1"/></body></worldbody></mujoco>',
+        ),
+        ("mjcf", '<mujoco><worldbody><body><joint name="j" axis="0 0"/><geom size=".1"/></body></worldbody></mujoco>'),
+    ],
+)
+def test_axes_of_files_are_directions(tmp_path, kind, text):
+    """A rotor that nothing hangs on, else."""
+    path = tmp_path / f"r.{kind}"
+    path.write_text(text.format(INERTIAL.format(1)))
+    with pytest.raises(ValueError, match="axis of joint 'j' of 'r' must be of length 1, got 0"):
+        getattr(nd.Scene(), f"add_{kind}")("r", path, armature=[1.0])

@@ -20,9 +20,6 @@ from nsdyn.tools.arrays import Array
 
 __all__ = ["from_coal", "links_of", "read_model"]
 
-UNIT = 1e-12
-"""Round-off allowed in the length of an axis, which must be 1."""
-
 
 def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     """Describe a pinocchio.Model made by hand and its collision shapes, a pinocchio.GeometryModel or None."""
@@ -34,7 +31,6 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
         )
     _check_order(name, model)
     model, gears = unfolded(name, _placed(name, model))
-    _check_axes(name, model)
     dropped = Notes()
     speeds = np.array(model.upperVelocityLimit)
     fast = [
@@ -73,18 +69,6 @@ def _placed(name: str, model: Any) -> Any:
     for frame in model.frames:
         frame.placement = checks.pose(frame.placement, f"placement of frame {frame.name!r} of {name!r}")
     return model
-
-
-def _check_axes(name: str, model: Any) -> None:
-    """Raise ValueError for axes whose length is not 1: Pinocchio would turn about them by another angle than q."""
-    data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
-    for k in range(1, model.njoints):
-        along, about = np.split(np.reshape(data.joints[k].S, (6, -1)), 2)
-        turning, sliding = np.linalg.norm(about, axis=0), np.linalg.norm(along, axis=0)
-        length = np.where(turning > 0.0, turning, sliding)
-        if off := [float(x) for x in length if abs(x - 1.0) > UNIT]:
-            raise ValueError(f"axis of joint {model.names[k]!r} of {name!r} must be of length 1, got {off[0]!r}")
 
 
 def _check_order(name: str, model: Any) -> None:
