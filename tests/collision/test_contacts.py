@@ -547,6 +547,18 @@ def test_points_inside_the_patch_are_given_up_first():
     np.testing.assert_allclose(np.hypot(rim[:, 0], rim[:, 1]), 1.0, rtol=1e-12)
 
 
+def test_both_ends_of_the_lowest_edge_are_kept():
+    """Of five edges on which a prism of 40 sides may roll: their ends lie on two lines, so that four span all area."""
+    ring = polygon(40)
+    shape, _ = shapes.convex(np.vstack([np.column_stack((ring[:, 0], np.full(40, y), ring[:, 1])) for y in (-1, 1)]))
+    c = contacts_of((GROUND, np.zeros(3), UPRIGHT), (shape, (0, 0, 1.0), about((0, 1, 0), 0.01)), reach=0.06)
+    assert len(c.gap) == 8
+    lowest = np.argsort(c.gap)[:2]
+    # The corners are those of the shape, but for the round-off of its pose.
+    np.testing.assert_allclose(np.sort(c.point[lowest, 1]), [-1, 1], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(c.gap[lowest], 1.0 - np.cos(0.01), rtol=0, atol=1e-14)
+
+
 # -- keys --------------------------------------------------------------------------------------------------
 
 

@@ -113,8 +113,10 @@ def reduce(poly, gap, count, n, limit, margin, close):
 
     The patch consists of the points that the motion closes first: from the margin down to `close` above the deepest
     point, the highest points are removed, as long as `limit` points are left. The convex hull of the patch in the plane
-    of n then loses corner after corner, each time the one whose triangle with its neighbours is smallest. Finally the
-    corners move along the hull as long as the area grows. Returns the number left, in their former order.
+    of n then loses corner after corner, each time the one whose triangle with its neighbours is smallest. Then the
+    corners move along the hull as long as the area grows. Points on the line between others, as the two ends of an edge
+    on which a prism rolls, add no area but may carry: what is left of the limit goes to the deepest. Returns the number
+    left, in their former order.
     """
     count = lowest(poly, gap, count, limit, margin, close)
     if count <= limit:
@@ -133,6 +135,12 @@ def reduce(poly, gap, count, n, limit, margin, close):
     keep[deepest] = True
     for p in range(left):
         keep[hull[corner[p]]] = True
+    while keep.sum() < limit:
+        low, least = 0, math.inf
+        for k in range(count):
+            if not keep[k] and gap[k] < least:
+                low, least = k, gap[k]
+        keep[low] = True
     kept = 0
     for k in range(count):
         if keep[k]:
