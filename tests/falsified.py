@@ -937,6 +937,13 @@ def _not_rebounding(c, scene):
     c["contacts/restitution"][:] = 0.0
 
 
+def _rebounding_more(c, scene):
+    """Restitution of materials and of contacts a hundredth larger than that of the motion."""
+    for geom in scene["geoms"]:
+        geom["restitution"] *= 1.01
+    c["contacts/restitution"] *= 1.01
+
+
 def _as_spherical_zyx(c, scene):
     for tree in scene["articulations"]:
         for joint in tree["model"]["joints"]:
@@ -1084,5 +1091,6 @@ ANYWHERE = {
     "balls said to turn about three axes": (("ball", "snake"), _as_spherical_zyx),
     "friction of a driven joint that has none": (("cart", "crank"), _driven_friction),
     "everything backwards": (("boxes", "bounces", "pushes"), _reversed("q", "v")),
+    "materials that are said to rebound more": (("bounces", "fremond"), _rebounding_more),
     "materials that are said not to rebound": (("bounces", "fremond"), _not_rebounding),
 }

@@ -43,6 +43,7 @@ TOLERANCES = {
     "gaps": 1e-6,  # ten times the tolerance of overlap
     "velocities": 1e-5,  # residual of solvers at 1 m/s
     "partings": 1e-3,  # as slip
+    "bounces": 1e-5,  # as velocities
     "states": 0.0,
     "motion": 0.1,
     "sideways": 1e-6,
@@ -98,6 +99,7 @@ MEANING = {
     "gaps": "gap of a contact - what its shapes, or its points as they are carried, are apart / smallest extent",
     "velocities": "velocity of a contact that pushes - that after its impulse, beyond what turning changes / speed",
     "partings": "how fast what does not rebound parts where it has pushed, beyond what turning does / speed before",
+    "bounces": "u_N+ + e u_N- of a contact of free bodies that strikes alone / speed before",
     "states": "1 for a contact whose state is not that of its impulse, or whose key another has",
     "motion": "displacement of a free body - what its velocities make, lifts apart / smallest extent, or what it moves",
     "sideways": "lifts of a free body across the normals of its contacts, beyond as much as along / what it moves",
@@ -141,7 +143,7 @@ UNITS = {
         "-": "scene numbers pairs materials axes states turns pieces prescribed certificates provenance",
         "m": "overlap distance normal points gaps motion sideways lifts frames links loops",
         "s": "times",
-        "m/s": "velocities partings",
+        "m/s": "velocities partings bounces",
         "rad": "limits stops",
         "rad/s": "rebounds shared_rebounds",
         "N·s": "cone momentum",

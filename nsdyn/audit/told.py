@@ -22,6 +22,9 @@ SLOW = 1e-4
 EDGE = 1e-8
 """An impulse within this fraction of the largest friction is on its cone; steps use 1e-9."""
 
+LAWS = "dissipative", "newton", "fremond"
+"""Laws of impact by which a contact that strikes alone rebounds with its restitution."""
+
 OPEN, STICK, SLIP, JAM = range(4)
 
 
@@ -29,13 +32,14 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     """Findings on the recorded properties of contacts; `flight` is None if not all steps are recorded."""
     t = poses.trajectory
     if flight is None:
-        yield from (not_audited(name, left_out(t)) for name in ("gaps", "velocities", "partings", "states"))
+        yield from (not_audited(name, left_out(t)) for name in ("gaps", "velocities", "partings", "bounces", "states"))
         return
     step, pair = poses.step, poses.pair
     off = _gaps(poses, flight)
     yield worst_of("gaps", off / poses.size(*pair), off, step + 1, poses.named(*pair))
     yield _velocities(poses, flight)
     yield _partings(poses, flight)
+    yield _bounces(poses, flight)
     # With θ = 1 the move that follows an impact acts at the time of the impact.
     wrong = _states(poses, flight) | _keys(poses, 1 + (poses.theta == 1.0))
     yield worst_of("states", wrong.astype(float), wrong.astype(float), step + 1, poses.named(*pair))
@@ -127,6 +131,29 @@ def _partings(poses: Poses, flight: Flight) -> Found:
     off = np.minimum(np.minimum(c["u"], met.after)[:, 0], slowed) - turning - SLOW
     figure = off / np.maximum(np.abs(met.before[:, 0]), CREEP)
     return worst_of("partings", figure[some], off[some], step[some] + 1, poses.named(*poses.pair[:, some]))
+
+
+def _bounces(poses: Poses, flight: Flight) -> Found:
+    """A contact that strikes alone rebounds with e: not faster, and slower only where it rests or e would add energy.
+
+    Impacts of several contacts at one instant act on each other. Where e would add energy, the default law lowers it
+    until impulses do no work.
+    """
+    t, met, c, step = poses.trajectory, flight.met, poses.contacts, poses.step
+    pushes, e = c["impulse"][:, 0] > 0.0, c["restitution"]
+    _, instant = np.unique(np.stack([step, c["time"]]), axis=1, return_inverse=True)
+    alone = pushes & (np.bincount(instant.ravel(), pushes)[instant.ravel()] == 1.0)
+    links = (poses.frame[poses.pair] >= poses.free).any(axis=0)
+    strikes = flight.instant & alone & (e > 0.0) & ~links & ~np.isnan(met.after).any(axis=1)
+    if strikes.any() and not str(t.meta.get("impact", "")).lower().startswith(LAWS):
+        return not_audited("bounces", "the restitution of this law of impact is not one of velocities")
+    before, after = met.before[:, 0], met.after[:, 0]
+    lowered = (c["impulse"] * (met.before + met.after)).sum(axis=1) > -CREEP * np.abs(c["impulse"][:, 0] * before)
+    off = after + e * before
+    off = np.where((after > SLOW) & ~lowered, np.abs(off), off) - 2.0 * flight.unsure
+    off, some = np.where(strikes, off, 0.0), np.flatnonzero(pushes)
+    figure = off / np.fmax(np.abs(before), CREEP)
+    return worst_of("bounces", figure[some], off[some], step[some] + 1, poses.named(*poses.pair[:, some]))
 
 
 def _states(poses: Poses, flight: Flight) -> Bools:

@@ -111,6 +111,7 @@ EACH_ANYWHERE = {
     ("kinetic energy in another state", "boxes"): "energy",
     ("sizes of round shapes", "boxes"): "overlap",
     ("materials that are said not to rebound", "bounces"): "partings",
+    ("materials that are said to rebound more", "bounces"): "bounces",
     ("gaps a thousandth larger", "bounces"): "gaps",
     ("relative velocities in another step", "bounces"): "velocities",
     ("velocities as differences of places", "bounces"): "motion",

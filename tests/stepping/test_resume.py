@@ -287,7 +287,7 @@ def test_every_nth_step_keeps_the_ledger_closed(tmp_path):
     assert audit.passed and audit["balance"].looked_at == 8 and not audit["overlap"].reason
     left_out = {f.name for f in audit.findings if f.reason}
     of_motion = {"distance", "motion", "sideways", "momentum", "spin", "works", "contact_works", "drives", "lifts"}
-    of_contacts = {"normal", "points", "gaps", "velocities", "partings", "states"}
+    of_contacts = {"normal", "points", "gaps", "velocities", "partings", "bounces", "states"}
     assert left_out == of_motion | of_contacts | {"certificates", "provenance"}
 
 
