@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -147,6 +148,8 @@ class Stepper:
     ) -> None:
         check_options(scene, dt, theta, overlap, lift, polish)
         law = as_law(impact)
+        options = theta, solver, controller, external_force, on_fail, max_points, dump_on_fail, impact, overlap, lift
+        self._given = (scene, dt, *options, polish)
         self._certificate = polished.certify if polish else gauss.certify
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
         solver = Auto() if solver in (None, "auto") else as_solver(solver)
@@ -177,6 +180,15 @@ class Stepper:
 
     def __repr__(self) -> str:
         return f"<Stepper of {self.scene.name!r} at t = {self.t:.6g} s, dt = {self.dt:g} s>"
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        """What copies are made from: kernels write into arrays of which other parts of a stepper are views."""
+        return self._given, self.get_state()
+
+    def __setstate__(self, kept: tuple[Any, ...]) -> None:
+        given, state = kept
+        Stepper.__init__(self, *given)
+        self.set_state(state)
 
     # -- state -------------------------------------------------------------------------------------------------
 

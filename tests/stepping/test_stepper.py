@@ -1,5 +1,6 @@
 """The stepper itself: resuming, determinism, callbacks, failures, arguments, the ledger and the certificate."""
 
+import copy
 import pickle
 import traceback
 import warnings
@@ -638,6 +639,18 @@ def test_terms_of_the_equations_of_motion():
     np.testing.assert_allclose(
         rates[:, 0], np.einsum("ci,cij,cj->c", step.u, step.frame, frame[:, 0]), rtol=0, atol=1e-4
     )
+
+
+@pytest.mark.parametrize("name", ["pile", "quadruped"])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda stepper: pickle.loads(pickle.dumps(stepper))])
+def test_a_copy_goes_on_with_the_same_bits(name, copied):
+    stepper = nd.Stepper(nd.scenes.load(name)(), dt=5e-3)
+    for _ in range(10):
+        stepper.step()
+    again = copied(stepper)
+    for _ in range(5):  # in turns: neither may write into what the other reads
+        one, other = stepper.step(), again.step()
+        assert np.array_equal(one.q, other.q) and np.array_equal(one.v, other.v) and one.t == other.t
 
 
 @pytest.mark.parametrize("name", ["slide", "quadruped"])
