@@ -218,3 +218,10 @@ def test_blocks_that_are_given_twice_add_up():
     problem = nd.FC3D(W, [-1.0, 3.0, 0.0], [0.5])
     np.testing.assert_array_equal(problem.W.toarray(), np.diag([2.0, 3.0, 2.0]))
     assert W.nnz == 18  # as it was given
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (6, 6)])
+def test_blocks_of_any_size(size, rng):
+    A = rng.normal(size=(6, 6))
+    problem = nd.FC3D(sp.bsr_array(A @ A.T, blocksize=size), np.ones(6), np.ones(2))
+    assert np.array_equal(problem.W.toarray(), A @ A.T)
