@@ -14,7 +14,8 @@ Layout of the file (n steps; row 0 of states is the initial state; SI units; qua
     /meta/scene      JSON string returned by `Scene.describe`: shapes, poses, gravity, frames; since version 3 the
                      pairs of shapes that may overlap; since version 7 the joints, inertias, loops and laws of
                      articulations; the visual shapes and meshes of robots that have them; where known, the
-                     coefficients of pairs of bodies that have their own
+                     coefficients of pairs of bodies that have their own. Its attribute crc32, where there is one,
+                     is that of the text
     /t               (n+1,)  s
     /q, /v           (n+1, nq), (n+1, nv)  first the free bodies, each as Pinocchio's free-flyer (x y z qx qy qz qw;
                      linear, then angular velocity in the body frame), then the articulations
@@ -87,8 +88,9 @@ the N steps, so that the ledger closes; so are `/joints`, `/links`, `/solver/ite
 `shift`, `bound` and `coulomb` are the largest of the N; `error`, `residual` and `status` those of the worst solve.
 Contacts, with their impulses and works, are those of the last step. `/pieces`, `/wrenches` and `/lifts` have no rows.
 
-With contacts false, contacts have no rows. A complete recording is compressed (byte shuffle and gzip) and its axes have
-names (`nsdyn.recording.labels`). Every dataset has its units, and the file has the attributes of /meta.
+With contacts false, contacts have no rows. A complete recording is compressed (byte shuffle and gzip), its datasets
+have checksums (Fletcher-32), and its axes have names (`nsdyn.recording.labels`). Every dataset has its units, and the
+file has the attributes of /meta.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -90,15 +91,19 @@ def create(
     """Write a new file with datasets of fixed size, or ready to grow; `state` is (its row, its arrays)."""
     with created(path, libver="latest") as file:
         file.create_group("meta").attrs.update(meta)
-        file["meta/scene"] = json.dumps(scene)
+        text = json.dumps(scene)
+        file["meta/scene"] = text
+        file["meta/scene"].attrs["crc32"] = zlib.crc32(text.encode())
         for name, data in columns.items():
             options: dict[str, Any] = {}
             shape = tuple(max(1, size) for size in data.shape[1:])
             if grow:
                 options = {"maxshape": (None, *data.shape[1:]), "chunks": (_growing(data), *shape)}
-            elif data.nbytes >= WORTH:
+            elif data.size:
                 rows = PACKED // (data.itemsize * math.prod(shape))
-                options = {"chunks": (min(len(data), max(1, rows)), *shape), **COMPRESSED}
+                options = {"chunks": (min(len(data), max(1, rows)), *shape), "fletcher32": True}
+                if data.nbytes >= WORTH:
+                    options |= COMPRESSED
             file.create_dataset(name, data=data, **options)
         if state is not None:
             slots.create(file, *state)
@@ -206,8 +211,11 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
         columns[name] = np.empty((size, width) if width > 1 else size)
     for _, column, summed, value in added:
         columns[column] = sum((columns.pop(part) for part in summed), np.full(columns[column].shape, value))
-    text = dataset(file, "meta/scene")
-    return meta, schema.scene(text[()], columns), columns
+    told = dataset(file, "meta/scene")
+    text = told[()]
+    if zlib.crc32(text) != told.attrs.get("crc32", zlib.crc32(text)):
+        raise ValueError("/meta/scene is not what was written")
+    return meta, schema.scene(text, columns), columns
 
 
 def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:

@@ -233,6 +233,18 @@ def test_frequent_flushes_change_nothing(tmp_path, monkeypatch):
     assert_same(in_file, record(None, 20, links=True)[0])
 
 
+def test_a_complete_file_that_is_damaged_is_told(tmp_path):
+    """Wherever a number or the scene is changed: HDF5 itself has checksums of all else."""
+    path = tmp_path / "run.h5"
+    in_file, _, _ = record(path, 7, links=True)
+    data = path.read_bytes()
+    for what in (in_file.q[3].tobytes(), in_file.columns["gauss/bound"].tobytes(), b'"two boxes"'):
+        at = data.index(what) + 1
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        with pytest.raises(ValueError, match=r"is damaged: .*(filter returned failure|not what was written)"):
+            Trajectory.load(path)
+
+
 def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
