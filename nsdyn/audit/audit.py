@@ -104,6 +104,7 @@ class Audit:
         return notebook.table(f"{self.name}: {self.verdict}", head, rows, most=len(rows))
 
 
+@np.errstate(all="ignore")  # a figure that is no number fails
 def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     """Audit a recording: true overlaps, contacts, balances of momentum and energy, each with its worst figure.
 

@@ -20,6 +20,9 @@ __all__ = ["Flight", "angles", "least", "spins", "sunk", "tumbled"]
 LEAP = 0.15
 """Largest rotation per step of the Runge-Kutta method, rad; its error is 3e-11 rad in a whole turn."""
 
+FARTHEST = 1e4
+"""Largest rotation that is followed, rad. A damaged recording may have any, and following it would not end."""
+
 R = 21.0**0.5
 
 STAGES = (
@@ -371,7 +374,8 @@ def tumbled(quaternion: Array, turning: Array, inertia: Array, time: Array) -> t
     time : ndarray, shape (m,)
         s.
     """
-    out, w, left = quaternion.copy(), turning.copy(), time.copy()
+    out, left = quaternion.copy(), time.copy()
+    w = np.where((time * np.linalg.norm(turning, axis=1) > FARTHEST)[:, None], np.nan, turning)  # fails every finding
     inverse = np.asarray(np.linalg.inv(inertia), dtype=float)
     while (some := np.flatnonzero(left > 0.0)).size:
         y = np.concatenate([out[some], w[some]], axis=1)

@@ -235,6 +235,13 @@ def test_not_a_number_fails(trajectory):
     assert not audit["momentum"].passed and not audit.passed
 
 
+@pytest.mark.parametrize("name", ["v", "contacts/impulse"])
+def test_an_audit_of_absurd_numbers_ends(name, trajectory):
+    trajectory.columns[name] = trajectory.columns[name].copy()
+    trajectory.columns[name][3] = 1e200
+    assert not nd.check(trajectory).passed
+
+
 def test_tolerances(trajectory):
     assert not nd.check(trajectory, overlap=-1.0).passed
     with pytest.raises(ValueError, match=r"tolerance must be one of .*; got 'gap'"):
