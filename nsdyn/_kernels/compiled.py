@@ -97,7 +97,7 @@ def folder() -> Path | None:
 @cache
 def content(module: str) -> str:
     """Hash of the text of a module and of the contents of the nsdyn modules that it imports."""
-    text, names = Path(sys.modules[module].__file__ or "").read_text(), set()
+    text, names = Path(sys.modules[module].__file__ or "").read_text(encoding="utf-8"), set()
     for package, parts in _IMPORT.findall(text):
         names |= {".".join((package, *part.split()[:1])) for part in ("", *parts.strip("()").split(","))}
     return hashlib.sha256("".join((text, *map(content, sorted(names & sys.modules.keys())))).encode()).hexdigest()

@@ -151,7 +151,7 @@ class Bench:
 
     def write_csv(self, path: str | Path) -> None:
         """Write all runs, one per line; missing numbers are empty."""
-        with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
+        with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
             sink = csv.writer(file)
             sink.writerow([field.name for field in fields(Run)])
             for run in self.runs:

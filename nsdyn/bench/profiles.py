@@ -192,7 +192,7 @@ class Profile:
 
 def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
     """Write all runs of some profiles, one per line after its tolerance; seconds are empty without an answer."""
-    with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
+    with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
         sink = csv.writer(file)
         sink.writerow(["tol", *(field.name for field in fields(Run))])
         for profile in profiles:

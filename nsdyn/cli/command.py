@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import _thread
 import argparse
+import io
 import logging
 import os
 import re
@@ -79,6 +80,9 @@ SCENE = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn n
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what a locale other than UTF-8 lacks, such as √, ends no command
+            stream.reconfigure(errors="backslashreplace")
     arguments = parser().parse_args(argv)
     arguments.typed = shlex.join(["nsdyn", *(sys.argv[1:] if argv is None else argv)])
     logging.basicConfig(level=logging.INFO, format="nsdyn: %(message)s", stream=sys.stderr)

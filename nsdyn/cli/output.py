@@ -196,7 +196,7 @@ def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: 
 
     from nsdyn.tools import files
 
-    with files.writing(path, files.TABLE) as part, open(part, "w", newline="") as file:
+    with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
         sink = csv.DictWriter(file, columns)
         sink.writeheader()
         sink.writerows(rows)

@@ -81,7 +81,7 @@ def begin_scene(arguments: argparse.Namespace) -> int:
     if path.exists():
         raise ValueError(f"{path} exists, and may be your work: give another name")
     with files.writing(path, files.SCENE) as part:
-        part.write_text(scenes.template())
+        part.write_text(scenes.template(), encoding="utf-8")
     print(f"{path}: edit it, then nsdyn run {path} --html {path.stem}.html")
     return 0
 

@@ -48,7 +48,7 @@ def names() -> list[str]:
 
 def template() -> str:
     """Return the text of a first scene file: it has comments and runs."""
-    return (folder() / "_template.py").read_text()
+    return (folder() / "_template.py").read_text(encoding="utf-8")
 
 
 def module(name: str) -> ModuleType:

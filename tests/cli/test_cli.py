@@ -4,6 +4,7 @@ import argparse
 import csv
 import importlib.metadata
 import json
+import os
 import re
 import shlex
 import shutil
@@ -673,6 +674,19 @@ def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
     assert nd.Trajectory.load("run.h5").steps == 4
     assert run(*asked, "--resume", "run.h5")[0] == 0
     assert nd.Trajectory.load("run.h5").steps == 10
+
+
+def test_a_locale_that_is_not_utf8(tmp_path):
+    """The text of nsdyn has letters such as √ and µ, its code too."""
+    root = str(Path(nd.__file__).parents[1])
+    environment = {
+        **{name: text for name, text in os.environ.items() if not name.startswith(("LC_", "LANG"))},
+        **{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONPATH": root},
+    }
+    for words in ("profile --help", "new my.py", "run my.py --time 0.1"):
+        command = [sys.executable, "-m", "nsdyn", *words.split()]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True)
+        assert done.returncode == 0, done.stderr
 
 
 def test_reader_that_goes_away():
