@@ -8,6 +8,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from nsdyn.cli.output import check_files, ledger, one_line, say, say_json
@@ -161,6 +162,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
     steps = chosen_steps(arguments)
     setup = nsdyn.scenes.setup(name, **parameters)
     recording = arguments.output or arguments.resume
+    old = _file(arguments.output)
     start = time.perf_counter()
     try:
         trajectory = _simulated(arguments, setup, **steps, solver=solver)
@@ -169,7 +171,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
         print(f"nsdyn: not converged: {one_line(failure)}{kept}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        if recording is None:
+        if recording is None or (arguments.output and _file(arguments.output) == old):  # not begun
             raise
         raise KeyboardInterrupt(f"the steps before it are in {recording}; --resume {recording} goes on") from None
     took = _times(trajectory, time.perf_counter() - start, bool(arguments.resume))
@@ -197,6 +199,11 @@ def run_scene(arguments: argparse.Namespace) -> int:
     if audit is not None:
         say(arguments, audit)
     return code
+
+
+def _file(path: Path | None) -> int | None:
+    """Return the number of the file at a path, which is another once it has been replaced; None without one."""
+    return path.stat().st_ino if path is not None and path.exists() else None
 
 
 def _simulated(arguments: argparse.Namespace, setup: Any, **options: Any) -> Any:

@@ -676,6 +676,16 @@ def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
     assert nd.Trajectory.load("run.h5").steps == 10
 
 
+def test_an_interrupt_before_the_first_step_promises_no_recording(run, tmp_path, monkeypatch):
+    def begin(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(nd.Stepper, "__init__", begin)
+    for _ in range(2):  # without a file, and with one of another run
+        assert run("run", "slide", "-o", "run.h5") == (130, "", "nsdyn: interrupted\n")
+        (tmp_path / "run.h5").write_bytes(b"of another run")
+
+
 def test_a_locale_that_is_not_utf8(tmp_path):
     """The text of nsdyn has letters such as √ and µ, its code too."""
     root = str(Path(nd.__file__).parents[1])
