@@ -55,6 +55,9 @@ many steps, whose similarity compresses best."""
 ROOM = 1 << 17
 """Additional bytes that HDF5 needs for its own tables when rows are added."""
 
+REREADS = 5
+"""How often a file is read again that a writer, which comes every half second, changed while it was read."""
+
 WORTH = 4096
 """Smallest size in bytes of a dataset that is compressed: compression would make most smaller ones larger."""
 
@@ -166,14 +169,26 @@ def read_state(path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns, Sav
     if not h5py.is_hdf5(path):
         raise ValueError(f"{path} is not a recording of nsdyn: it is not an HDF5 file")
     check_heaps(path)
-    try:
-        with open_to_read(path) as file:
-            contents = _contents(file, path)
-            return *contents, slots.read(file, len(contents[2]["t"]))
-    except Exception as failure:  # h5py raises exceptions of many kinds for damaged files
-        if isinstance(failure, ValueError) and str(path) in str(failure):
-            raise
-        raise ValueError(f"{path} is damaged: {failure.args[0] if failure.args else failure}") from None
+    left = REREADS
+    while True:
+        found = _changed(path)
+        try:
+            with open_to_read(path) as file:
+                contents = _contents(file, path)
+                return *contents, slots.read(file, len(contents[2]["t"]))
+        except Exception as failure:  # h5py raises exceptions of many kinds for damaged files
+            left -= 1
+            if left >= 0 and _changed(path) != found:
+                continue
+            if isinstance(failure, ValueError) and str(path) in str(failure):
+                raise
+            raise ValueError(f"{path} is damaged: {failure.args[0] if failure.args else failure}") from None
+
+
+def _changed(path: Path) -> tuple[int, int, int]:
+    """Return what differs once a file has been written to or replaced."""
+    status = path.stat()
+    return status.st_ino, status.st_mtime_ns, status.st_size
 
 
 def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Columns]:

@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
+from nsdyn.recording import file as recording_file
 from nsdyn.recording import recorder as module
 from nsdyn.recording.columns import FORMAT_VERSION, STEP
 from nsdyn.recording.recorder import Recorder
@@ -299,6 +300,7 @@ ENDLESS = """
 import itertools, os, signal, sys
 sys.path[:0] = {paths!r}
 import h5py
+from nsdyn.recording import file as recording_file
 from nsdyn.recording import recorder as module
 from test_trajectory import META, rows, scene_dict
 module._FLUSH_SECONDS = 0.0
@@ -509,6 +511,23 @@ def test_truncated_file_is_told_at_once(half_written, tmp_path, monkeypatch, end
         assert len(opened) <= 2 and not any("swmr" in options for options in opened)
     cut.write_bytes(data)
     assert Trajectory.load(cut).steps == (40 if ended else 9)
+
+
+def test_a_file_to_which_rows_are_added_while_it_is_read_is_read_again(tmp_path, monkeypatch):
+    path, calls = tmp_path / "run.h5", []
+    whole, _, _ = record(path, 5, links=True)
+
+    def contents(*given):
+        calls.append(len(path.read_bytes()))
+        if len(calls) < 3:
+            os.utime(path, (0, len(calls)))  # as a writer changes it
+            raise OSError("addr overflow")
+        return real(*given)
+
+    real = recording_file._contents
+    monkeypatch.setattr(recording_file, "_contents", contents)
+    assert_same(Trajectory.load(path), whole)
+    assert len(calls) == 3
 
 
 def test_other_files_are_refused(tmp_path):
