@@ -111,6 +111,8 @@ def show_table(kind: str, arguments: argparse.Namespace) -> int:
 
     check_files(arguments)
     trajectory = Trajectory.load(arguments.recording)
+    if not trajectory.steps:
+        raise ValueError(f"{arguments.recording} has no steps")
     if not 1 <= abs(arguments.step) <= trajectory.steps:
         raise ValueError(f"--step must be one of 1 to {trajectory.steps}, or -1 back, got {arguments.step}")
     k = arguments.step if arguments.step > 0 else trajectory.steps + 1 + arguments.step

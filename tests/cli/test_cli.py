@@ -25,6 +25,7 @@ from nsdyn import cli
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.cli import doctor, output
 from nsdyn.cli.command import EXAMPLES, parser
+from nsdyn.recording import file
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene import settings
 from nsdyn.view import browser, viewer
@@ -499,6 +500,14 @@ def test_truncated_recording(run, recording, monkeypatch):
         code, out, err = run(*command)
         assert code == 2 and out == "" and err.startswith("nsdyn: error: run.h5 is damaged") and err.count("\n") == 1
         assert not waited
+
+
+def test_a_recording_without_a_step(run, recording):
+    """As of a run that was killed in its first."""
+    meta, scene, columns, _ = file.read_state(Path(recording))
+    file.create(Path("begun.h5"), meta, scene, file.until(columns, 0), grow=True)
+    assert run("bodies", "begun.h5") == (2, "", "nsdyn: error: begun.h5 has no steps\n")
+    assert run("energy", "begun.h5")[0] == 0
 
 
 def test_dash_is_stdout(run, recording, tmp_path):
