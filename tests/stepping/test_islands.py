@@ -298,7 +298,7 @@ def test_many_balls_are_not_moved_in_halves():
         scene.add_sphere(f"ball {k}", 0.1, 4.0, position=x, material=material)
     stepper = nd.Stepper(scene, dt=5e-3, on_fail="ignore")
     for k in range(60):
-        step = stepper.step()
+        duration = stepper.step().contact_duration
         if k >= 40:  # all that stand have collapsed into one island
-            assert step.contact_duration.size > 50
-            np.testing.assert_array_equal(step.contact_duration, stepper.dt)
+            assert (duration > 0.0).sum() > 50
+            assert ((duration == stepper.dt) | (duration == 0.0)).all()  # 0: impacts
