@@ -49,9 +49,7 @@ SHOWN = 4
 def assemble(name: str, description: Description, options: ArticulationOptions) -> Articulation:
     """Assemble the articulation of a description, placed in the world, with the options of `nsdyn.Scene.add_model`."""
     o = DEFAULTS | options
-    check_size(name, description.model)
-    check_joints(name, list(description.model.names)[1:])
-    _check_axes(name, description.model)
+    _check_model(name, description.model)
     model, limits = description.model.copy(), o["limits"]
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
     if choice(o["inertias"], ("check", "trust"), f"inertias of {name!r}") == "check" and description.flaws:
@@ -143,8 +141,13 @@ def _fixed(name: str, link: Link, material: Material, colour: Colour | None) -> 
     return make_body(f"{name}/{link.name}", link.shape, None, options)
 
 
-def _check_axes(name: str, model: Any) -> None:
-    """Raise ValueError for axes whose length is not 1: Pinocchio would turn about them by another angle than q."""
+def _check_model(name: str, model: Any) -> None:
+    """Raise ValueError for a model too large, joints of one name, and axes whose length is not 1.
+
+    Pinocchio would turn about such axes by another angle than q.
+    """
+    check_size(name, model)
+    check_joints(name, list(model.names)[1:])
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
     for k in range(1, model.njoints):
