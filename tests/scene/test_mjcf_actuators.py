@@ -158,6 +158,8 @@ def test_controls_of_a_keyframe(tmp_path):
     assert not keyed(tmp_path, "plain")[0].articulations["leg"].q.any(), "qpos0, as in MuJoCo"
     with pytest.raises(ValueError, match="ctrl of keyframe 'up' must be 5 numbers of at most"):
         keyed(tmp_path, key='ctrl="1 2"')
+    with pytest.raises(ValueError, match="keyframe 'plain' must have a name of its own"):
+        keyed(tmp_path, key='/><key name="plain"')
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)

@@ -113,6 +113,7 @@ def test_sizes_are_those_of_mujoco(tmp_path, kind, count, ends):
         ('type="mesh" mesh="bad"', "geom 'g': mesh 'bad' has neither a file nor vertices"),
         ('type="mesh" mesh="box" size="1 1 1 1"', "size of geom 'g', a mesh, must be 0 to 3 numbers, got 4"),
         ('type="box" mesh="box" size=".1 .1 .1"', "geom 'g' must be of type mesh to name one, got 'box'"),
+        ('size=".1" contype="1.5"', "contype of geom 'g' must be a whole number, got 1.5"),
         ('size=".1" contype="x"', "contype of geom 'g' must be a number, got 'x'"),
     ],
 )

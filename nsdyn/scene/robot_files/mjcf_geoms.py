@@ -110,7 +110,10 @@ def mesh_name(mesh: Element) -> str:
 
 
 def _mask(geom: Element, attribute: str, label: str) -> int:
-    return int(numbers(geom.get(attribute), 1, (1.0,), f"{attribute} of geom {label!r}")[0])
+    (mask,) = numbers(geom.get(attribute), 1, (1.0,), f"{attribute} of geom {label!r}").tolist()
+    if mask != int(mask):
+        raise ValueError(f"{attribute} of geom {label!r} must be a whole number, got {mask!r}")
+    return int(mask)
 
 
 def _check_mesh(geom: Element, kind: str, label: str, meshes: Mapping[str, Element]) -> None:

@@ -141,7 +141,11 @@ def start_of(
     """Return configuration and controls of a keyframe; without one, the file's configuration and no controls."""
     q: Array = np.array(model.referenceConfigurations["qpos0"])
     controls: list[float | None] = [None] * drives
-    keys = {e.get("name", f"key{k}"): e for k, e in enumerate(root.iterfind("keyframe/key"))}
+    keys: dict[str, Element] = {}
+    for k, e in enumerate(root.iterfind("keyframe/key")):
+        if (name := e.get("name", f"key{k}")) in keys:
+            raise ValueError(f"keyframe {name!r} must have a name of its own")
+        keys[name] = e
     report.unused.extend(f"keyframe {key!r}" for key in keys if key != keyframe)
     if keyframe is None:
         return q, controls
