@@ -151,7 +151,7 @@ def _refines(s: System, begin: SceneState) -> bool:
     Many balls, whose impacts are captured, are not: in halves 200 of them err as much in position. With corners a gain
     also tells of corners that pass each other.
     """
-    return Budget().affords(begin, OPTIONS.event) or not s.detector.of_balls(begin.contacts).all()
+    return OPTIONS.event * _contacts(begin) <= OPTIONS.work or not s.detector.of_balls(begin.contacts).all()
 
 
 def _gains_energy(s: System, begin: SceneState, m: StepResult, h: float) -> bool:

@@ -111,9 +111,9 @@ TABLE = {
 
 def over(inherited: Mapping[str, str], own: Mapping[str, str]) -> dict[str, str]:
     """Merge inherited and own attributes; an own orientation replaces an inherited one, in any of their forms."""
+    if ORIENTATIONS & own.keys():
+        inherited = {name: value for name, value in inherited.items() if name not in ORIENTATIONS}
     out = {**inherited, **own}
-    for name in ORIENTATIONS & inherited.keys() - own.keys() if ORIENTATIONS & own.keys() else ():
-        del out[name]
     for name in LEADING & inherited.keys() & own.keys():
         given = own[name].split()
         out[name] = " ".join(given + inherited[name].split()[len(given) :])
