@@ -78,11 +78,10 @@ class Islands:
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._striking_nodes(begin, mid)]] = True
         large = self._large(begin.contacts, label, count)
-        if made is None and (unseen := large & ~opened).any():
-            # A rough move first shows whether an island whose events are not located meets any.
-            meets |= self._islands_hit(
-                try_islands(s, begin, mid, None, label, ~unseen[label], rough=True), label, unseen
-            )
+        if (unseen := large & ~opened).any():
+            # Events of a large island are not located: it is captured at once where it will probably meet one.
+            meets[label[self._closing_nodes(begin, mid)]] = True
+            meets &= unseen
             opened |= meets
         if count < 2:
             return integrate(self.whole, state, loads, made or mid, meets=bool(meets[0]))
@@ -214,6 +213,14 @@ class Islands:
                 strikes &= (c.restitution > 0.0) | (s.last_status(c, begin.warm) == 0)
             out += self._nodes(c, strikes)
         return np.concatenate(out)
+
+    def _closing_nodes(self, begin: SceneState, mid: Midpoint) -> Index:
+        """Return nodes of open contacts that become deep within the move at the velocities where it begins."""
+        s, c = self.whole, begin.contacts
+        here = begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0]
+        deep = c.gap + mid.h * normal_velocities(s.dynamics, c, *here) < -s.penetration_tol(c)
+        (out,) = self._nodes(c, deep & (c.gap > s.gap_tol))
+        return out
 
     def _large(self, contacts: ContactSet, label: Index, count: int) -> Bools:
         """Mark islands (count,) with so many contacts that their impacts and reversals of slip are not located."""

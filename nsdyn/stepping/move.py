@@ -156,27 +156,24 @@ def try_islands(
     label: Index,
     skip: Bools,
     made: Attempt | None = None,
-    rough: bool = False,
 ) -> Attempt:
     """Move all islands at once, and leave out contacts that may strike, as `try_move` does with an empty `located`.
 
     Each node has the label of its island (nodes,); no island changes because of another. The result is no motion of the
-    nodes `skip`, whose contacts are left out. An attempt `made` by the kernel is used if no node is skipped. A `rough`
-    move only shows which events are met: its persistent contacts do some work.
+    nodes `skip`, whose contacts are left out. An attempt `made` by the kernel is used if no node is skipped.
     """
     if skip.any():
         made = None
-    elif made is None and s.mover is not None and not rough:
+    elif made is None and s.mover is not None:
         made = s.mover.respond(s, begin, mid.end - mid.h, mid.h, NO_SLOTS, mid)
     if made is None:
         there, (contacts, joints) = _detect_at_midpoint(s, begin, mid, NO_SLOTS)
         if skip.any():
             contacts = take(contacts, ~skip[s.nodes(contacts)])
-        made = _response(s, begin, mid, there, (contacts, joints), NO_SLOTS, None, rough, label)
-    if not rough:
-        made = _with_missed(s, begin, made, NO_SLOTS, label)
+        made = _response(s, begin, mid, there, (contacts, joints), NO_SLOTS, None, label)
+    made = _with_missed(s, begin, made, NO_SLOTS, label)
     if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
-        return try_islands(s, begin, again, None, label, skip, None, rough)
+        return try_islands(s, begin, again, None, label, skip)
     return _run_into(s, made, made.moved.limits)
 
 
@@ -209,7 +206,6 @@ def _response(
     needs: Needs,
     located: Index | None,
     last: Attempt | None,
-    rough: bool = False,
     label: Index | None = None,
 ) -> Attempt:
     """Solve for the impulses of a move and compute its second half, starting from the last attempt if there is one.
@@ -233,8 +229,6 @@ def _response(
         As in `try_move`.
     last : Attempt, optional
         The last attempt, with other contacts or a rough solution.
-    rough : bool
-        Whether a rough solution of a collision is enough.
     label : ndarray of int, shape (nodes,), optional
     """
     d, forces = s.dynamics, mid.forces
@@ -246,8 +240,8 @@ def _response(
     gap_rule = s.gap_rule(mid.h, located is None)
     known = None if last is None else last.solution
     near = 2.0 * mid.reach if located is not None and located.size else d.nowhere
-    effort = 0.0 if rough else EFFORT if located is None else math.inf
-    alone, couple, passes, back = kin, NO_COUPLE, 0 if rough else PASSES, located is None or last is not None
+    effort = EFFORT if located is None else math.inf
+    alone, couple, passes, back = kin, NO_COUPLE, PASSES, located is None or last is not None
     lasts, left = bool(kin.stays.any()), np.full(sliding.size, np.inf)
     off: Bools | None = None
     while True:
@@ -256,7 +250,7 @@ def _response(
         v = v if kick is None else v + kick
         impulse, v = kin.rows.response(solution.r, v)
         if label is None and (limited := d.within_limits(mid.state, forces, v)) is not forces:
-            return _response(s, begin, replace(mid, forces=limited), there, needs, located, last, rough)
+            return _response(s, begin, replace(mid, forces=limited), there, needs, located, last)
         if impact is not None:
             impulse = kin.rows.full.momentum(solution.r + impact.r)
         passes = passes if solution.accepted else 0
