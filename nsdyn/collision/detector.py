@@ -60,7 +60,7 @@ class Detector(Candidates):
         elif not placed:
             self._served += 1
         out = _room(count)
-        return ContactSet(*out, search.gather(*self._search[:2], TOLERANCE, memory[:2], memory.next_key, out))
+        return ContactSet(*out, search.gather(*self._search[:2], TOLERANCE, memory[:3], memory.next_key, out))
 
     def gaps(self, contacts: ContactSet, found: ContactSet, poses: Poses) -> Array:
         """Gaps of contacts at later poses, shape (nc,), m.
@@ -233,7 +233,7 @@ class Detector(Candidates):
         bodies[2:4] = np.where(names[2:4] >= 0, where, -1)
         advancement.carry((bodies, points, scalars), begin, (t[both], R[both]), normal)
         geoms = self._geometry.radius, R, t, np.zeros(len(R))
-        contacts = ContactSet(*out, keys.match(geoms, TOLERANCE, memory[:2], memory.next_key, names, points))
+        contacts = ContactSet(*out, keys.match(geoms, TOLERANCE, memory[:3], memory.next_key, names, points))
         others = np.empty(memory.names.shape[1], np.bool_)
         sorting.among(self.codes(memory), self._codes[pair], others)
         remembered = united((take(memory, ~others), contacts))

@@ -9,19 +9,26 @@ from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.sorting import place_of
 from nsdyn._kernels.vectors import dot, minus, put, row, to_local
 
+CLOSED = 1e-8
+"""Gap over the radius of the smaller geom up to which a contact counts as closed: ten gap tolerances of the smallest
+body, for what a loose solution leaves."""
+
 
 @kernel
 def match(geoms, tolerance, memory, next_key, names, points):
     """Give contacts the keys of the contacts that they continue; new ones count up from next_key, which is returned.
 
-    Both lists, (names, points) as in `search.gather`, are sorted by pair. Within a pair the closest old and new points
-    are matched first. Their distance is the smaller of those seen from geom 1 and from geom 2. It is at most
-    `tolerance` times the radius of the smaller geom plus the `slack` (ngeoms,) of both, by which they may have moved.
-    The only contact of a pair always continues the only previous one. `geoms` is (radius, R, t, slack).
+    Both lists, (names, points) and for the old ones scalars as in `search.gather`, are sorted by pair. Within a pair
+    old contacts that were closed are matched first: where features turn flush, two contacts become one, which goes on
+    carrying. Of these, and then of the others, the closest old and new points are matched first. Their distance is the
+    smaller of those seen from geom 1 and from geom 2. It is at most `tolerance` times the radius of the smaller geom
+    plus the `slack` (ngeoms,) of both, by which they may have moved. The only contact of a pair always continues the
+    only previous one. `geoms` is (radius, R, t, slack).
     """
     radius, R, t, slack = geoms
     first, second, key, point, local1, local2 = names[0], names[1], names[4], points[0], points[2], points[3]
     old1, old2, old_key, old_local1, old_local2 = memory[0][0], memory[0][1], memory[0][4], memory[1][2], memory[1][3]
+    old_gap = memory[2][0]
     count = first.size
     used = np.zeros(old1.size, dtype=np.bool_)
     o = 0
@@ -42,20 +49,21 @@ def match(geoms, tolerance, memory, next_key, names, points):
         reach = tolerance * min(radius[i], radius[j]) + slack[i] + slack[j]
         if b - a == 1 and q - o == 1:
             reach = np.inf
-        for _ in range(min(b - a, q - o)):
-            best, new, old = reach * reach, -1, -1
-            for c in range(a, b):
-                for e in range(o, q):
-                    if key[c] < 0 and not used[e]:
-                        d1 = minus(row(local1, c), row(old_local1, e))
-                        d2 = minus(row(local2, c), row(old_local2, e))
-                        square = min(dot(d1, d1), dot(d2, d2))
-                        if square < best:
-                            best, new, old = square, c, e
-            if new < 0:
-                break
-            key[new] = old_key[old]
-            used[old] = True
+        for most in (CLOSED * min(radius[i], radius[j]), np.inf):
+            for _ in range(min(b - a, q - o)):
+                best, new, old = reach * reach, -1, -1
+                for c in range(a, b):
+                    for e in range(o, q):
+                        if key[c] < 0 and not used[e] and old_gap[e] <= most:
+                            d1 = minus(row(local1, c), row(old_local1, e))
+                            d2 = minus(row(local2, c), row(old_local2, e))
+                            square = min(dot(d1, d1), dot(d2, d2))
+                            if square < best:
+                                best, new, old = square, c, e
+                if new < 0:
+                    break
+                key[new] = old_key[old]
+                used[old] = True
         for c in range(a, b):
             if key[c] < 0:
                 key[c] = next_key

@@ -70,7 +70,7 @@ def gather(geoms, pairs, tolerance, memory, next_key, out):
     tolerance : float
         Within which a contact is found again, as in `match`.
     memory : tuple
-        names and points of the contacts of the previous configuration.
+        names, points and scalars of the contacts of the previous configuration.
     next_key : int
         Key of the next new contact.
     out : tuple

@@ -37,7 +37,7 @@ def detect(detection, ready, detected_at, begun, into, head, which, room):
     if count > most or wide * count > into[0].size:
         return MORE
     found = col.contacts(into, count)
-    head[col.KEY_MIDDLE + which - col.MIDDLE] = gather(geoms, pairs, tolerance, (before[0], before[1]), next_key, found)
+    head[col.KEY_MIDDLE + which - col.MIDDLE] = gather(geoms, pairs, tolerance, before, next_key, found)
     into[1][col.FOUND_NAMES * count + col.MADE] = 0
     return DONE
 
