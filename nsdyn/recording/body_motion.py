@@ -51,7 +51,7 @@ def body(trajectory: Trajectory, name: str) -> BodyMotion:
         pose, twist = trajectory.q[:, 7 * k : 7 * k + 7], trajectory.v[:, 6 * k : 6 * k + 6]
         quaternion = pose[:, 3:]
         turned = rotate(quaternion, twist[:, :3]), rotate(quaternion, twist[:, 3:])
-        return BodyMotion(name, pose[:, :3], quaternion, lambda: turned)
+        return BodyMotion(name, pose[:, :3], quaternion, partial(tuple, turned))
     if name in frames:
         frame, position, quaternion = k, columns["frames/x"][:, k], columns["frames/quat"][:, k]
     elif name in links:
@@ -59,7 +59,7 @@ def body(trajectory: Trajectory, name: str) -> BodyMotion:
         turn, one = Rotation.from_matrix(placement[:3, :3]), np.ones((trajectory.t.size, 1))
         if frame < 0:
             still = np.zeros((trajectory.t.size, 3))
-            return BodyMotion(name, one * placement[:3, 3], one * turn.as_quat(), lambda: (still, still))
+            return BodyMotion(name, one * placement[:3, 3], one * turn.as_quat(), partial(tuple, (still, still)))
         carrier = columns["frames/quat"][:, frame]
         position = columns["frames/x"][:, frame] + rotate(carrier, placement[:3, 3])
         quaternion = (Rotation.from_quat(carrier) * turn).as_quat()

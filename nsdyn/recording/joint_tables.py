@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -113,7 +114,11 @@ def joint(trajectory: Trajectory, name: str) -> JointMotion:
     found = coordinates(trajectory, choice(name, link_names.joints(trajectory.scene), "joint"))
     if found["velocity"].shape[1] == 1:
         found = {what: values[:, 0] for what, values in found.items()}
-    return JointMotion(name, **found, _reaction=lambda: trajectory.reactions[name])
+    return JointMotion(name, **found, _reaction=partial(_reaction, trajectory, name))
+
+
+def _reaction(trajectory: Trajectory, name: str) -> Array:
+    return trajectory.reactions[name]
 
 
 def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:

@@ -148,13 +148,13 @@ class BodyMotion:
     name: str
     position: Array
     quaternion: Array
-    _velocity: Callable[[], tuple[Array, Array]]
+    _velocity: Callable[[], tuple[Array, ...]]
 
     def __repr__(self) -> str:
         return f"<BodyMotion of {self.name!r}: {counted(len(self.position), 'state')}>"
 
     @cached_property
-    def _velocities(self) -> tuple[Array, Array]:
+    def _velocities(self) -> tuple[Array, ...]:
         return self._velocity()
 
     @property

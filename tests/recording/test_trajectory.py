@@ -1,6 +1,7 @@
 """Recordings: what goes in comes out, in memory and as a file, also when the process is killed."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -642,6 +643,15 @@ def test_trajectory_of_a_simulation():
     assert table.body1 == ("ground",) * 4 and table.body2 == ("box",) * 4
     assert table.status_names == ["slip"] * 4
     assert table.impulse_world.sum(axis=0)[2] == pytest.approx(9.81e-3, rel=1e-6)  # weight x dt
+
+
+def test_motions_of_bodies_and_joints_can_be_sent_to_other_processes():
+    slide, arm = (nd.simulate(nd.scenes.load(name)(), 0.05, dt=1e-2) for name in ("slide", "arm_pushes_box"))
+    for run, name in (slide, "box"), (arm, "arm/fore"):
+        velocity = pickle.loads(pickle.dumps(run.body(name))).linear_velocity
+        np.testing.assert_array_equal(velocity, run.body(name).linear_velocity)
+    elbow = arm.joint("arm/elbow")
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(elbow)).reaction_force, elbow.reaction_force)
 
 
 def test_refused_simulation_leaves_an_existing_recording(tmp_path):
