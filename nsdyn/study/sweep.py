@@ -5,11 +5,13 @@ from __future__ import annotations
 import inspect
 import itertools
 import pickle
+import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -78,8 +80,9 @@ def sweep(
     progress : bool
         Show a progress bar on stderr when it is a terminal.
     store : path, optional
-        File to which every run is added when it is done. Runs that an existing file contains are not run again. `keep`
-        must then return values that JSON has: numbers, texts, lists and dicts.
+        File to which every run is added when it is done. Runs that an existing file contains are not run again; a file
+        of another scene, other options or a function whose source has changed is refused. `keep` must then return
+        values that JSON has: numbers, texts, lists and dicts.
     **options
         Options of `nsdyn.simulate` except files: dt, theta, solver, ...
 
@@ -188,8 +191,17 @@ def _opened(
 
 
 def _told(value: Any) -> str:
-    """Return the text of an option in a store; a function is represented by its name."""
-    return f"{value.__module__}.{value.__qualname__}" if inspect.isfunction(value) else str(value)
+    """Return the text of an option in a store; of a function its name and a checksum of its source and what it uses."""
+    if isinstance(value, partial):
+        return f"{_told(value.func)} of {_told((value.args, value.keywords))}"
+    if not inspect.isfunction(value):
+        return re.sub(" at 0x[0-9a-f]+", "", str(value))  # addresses differ in every process
+    try:
+        source = inspect.getsource(value)
+    except OSError:  # typed at a prompt
+        source = ""
+    used = _told((value.__defaults__, value.__kwdefaults__, inspect.getclosurevars(value).nonlocals))
+    return f"{value.__module__}.{value.__qualname__} {zlib.crc32((source + used).encode()):08x}"
 
 
 def _run(

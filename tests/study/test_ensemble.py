@@ -322,6 +322,25 @@ if __name__ == "__main__":
             os.killpg(parent.pid, signal.SIGKILL)
 
 
+def component(axis):
+    return lambda run: float(run.v[-1, axis])
+
+
+def test_a_store_knows_functions_by_what_they_do(tmp_path):
+    """Not by their names, which many lambdas share, and in another process by the same text."""
+    store, options = tmp_path / "s.jsonl", {"duration": 0.02, "dt": 0.01}
+    nd.sweep("slide", {"mu": [0.1]}, store=store, keep=lambda run: float(run.v[-1, 0]), **options)
+    for keep in (lambda run: float(run.q[-1, 0]), component(0)):
+        with pytest.raises(ValueError, match="is the store of another sweep: its keep is "):
+            nd.sweep("slide", {"mu": [0.1]}, store=store, keep=keep, **options)
+    told = [ensemble._told(f) for f in (component(0), component(1), partial(component(0), 1), partial(component(0), 2))]
+    assert (
+        len({*told}) == 4
+        and told[0] == ensemble._told(component(0))
+        and told[2] == ensemble._told(partial(component(0), 1))
+    )
+
+
 def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
     """Runs that are stored are not run again, a line that a kill has cut is; another sweep is refused."""
     runs, store = tmp_path / "runs", tmp_path / "s.jsonl"
