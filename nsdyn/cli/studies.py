@@ -31,8 +31,9 @@ def add_study(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dt",
         required=True,
+        action="append",
         metavar="H,H,...",
-        help="time steps in s, with commas between; the least is the reference",
+        help="time steps in s, with commas between; may be repeated; the least is the reference",
     )
     parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="parameter; may be repeated")
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
@@ -53,7 +54,7 @@ def study_steps(arguments: argparse.Namespace) -> int:
     try:
         found = nsdyn.refine(
             name,
-            [settings.parse(text, 0.1, "--dt") for text in arguments.dt.split(",")],
+            [settings.parse(text, 0.1, "--dt") for text in ",".join(arguments.dt).split(",")],
             nsdyn.scenes.seconds(name, "DURATION") if arguments.time is None else arguments.time,
             parameters,
             progress=True,

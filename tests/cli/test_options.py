@@ -169,6 +169,12 @@ def test_a_study_obeys_its_options(capsys):
     assert out == "" and err.startswith("nsdyn: not converged: step 1 ") and err.count("\n") == 1
 
 
+def test_a_study_takes_all_steps_that_are_given(capsys):
+    """Lists that are given twice add up, as those of other commands do."""
+    assert cli.main("study slide --dt 2e-2,1e-2 --dt 5e-3 --time 0.04 --json".split()) == 0
+    assert [row["dt"] for row in json.loads(capsys.readouterr().out)["runs"]] == [2e-2, 1e-2, 5e-3]
+
+
 def test_a_study_takes_what_is_loose():
     """A tolerance that no machine meets is missed, and the loose one is met or missed."""
     call = "study slide --dt 2e-2,1e-2 --time 0.04 --tol 1e-300 --on-fail raise".split()
