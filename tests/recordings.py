@@ -3,7 +3,7 @@
 import numpy as np
 
 import nsdyn as nd
-from nsdyn.recording.columns import CONTACT, CONTACTS, STEPS
+from nsdyn.recording.columns import CONTACT, LAYOUT, STEPS
 from nsdyn.recording.trajectory import Trajectory
 
 
@@ -14,11 +14,10 @@ def recording(scene, q, dt=0.01, contacts=None, **columns):
     known = {"t": dt * np.arange(n + 1), "q": q, "v": np.zeros((n + 1, 6 * len(q[0]) // 7))}
     known |= {f"energy/{name}": np.zeros(n + 1) for name in ("kinetic", "potential")}
     known |= {name: np.zeros(n) for name in STEPS}
-    widths = {name: (0,) if c.components == 1 else (0, c.components) for name, c in CONTACT.items()}
-    known |= {f"contacts/{name}": np.zeros(widths[name], c.kind) for name, c in CONTACT.items()}
+    known |= {f"contacts/{name}": np.zeros((0, *c.row), c.kind) for name, c in CONTACT.items()}
     known["contacts/offset"] = np.zeros(n + 1, np.int64)
     known |= {f"contacts/{name}": values for name, values in (contacts or {}).items()}
-    assert {f"contacts/{name}" for name in contacts or ()} <= {*CONTACTS, "contacts/offset"}
+    assert {f"contacts/{name}" for name in contacts or ()} <= LAYOUT.keys()
     return Trajectory({"dt": dt, "scene_name": scene.name}, scene.describe(), known | columns)
 
 

@@ -1,6 +1,7 @@
 """Contents of a recording: the layout of its file, and tables of its columns for the modules that write and read it.
 
-To add a column, add a line to the layout below and to `STEP` (one value per step) or `CONTACT` (one row per contact).
+To add a column, add a line to the layout below and to `STEP` (one value per step) or `CONTACT` (one row per contact);
+`LAYOUT` has all columns, by which files are read, written and labelled.
 If older files lack the column, add a line to `ADDED` too and raise `FORMAT_VERSION`.
 
 Layout of the file (n steps; row 0 of states is the initial state; SI units; quaternions xyzw)::
@@ -106,15 +107,13 @@ __all__ = [
     "ADDED",
     "ADDED_META",
     "CONTACT",
-    "CONTACTS",
     "CONTACT_STATES",
     "ENERGIES",
     "FORMAT_VERSION",
     "GAUSS",
-    "IMPULSES",
     "JOINTS",
+    "LAYOUT",
     "LINKS",
-    "OF_MOVES",
     "ON_BODIES",
     "ON_JOINTS",
     "ON_LINKS",
@@ -124,9 +123,9 @@ __all__ = [
     "STATES",
     "STEP",
     "STEPS",
+    "WIDTHS",
+    "Column",
     "Columns",
-    "ContactColumn",
-    "StepColumn",
 ]
 
 Columns = dict[str, NDArray[Any]]
@@ -138,37 +137,47 @@ CONTACT_STATES = "open", "stick", "slip", "jam"
 ENERGIES = ("kinetic", "potential")
 
 
-class StepColumn(NamedTuple):
-    """A column with one value per step.
+class Column(NamedTuple):
+    """A column of a recording.
 
     Attributes
     ----------
-    path : str
-        Attribute of a `Step` that has the value.
     kind : str
         Type in the file.
     unit : str
+    axes : tuple of str
+        Names of the axes after that of the rows; `WIDTHS` has their lengths where these are the same in all recordings.
+    path : str
+        Attribute that has the value, of a `Step`; for `ON_BODIES` of its wrenches or lifts.
     merged : str
         Value of a row of several steps: their "sum", the largest ("most"), or that of the "worst" solve.
     """
 
-    path: str
     kind: str
     unit: str
-    merged: str
+    axes: tuple[str, ...] = ()
+    path: str = ""
+    merged: str = "sum"
 
+    @property
+    def row(self) -> tuple[int | None, ...]:
+        """Shape of a row; None for a length that depends on the scene."""
+        return tuple(WIDTHS.get(axis) for axis in self.axes)
+
+
+WIDTHS = {"axis": 3, "quaternion": 4, "side": 3, "wrench": 6, "lift": 6}
 
 STEP = {
-    "gauss/gap": StepColumn("gauss.gap", "f8", "J", "sum"),
-    "gauss/shift": StepColumn("gauss.shift", "f8", "m/s", "most"),
-    "gauss/bound": StepColumn("gauss.bound", "f8", "J^(1/2)", "most"),
-    "gauss/coulomb": StepColumn("gauss.coulomb", "f8", "J^(1/2)", "most"),
-    "solver/error": StepColumn("solution.error", "f8", "1", "worst"),
-    "solver/residual": StepColumn("solution.residual", "f8", "m/s", "worst"),
-    "solver/iterations": StepColumn("solution.iterations", "i4", "1", "sum"),
-    "solver/status": StepColumn("solution.status", "i1", "1", "worst"),
-    "solver/time": StepColumn("solution.time", "f8", "s", "sum"),
-    "energy/created": StepColumn("created", "f8", "J", "sum"),
+    "gauss/gap": Column("f8", "J", (), "gauss.gap", "sum"),
+    "gauss/shift": Column("f8", "m/s", (), "gauss.shift", "most"),
+    "gauss/bound": Column("f8", "J^(1/2)", (), "gauss.bound", "most"),
+    "gauss/coulomb": Column("f8", "J^(1/2)", (), "gauss.coulomb", "most"),
+    "solver/error": Column("f8", "1", (), "solution.error", "worst"),
+    "solver/residual": Column("f8", "m/s", (), "solution.residual", "worst"),
+    "solver/iterations": Column("i4", "1", (), "solution.iterations", "sum"),
+    "solver/status": Column("i1", "1", (), "solution.status", "worst"),
+    "solver/time": Column("f8", "s", (), "solution.time", "sum"),
+    "energy/created": Column("f8", "J", (), "created", "sum"),
 }
 """Values read from every step besides its works, by the names of their datasets."""
 
@@ -176,50 +185,74 @@ GAUSS, SOLVER = (
     tuple(name.partition("/")[2] for name in STEP if name.startswith(group)) for group in ("gauss/", "solver/")
 )
 
-
-class ContactColumn(NamedTuple):
-    """A column with one row per contact: attribute of a `Step`, type in the file, number of components, unit."""
-
-    path: str
-    kind: str
-    components: int
-    unit: str
-
-
 CONTACT = {
-    "geom1": ContactColumn("contacts.geom1", "i4", 1, "1"),
-    "geom2": ContactColumn("contacts.geom2", "i4", 1, "1"),
-    "point": ContactColumn("contacts.point", "f8", 3, "m"),
-    "normal": ContactColumn("contacts.normal", "f8", 3, "1"),
-    "gap": ContactColumn("gap", "f8", 1, "m"),
-    "mu": ContactColumn("contacts.mu", "f8", 1, "1"),
-    "restitution": ContactColumn("contacts.restitution", "f8", 1, "1"),
-    "key": ContactColumn("contacts.key", "i8", 1, "1"),
-    "u": ContactColumn("u", "f8", 3, "m/s"),
-    "impulse": ContactColumn("r", "f8", 3, "N s"),
-    "status": ContactColumn("contact_status", "i1", 1, "1"),
-    "couple": ContactColumn("couple", "f8", 3, "N m s"),
-    "time": ContactColumn("contact_time", "f8", 1, "s"),
-    "duration": ContactColumn("contact_duration", "f8", 1, "s"),
-    "tangent": ContactColumn("tangent", "f8", 3, "1"),
-    "work_normal": ContactColumn("work_normal", "f8", 1, "J"),
-    "work_friction": ContactColumn("work_friction", "f8", 1, "J"),
+    "geom1": Column("i4", "1", (), "contacts.geom1"),
+    "geom2": Column("i4", "1", (), "contacts.geom2"),
+    "point": Column("f8", "m", ("axis",), "contacts.point"),
+    "normal": Column("f8", "1", ("axis",), "contacts.normal"),
+    "gap": Column("f8", "m", (), "gap"),
+    "mu": Column("f8", "1", (), "contacts.mu"),
+    "restitution": Column("f8", "1", (), "contacts.restitution"),
+    "key": Column("i8", "1", (), "contacts.key"),
+    "u": Column("f8", "m/s", ("side",), "u"),
+    "impulse": Column("f8", "N s", ("side",), "r"),
+    "status": Column("i1", "1", (), "contact_status"),
+    "couple": Column("f8", "N m s", ("axis",), "couple"),
+    "time": Column("f8", "s", (), "contact_time"),
+    "duration": Column("f8", "s", (), "contact_duration"),
+    "tangent": Column("f8", "1", ("axis",), "tangent"),
+    "work_normal": Column("f8", "J", (), "work_normal"),
+    "work_friction": Column("f8", "J", (), "work_friction"),
 }
 """Values read from every contact of a step, by name."""
 
-# Datasets of a file by their number of rows: n + 1 (STATES, LINKS), n (STEPS), or one per contact (CONTACTS).
-STATES = ["t", "q", "v", *(f"energy/{name}" for name in ENERGIES), "contacts/offset"]
-LINKS = ["frames/x", "frames/quat"]
-IMPULSES = dict.fromkeys(("actuation", "limit", "friction", "external"), "N m s or N s")
-ON_JOINTS = {**IMPULSES, "shift": "rad or m", "strength": "N m s or N s", "drive": "rad/s or m/s"}
-"""Values read for each coordinate of the articulations, with units."""
+_EACH = ("joint_coordinate",)
+ON_JOINTS = {
+    **dict.fromkeys(("actuation", "limit", "friction", "external"), Column("f8", "N m s or N s", _EACH)),
+    "shift": Column("f8", "rad or m", _EACH),
+    "strength": Column("f8", "N m s or N s", _EACH),
+    "drive": Column("f8", "rad/s or m/s", _EACH),
+}
+"""Values read for each coordinate of the articulations, in the order of `joints` of a step and of its pieces."""
+PIECES = {
+    "begin": Column("f8", "s"),
+    "duration": Column("f8", "s"),
+    "contacts": Column("i8", "1"),
+    "moves": Column("i1", "1", _EACH),
+    **ON_JOINTS,
+}
+_OF_MOVES = {"body": Column("i4", "1"), "time": Column("f8", "s"), "duration": Column("f8", "s")}
+ON_BODIES = {
+    "wrenches": {**_OF_MOVES, "impulse": Column("f8", "N s or N m s", ("wrench",), "done")},
+    "lifts": {**_OF_MOVES, "shift": Column("f8", "m or rad", ("lift",), "done")},
+}
+"""Values of free bodies in the moves of a step."""
+RAGGED = {"contacts": CONTACT, "pieces": PIECES, **ON_BODIES}
+"""Groups of datasets in which rows `offset[k-1]` to `offset[k]` belong to step k."""
+
+# All other datasets by their number of rows: n + 1 (STATES, LINKS) or n (STEPS, JOINTS, ON_LINKS).
+STATES = {
+    "t": Column("f8", "s"),
+    "q": Column("f8", "m, rad or 1", ("coordinate",)),
+    "v": Column("f8", "m/s or rad/s", ("velocity",)),
+    **{f"energy/{name}": Column("f8", "J") for name in ENERGIES},
+}
+LINKS = {"frames/x": Column("f8", "m", ("body", "axis")), "frames/quat": Column("f8", "1", ("body", "quaternion"))}
+STEPS = {**{f"energy/{name}": Column("f8", "J") for name in WORKS}, **STEP, "wall_time": Column("f8", "s")}
 JOINTS = [f"joints/{name}" for name in ON_JOINTS]
 ON_LINKS = "links/impulse"
-PIECES = {"begin": "f8", "duration": "f8", "contacts": "i8", "moves": "i1", **dict.fromkeys(ON_JOINTS, "f8")}
-ON_BODIES = {"wrenches": "impulse", "lifts": "shift"}
-"""Values of free bodies in the moves of a step: the name of an (., 6) array, which has the columns `OF_MOVES` too."""
-OF_MOVES = {"body": "i4", "time": "f8", "duration": "f8"}
-STEPS = [*(f"energy/{name}" for name in WORKS), *STEP, "wall_time"]
+
+LAYOUT: dict[str, Column] = {
+    **STATES,
+    **LINKS,
+    **STEPS,
+    **dict(zip(JOINTS, ON_JOINTS.values(), strict=True)),
+    ON_LINKS: Column("f8", "N s or N m s", ("link", "wrench")),
+    **{f"{group}/offset": Column("i8", "1") for group in RAGGED},
+    **{f"{group}/{name}": column for group, columns in RAGGED.items() for name, column in columns.items()},
+}
+"""All columns by the names of their datasets."""
+
 # Columns that older files lack: (version, column, columns of the older file whose sum it is, value if there are none).
 ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (2, "energy/damping", (), 0.0),
@@ -235,5 +268,3 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
 ]
 # Attributes of /meta that older files lack.
 ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": "", "polish": False}
-CONTACTS = [f"contacts/{name}" for name in CONTACT]
-RAGGED = ("contacts", "pieces", *ON_BODIES)

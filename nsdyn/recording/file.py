@@ -25,19 +25,16 @@ from nsdyn.recording.columns import (
     ADDED,
     ADDED_META,
     CONTACT,
-    CONTACTS,
     FORMAT_VERSION,
     JOINTS,
+    LAYOUT,
     LINKS,
-    OF_MOVES,
-    ON_BODIES,
-    ON_JOINTS,
     ON_LINKS,
-    PIECES,
     RAGGED,
     STATES,
-    STEP,
     STEPS,
+    WIDTHS,
+    Column,
     Columns,
 )
 from nsdyn.tools.datasets import check_heaps, created, dataset
@@ -203,8 +200,9 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     added = [row for row in ADDED if meta["format_version"] < row[0]]
     parts = [part for _, _, parts, _ in added for part in parts]
     absent = {column for _, column, _, _ in added}
-    steps, contacts = ([name for name in group if name not in absent] for group in (STEPS + parts, CONTACTS))
-    missing = [name for name in ["meta/scene", *STATES, *steps, *contacts] if name not in file]
+    needed = [*STATES, "contacts/offset", *STEPS, *parts, *(f"contacts/{name}" for name in CONTACT)]
+    needed = [name for name in needed if name not in absent]
+    missing = [name for name in ["meta/scene", *needed] if name not in file]
     if missing:
         raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
     meta = ADDED_META | meta | {"format_version": FORMAT_VERSION}
@@ -212,46 +210,20 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     states = len(schema.column(file, "t", None, "f8", ()))
     if not states:
         raise ValueError("/t has no rows")
-    joints = [name for name in (*JOINTS, ON_LINKS) if name in file]
-    of_cut = {"pieces": PIECES} | {group: [*OF_MOVES, name] for group, name in ON_BODIES.items()}
-    parts_of_steps = [f"{g}/{name}" for g, names in of_cut.items() if g in file for name in ("offset", *names)]
-    offsets = [name for name in (*STATES, *parts_of_steps) if name.endswith("/offset")]
+    others = {name: name if name in (*JOINTS, ON_LINKS) else name.partition("/")[0] for name in LAYOUT}
+    names = needed + [name for name, part in others.items() if name not in {*needed, *absent} and part in file]
+    offsets = [name for name in names if name.endswith("/offset")]
     ends = _ends({name: schema.column(file, name, states, "i8", ()) for name in offsets}, -1)
-    names = STATES + (LINKS if "frames" in file else []) + steps + joints + parts_of_steps + contacts
-    rows = _row_counts(names, states, ends)
-    columns = {name: schema.column(file, name, size, *_layout(name)) for name, size in rows.items()}
+    columns: Columns = {}
+    for name, size in _row_counts(names, states, ends).items():
+        told = LAYOUT.get(name, Column("f8", "J"))  # works of older files are in no layout
+        columns[name] = schema.column(file, name, size, told.kind, told.row)
     for name, size in _row_counts(absent, states, ends).items():
-        inner = name.rpartition("/")[2]
-        width = CONTACT[inner].components if inner in CONTACT else 1
-        columns[name] = np.empty((size, width) if width > 1 else size)
+        columns[name] = np.empty((size, *(WIDTHS[axis] for axis in LAYOUT[name].axes)))
     for _, column, summed, value in added:
         columns[column] = sum((columns.pop(part) for part in summed), np.full(columns[column].shape, value))
-    told = dataset(file, "meta/scene")
-    text = told[()]
-    if zlib.crc32(text) != told.attrs.get("crc32", zlib.crc32(text)):
+    described = dataset(file, "meta/scene")
+    text = described[()]
+    if zlib.crc32(text) != described.attrs.get("crc32", zlib.crc32(text)):
         raise ValueError("/meta/scene is not what was written")
     return meta, schema.scene(text, columns), columns
-
-
-def _layout(name: str) -> tuple[str, tuple[int | None, ...]]:
-    """Return (type, shape of a row) of a column; None in the shape stands for any length."""
-    group, _, inner = name.partition("/")
-    if group == "contacts" and inner in CONTACT:
-        column = CONTACT[inner]
-        return column.kind, () if column.components == 1 else (column.components,)
-    if name in STEP:
-        return STEP[name].kind, ()
-    if group == "pieces" and inner != "offset":
-        return PIECES[inner], (None,) if inner in (*ON_JOINTS, "moves") else ()
-    if group in ON_BODIES and inner != "offset":
-        return (OF_MOVES[inner], ()) if inner in OF_MOVES else ("f8", (6,))
-    row: tuple[str, tuple[int | None, ...]] = ("f8", (None,))
-    return {
-        "q": row,
-        "v": row,
-        **dict.fromkeys(JOINTS, row),
-        ON_LINKS: ("f8", (None, 6)),
-        "frames/x": ("f8", (None, 3)),
-        "frames/quat": ("f8", (None, 4)),
-        **dict.fromkeys((f"{group}/offset" for group in RAGGED), ("i8", ())),
-    }.get(name, ("f8", ()))

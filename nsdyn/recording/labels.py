@@ -23,54 +23,19 @@ from typing import Any
 import h5py
 import numpy as np
 
-from nsdyn.recording.columns import CONTACT, CONTACT_STATES, ON_BODIES, ON_JOINTS, STEP
+from nsdyn.recording.columns import CONTACT_STATES, LAYOUT, LINKS, ON_BODIES, STATES
 
 __all__ = ["name_axes", "name_units"]
 
-UNITS = {
-    "t": "s",
-    "t_steps": "s",
-    "q": "m, rad or 1",
-    "v": "m/s or rad/s",
-    "wall_time": "s",
-    "frames/x": "m",
-    "energy/": "J",
-    **{name: column.unit for name, column in STEP.items()},
-    "links/impulse": "N s or N m s",
-    "pieces/begin": "s",
-    "pieces/duration": "s",
-    **{f"{group}/{name}": "s" for group in ON_BODIES for name in ("time", "duration")},
-    "wrenches/impulse": "N s or N m s",
-    "lifts/shift": "m or rad",
-    **{f"{group}/{name}": unit for group in ("joints", "pieces") for name, unit in ON_JOINTS.items()},
-    **{f"contacts/{name}": column.unit for name, column in CONTACT.items()},
-}
-"""Units by name of a dataset, or by group for its other datasets; 1 for datasets without an entry."""
-
-STATES = ("t", "q", "v", "frames/x", "frames/quat", "energy/kinetic", "energy/potential")
 ROWS = {"contacts": "contacts/contact", "pieces": "pieces/piece", **{group: f"{group}/row" for group in ON_BODIES}}
-COLUMNS: dict[str, tuple[str, ...]] = {
-    "q": ("coordinate",),
-    "v": ("velocity",),
-    "frames/x": ("body", "axis"),
-    "frames/quat": ("body", "quaternion"),
-    "links/impulse": ("link", "wrench"),
-    "wrenches/impulse": ("wrench",),
-    "lifts/shift": ("lift",),
-    "contacts/u": ("side",),
-    "contacts/impulse": ("side",),
-    **dict.fromkeys((f"contacts/{name}" for name in ("point", "normal", "tangent", "couple")), ("axis",)),
-    **dict.fromkeys((f"{group}/{name}" for group in ("joints", "pieces") for name in ON_JOINTS), ("joint_coordinate",)),
-    "pieces/moves": ("joint_coordinate",),
-}
-"""Names of the axes of datasets after the first axis."""
+"""Names of the axis of rows of the groups in which steps have several."""
 
 
 def name_units(file: Any, meta: Mapping[str, Any], columns: Iterable[str]) -> None:
     """Write the units of the columns of a file, names for the values of the status, and the attributes of `/meta`."""
     file.attrs.update(meta)
     for name in columns:
-        file[name].attrs["units"] = UNITS.get(name) or UNITS.get(f"{name.partition('/')[0]}/", "1")
+        file[name].attrs["units"] = LAYOUT[name].unit
     from nsdyn.problem.solution import Status  # not needed to read a recording
 
     for side in ("geom1", "geom2"):
@@ -108,8 +73,8 @@ def name_axes(file: Any, scene: Mapping[str, Any], columns: Iterable[str]) -> No
 
 def _axes(name: str) -> tuple[str, ...]:
     """Return the names of the scales of a column."""
-    rows = "t" if name in STATES or name.endswith("/offset") else ROWS.get(name.partition("/")[0], "t_steps")
-    return (rows, *COLUMNS.get(name, ()))
+    of_states = name in STATES or name in LINKS or name.endswith("/offset")
+    return ("t" if of_states else ROWS.get(name.partition("/")[0], "t_steps"), *LAYOUT[name].axes)
 
 
 def _labels(scene: Mapping[str, Any]) -> dict[str, list[str]]:

@@ -8,23 +8,23 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nsdyn.dynamics.ledger import WORKS
 from nsdyn.problem.solution import Status
 from nsdyn.recording import link_names
 from nsdyn.recording.columns import (
     CONTACT,
-    CONTACTS,
     JOINTS,
+    LAYOUT,
     LINKS,
-    OF_MOVES,
     ON_BODIES,
     ON_JOINTS,
     ON_LINKS,
-    PIECES,
     RAGGED,
     STATES,
     STEP,
+    STEPS,
+    WIDTHS,
     Columns,
 )
 from nsdyn.recording.kept import Part
@@ -36,6 +36,7 @@ _STATE = "t", "q", "v", "frames_x", "frames_quat", "energy"
 _read_state = attrgetter(*_STATE)
 _read_step = attrgetter(*_STATE, "joints", "links", "pieces", *ON_BODIES, *(column.path for column in STEP.values()))
 _read_contacts = attrgetter(*(column.path for column in CONTACT.values()))
+_CONTACTS = [f"contacts/{name}" for name in CONTACT]
 
 
 class _Known(NamedTuple):
@@ -58,24 +59,23 @@ def keep(step: Any) -> Any:
 def begin(state: Any) -> Columns:
     """Return the columns of the initial state."""
     columns = _columns(_stacked([_read_state(state)]))
-    return {name: x for name, x in columns.items() if name in STATES + LINKS}
+    return {name: x for name, x in columns.items() if name in STATES or name in LINKS}
 
 
 def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
     """Return all columns of steps, without rows; `links`: with impulses on links, `pushed`: on free bodies."""
-    kinds = dict.fromkeys([f"energy/{name}" for name in WORKS], "f8") | {n: c.kind for n, c in STEP.items()}
-    out = {name: np.empty(0, kind) for name, kind in kinds.items()}
-    for name, c in CONTACT.items():
-        out[f"contacts/{name}"] = np.empty((0, c.components) if c.components > 1 else 0, c.kind)
-    out |= {"wall_time": np.empty(0), "contacts/offset": np.zeros(1, np.int64)}
-    if trees := scene["articulations"]:
-        nothing = np.empty((0, sum(tree["nv"] for tree in trees)))
-        out |= dict.fromkeys(JOINTS, nothing) | _pieces((), nothing.shape[1]) | {"pieces/offset": np.zeros(1, np.int64)}
-        if links:
-            out[ON_LINKS] = np.empty((0, len(link_names.joints(scene)), 6))
-    for group in ON_BODIES if pushed else ("lifts",):
-        out |= _of_bodies(group, ()) | {f"{group}/offset": np.zeros(1, np.int64)}
-    return out
+    trees = scene["articulations"]
+    sizes = {"joint_coordinate": sum(tree["nv"] for tree in trees), "link": len(link_names.joints(scene))}
+    groups = ["contacts", *(["pieces"] if trees else []), *(ON_BODIES if pushed else ["lifts"])]
+    names = [*STEPS, *(JOINTS if trees else []), *([ON_LINKS] if trees and links else [])]
+    names += [f"{group}/{name}" for group in groups for name in RAGGED[group]]
+    return {name: _none(name, sizes) for name in names} | {f"{group}/offset": np.zeros(1, np.int64) for group in groups}
+
+
+def _none(name: str, sizes: Mapping[str, int]) -> NDArray[Any]:
+    """Return a column without rows; `sizes` are lengths of axes that are not the same in all recordings."""
+    column, lengths = LAYOUT[name], {**WIDTHS, **sizes}
+    return np.empty((0, *(lengths[axis] for axis in column.axes)), column.kind)
 
 
 def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | None, pushed: bool) -> list[Part]:
@@ -126,8 +126,8 @@ def _contacts(run: Sequence[Any]) -> Part:
     """Return the columns of the contacts of steps."""
     if isinstance(run[0], _Known):
         columns = [np.concatenate(of) for of in zip(*(step.contacts for step in run), strict=True)]
-        return dict(zip(CONTACTS, columns, strict=True)), (len(columns[-1]),)
-    return dict(zip(CONTACTS, _read_contacts(run[0].contacts(run)), strict=True)), (len(run), run[0].nc)
+        return dict(zip(_CONTACTS, columns, strict=True)), (len(columns[-1]),)
+    return dict(zip(_CONTACTS, _read_contacts(run[0].contacts(run)), strict=True)), (len(run), run[0].nc)
 
 
 def _one_by_one(columns: Columns, fitted: tuple[int, ...] | None) -> Columns:
@@ -161,31 +161,22 @@ def _columns(read: tuple[Any, ...]) -> Columns:
         joints, links, pieces, wrenches, lifts, *values = more
         out |= dict(zip(STEP, values, strict=True))
         for group, acted in zip(ON_BODIES, (wrenches, lifts), strict=True):
-            out |= _of_bodies(group, acted) | {f"{group}/offset": np.array([a.body.size if a else 0 for a in acted])}
+            out |= _of_moves(group, acted, 0)
         if joints is not None:
-            out |= dict(zip(JOINTS, joints, strict=True)) | {ON_LINKS: links} | _pieces(pieces, joints.shape[2])
-            out["pieces/offset"] = np.array([len(p.duration) if p else 0 for p in pieces])
+            out |= dict(zip(JOINTS, joints, strict=True)) | {ON_LINKS: links}
+            out |= _of_moves("pieces", pieces, joints.shape[2])
     return out
 
 
-def _pieces(pieces: Sequence[Any], nv: int) -> Columns:
-    """Return the columns of the moves and impacts (pieces) into which steps were cut."""
-    cut = [p for p in pieces if p]
-    joints = np.concatenate([np.empty((len(ON_JOINTS), 0, nv)), *(p.joints for p in cut)], axis=1)
-    out = dict(zip((f"pieces/{name}" for name in ON_JOINTS), joints, strict=True))
-    for name in [name for name in PIECES if name not in ON_JOINTS]:
-        none = np.empty((0, nv) if name == "moves" else 0, PIECES[name])
-        out[f"pieces/{name}"] = np.concatenate([none, *(getattr(p, name) for p in cut)])
+def _of_moves(group: str, acted: Sequence[Any], nv: int) -> Columns:
+    """Return the columns of a group of `RAGGED` from what each step has of it, if anything."""
+    out: Columns = {f"{group}/offset": np.array([len(a.duration) if a else 0 for a in acted])}
+    order = {name: k for k, name in enumerate(ON_JOINTS)} if group == "pieces" else {}
+    for name, column in RAGGED[group].items():
+        none = _none(f"{group}/{name}", {"joint_coordinate": nv})
+        values = [a.joints[order[name]] if name in order else getattr(a, column.path or name) for a in acted if a]
+        out[f"{group}/{name}"] = np.concatenate([none, *values]).astype(column.kind, copy=False)
     return out
-
-
-def _of_bodies(group: str, acted: Sequence[Any]) -> Columns:
-    """Return the columns of wrenches on, or lifts of, free bodies in the moves of steps; `group` is in `ON_BODIES`."""
-    out = {}
-    for name in OF_MOVES:
-        columns = [getattr(a, name) for a in acted if a]
-        out[f"{group}/{name}"] = np.concatenate([np.empty(0), *columns]).astype(OF_MOVES[name])
-    return out | {f"{group}/{ON_BODIES[group]}": np.concatenate([np.empty((0, 6)), *(a.done for a in acted if a)])}
 
 
 def _merged(columns: Columns, every: int) -> Columns:
@@ -196,7 +187,7 @@ def _merged(columns: Columns, every: int) -> Columns:
     worst = np.where(bad | ~bad.any(axis=1, keepdims=True), error, -np.inf).argmax(axis=1)
     out = {}
     for name, x in rows.items():
-        rule = STEP[name].merged if name in STEP else "last" if name in STATES + LINKS else "sum"
+        rule = "last" if name in STATES or name in LINKS else LAYOUT[name].merged
         if rule == "sum":
             out[name] = np.add.accumulate(x, axis=1)[:, -1]  # one after the other, in the order of a resumed run
         else:
