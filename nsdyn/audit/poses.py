@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.recording.series import rotate
+from nsdyn.recording.tables import contact_columns
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Bools, Index, cross
 
@@ -100,8 +101,7 @@ class Poses:
     @cached_property
     def contacts(self) -> dict[str, Any]:
         """Columns of contacts by their names, without the prefix of the group."""
-        columns = self.trajectory.columns.items()
-        return {name.removeprefix("contacts/"): x for name, x in columns if name.startswith("contacts/")}
+        return contact_columns(self.trajectory)
 
     @cached_property
     def step(self) -> Index:

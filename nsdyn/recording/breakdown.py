@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nsdyn.recording.shares import distinct
-from nsdyn.recording.tables import body_names, contact_rows
+from nsdyn.recording.tables import body_names, contact_steps
 from nsdyn.tools.arrays import Array
 
 if TYPE_CHECKING:
@@ -26,16 +26,15 @@ def pair_works(trajectory: Trajectory) -> dict[tuple[str, str], tuple[Array, Arr
             f"works of pairs need every step, the recording has one of every {trajectory.every}: "
             "what the contacts did between is known in sum only"
         )
-    row, step = contact_rows(trajectory)
-    names = body_names(trajectory)
-    sides = np.stack([trajectory.columns[f"contacts/geom{side}"][row] for side in "12"]).astype(np.int64)
-    labels, of_shape = np.unique(names, return_inverse=True)
+    step = contact_steps(trajectory)
+    sides = np.stack([trajectory.columns[f"contacts/geom{side}"] for side in "12"]).astype(np.int64)
+    labels, of_shape = np.unique(body_names(trajectory), return_inverse=True)
     sides = np.sort(of_shape[sides], axis=0)
     pairs, which = distinct(sides.T)
     works = []
     for name in ("work_normal", "work_friction"):
         work = np.zeros((len(pairs), trajectory.steps))
-        np.add.at(work, (which, step - 1), trajectory.columns[f"contacts/{name}"][row])
+        np.add.at(work, (which, step - 1), trajectory.columns[f"contacts/{name}"])
         works.append(work)
     out = {(str(labels[a]), str(labels[b])): (works[0][k], works[1][k]) for k, (a, b) in enumerate(pairs)}
     return dict(sorted(out.items(), key=lambda item: -abs(item[1][0].sum() + item[1][1].sum())))

@@ -26,7 +26,7 @@ from nsdyn.recording import link_names
 from nsdyn.recording.columns import JOINTS, ON_LINKS
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Trees, trees
-from nsdyn.recording.tables import left_out
+from nsdyn.recording.tables import contact_steps, left_out
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.displacements import integrate
 
@@ -53,8 +53,7 @@ def reactions(trajectory: Trajectory, steps: Index) -> dict[str, Array]:
     count = len(link_names.joints(trajectory.scene))
     outside = c[ON_LINKS].copy() if ON_LINKS in c else np.zeros((trajectory.steps, count, 6))
     if not left_out(trajectory):
-        step = np.repeat(np.arange(trajectory.steps), np.diff(c["contacts/offset"]))
-        link_names.by_contacts(link_names.carriers(trajectory.scene), c, step, outside)
+        link_names.by_contacts(link_names.carriers(trajectory.scene), c, contact_steps(trajectory) - 1, outside)
     out, first = dict[str, Array](), 0
     for i, m in enumerate(found.mechanisms):
         own = slice(first, first + len(m.joints))

@@ -22,7 +22,7 @@ import numpy as np
 from nsdyn.recording.columns import ON_JOINTS, PIECES
 from nsdyn.recording.courses import Course, move, respond
 from nsdyn.recording.mechanism import Mechanism
-from nsdyn.recording.tables import impulses_world, left_out
+from nsdyn.recording.tables import contact_steps, impulses_world, left_out
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.displacements import displacement, integrate
 
@@ -141,7 +141,7 @@ class Trees:
         """For every tree, by step from 0 on: (row, side, joint) of its contacts, in ascending order."""
         t, out = self.trajectory, [dict[int, list[tuple[int, int, int]]]() for _ in self.mechanisms]
         frames = np.array([geom["frame"] for geom in t.scene["geoms"]], dtype=np.int64)
-        step = np.repeat(np.arange(t.steps), np.diff(t.columns["contacts/offset"]))
+        step = contact_steps(t) - 1
         sides = (
             np.stack([frames[t.columns[f"contacts/geom{k}"]] for k in "12"], axis=1)
             if frames.size

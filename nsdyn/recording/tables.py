@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 __all__ = [
     "Pair",
     "body_names",
+    "contact_columns",
     "contact_frames",
-    "contact_rows",
+    "contact_steps",
     "force",
     "impulses",
     "impulses_world",
     "left_out",
     "need_contacts",
     "pair",
-    "pair_rows",
 ]
 
 
@@ -69,8 +69,12 @@ class Pair:
 
 def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
     """Return forces, work, gap and state between bodies a and b; see `nsdyn.Trajectory.pair`."""
-    row, step, sign = pair_rows(trajectory, a, b)
-    step, n = step - 1, trajectory.steps
+    on_a, on_b = (_members(trajectory, name) for name in (a, b))
+    step, n = contact_steps(trajectory) - 1, trajectory.steps
+    first, second = (trajectory.columns[f"contacts/geom{side}"] for side in "12")
+    sign = 1.0 * (on_a[first] & on_b[second]) - 1.0 * (on_b[first] & on_a[second])
+    row = np.flatnonzero(sign)
+    step, sign = step[row], sign[row]
     c = {name: trajectory.columns[f"contacts/{name}"][row] for name in ("point", "gap", "status")}
     push = sign[:, None] * impulses_world(trajectory.columns)[row]
     force, torque, work, gap = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
@@ -85,24 +89,14 @@ def pair(trajectory: Trajectory, a: str, b: str) -> Pair:
     return Pair(a, b, trajectory.t[1:], force, torque, work, gap, tuple(words[s + 1] for s in state))
 
 
-def pair_rows(trajectory: Trajectory, a: str, b: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return (row, step from 1 on, sign) of the contacts of a and b; the sign is 1 if body 2 is b, -1 if it is a."""
-    on_a, on_b = (_members(trajectory, name) for name in (a, b))
-    row, step = contact_rows(trajectory)
-    first, second = (trajectory.columns[f"contacts/geom{side}"][row] for side in "12")
-    sign = 1.0 * (on_a[first] & on_b[second]) - 1.0 * (on_b[first] & on_a[second])
-    k = np.flatnonzero(sign)
-    return row[k], step[k], sign[k]
-
-
 def force(trajectory: Trajectory, name: str) -> Array:
     """Return the contact force on a body in each step; see `nsdyn.Trajectory.force`."""
     members = _members(trajectory, name)
-    row, step = contact_rows(trajectory)
-    first, second = (members[trajectory.columns[f"contacts/geom{side}"][row]] for side in "12")
+    step = contact_steps(trajectory)
+    first, second = (members[trajectory.columns[f"contacts/geom{side}"]] for side in "12")
     sign = 1.0 * second - 1.0 * first
     out = np.zeros((trajectory.steps, 3))
-    np.add.at(out, step - 1, sign[:, None] * impulses_world(trajectory.columns)[row] / trajectory.dt)
+    np.add.at(out, step - 1, sign[:, None] * impulses_world(trajectory.columns) / trajectory.dt)
     return out
 
 
@@ -119,11 +113,16 @@ def need_contacts(trajectory: Trajectory) -> None:
         raise ValueError("the recording has no contacts: it was made without them")
 
 
-def contact_rows(trajectory: Trajectory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (row, step from 1 on) of all contacts."""
+def contact_steps(trajectory: Trajectory) -> Index:
+    """Return the step of each contact, from 1 on; ValueError for a recording without contacts."""
     need_contacts(trajectory)
-    counts = np.diff(trajectory.columns["contacts/offset"])
-    return np.arange(int(counts.sum())), np.repeat(np.arange(1, trajectory.steps + 1), counts)
+    return np.repeat(np.arange(1, trajectory.steps + 1), np.diff(trajectory.columns["contacts/offset"]))
+
+
+def contact_columns(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
+    """Return the columns of contacts by their names without the group's."""
+    columns = trajectory.columns.items()
+    return {name.removeprefix("contacts/"): x for name, x in columns if name.startswith("contacts/")}
 
 
 def impulses(trajectory: Trajectory, row: Index) -> Array:
@@ -132,7 +131,7 @@ def impulses(trajectory: Trajectory, row: Index) -> Array:
     `row` must have all contacts of two bodies in a step. Redundant contacts get the impulses of least norm, see
     `nsdyn.recording.shares`; `/contacts/impulse` has those of the solver.
     """
-    _, step = contact_rows(trajectory)
+    step = contact_steps(trajectory)
     c = {name: trajectory.columns[f"contacts/{name}"][row] for name in shares.COLUMNS}
     body = np.unique(body_names(trajectory), return_inverse=True)[1]
     bodies = np.column_stack([body[trajectory.columns[f"contacts/geom{side}"][row]] for side in "12"])

@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn.recording import body_motion, joint_tables
 from nsdyn.recording.columns import CONTACT_STATES, Columns
 from nsdyn.recording.shares import distinct
-from nsdyn.recording.tables import body_names, contact_frames, contact_rows, impulses, impulses_world
+from nsdyn.recording.tables import body_names, contact_frames, contact_steps, impulses, impulses_world
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice, unknown
 from nsdyn.tools.table import Table, matches, matching
@@ -80,12 +80,12 @@ def _inertial(trajectory: Trajectory, names: list[str]) -> dict[str, Array]:
 
 def _forces(trajectory: Trajectory, names: list[str]) -> Array:
     """Return the contact forces on bodies, (n, bodies, 3), N."""
-    row, step = contact_rows(trajectory)
+    step = contact_steps(trajectory)
     place = {name: k for k, name in enumerate(names)}
     of_shape = np.array([place.get(name, len(names)) for name in body_names(trajectory)], dtype=np.int64)
     out, push = np.zeros((trajectory.steps, len(names) + 1, 3)), impulses_world(trajectory.columns) / trajectory.dt
     for side, sign in (("geom1", -1.0), ("geom2", 1.0)):
-        np.add.at(out, (step - 1, of_shape[trajectory.columns[f"contacts/{side}"][row]]), sign * push)
+        np.add.at(out, (step - 1, of_shape[trajectory.columns[f"contacts/{side}"]]), sign * push)
     return out[:, :-1]
 
 
@@ -125,7 +125,7 @@ def _touching(trajectory: Trajectory, pattern: str) -> tuple[Index, Index, Index
     The pattern matches the name of the pair or of one of its bodies. The sign is 1 if body 2 is the pair's second, else
     -1. Pairs, and the bodies of a pair, are in the order of the scene.
     """
-    row, step = contact_rows(trajectory)
+    step = contact_steps(trajectory)
     of_shape = body_names(trajectory).tolist()
     names = list(dict.fromkeys(of_shape))
     number = np.array([names.index(name) for name in of_shape], dtype=np.int64)
@@ -137,10 +137,10 @@ def _touching(trajectory: Trajectory, pattern: str) -> tuple[Index, Index, Index
     ]
     if not wanted and pattern != "*":  # "*" is valid even if no bodies touch
         raise ValueError(unknown(pattern, [*labels.values(), *names], "pairs that touch, or bodies,"))
-    keep = np.isin(pair, wanted)
+    keep = np.flatnonzero(np.isin(pair, wanted))
     sign = np.where(sides[:, 0] <= sides[:, 1], 1.0, -1.0)[:, None]
     which = np.searchsorted(wanted, pair[keep])
-    return row[keep], step[keep], which, sign[keep], [(names[found[k, 0]], names[found[k, 1]]) for k in wanted]
+    return keep, step[keep], which, sign[keep], [(names[found[k, 0]], names[found[k, 1]]) for k in wanted]
 
 
 def _contacts(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, str]]:

@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import trees as articulations
+from nsdyn.recording.tables import contact_columns
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
         If the recording describes its articulations too incompletely for the test.
     """
     first, last = trajectory.columns["contacts/offset"][step - 1 : step + 1]
-    c = {name[9:]: x[first:last] for name, x in trajectory.columns.items() if name.startswith("contacts/")}
+    c = {name: x[first:last] for name, x in contact_columns(trajectory).items()}
     own, direction = _freedoms(c, trajectory.dt)
     H = _columns(trajectory, step, c, own, direction)
     out = np.ones(last - first, np.bool_)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nsdyn.recording.shares import distinct
-from nsdyn.recording.tables import body_names, impulses, need_contacts
+from nsdyn.recording.tables import body_names, contact_columns, contact_steps, impulses
 from nsdyn.tools.arrays import Array, Index
 
 if TYPE_CHECKING:
@@ -54,9 +54,7 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     ValueError
         If the recording has no contacts.
     """
-    need_contacts(trajectory)
-    c = {name.removeprefix("contacts/"): x for name, x in trajectory.columns.items() if name.startswith("contacts/")}
-    step = np.repeat(np.arange(1, trajectory.steps + 1), np.diff(c["offset"]))
+    c, step = contact_columns(trajectory), contact_steps(trajectory)
     k = np.flatnonzero((step > rows[0]) & (step <= rows[-1]))
     step, c = step[k], {name: x[k] for name, x in c.items() if name != "offset"}
     impulse = impulses(trajectory, k) if by == "point" else c["impulse"]

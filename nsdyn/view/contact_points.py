@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn.recording.tables import impulses, need_contacts
+from nsdyn.recording.tables import contact_columns, impulses, need_contacts
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view import payload
 
@@ -46,7 +46,7 @@ def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
         If the recording has no contacts.
     """
     size = counts(trajectory, rows)
-    c = {name.removeprefix("contacts/"): x for name, x in trajectory.columns.items() if name.startswith("contacts/")}
+    c = contact_columns(trajectory)
     identity = identities(c)
     taken = _so_far(identity, -(c["work_normal"] + c["work_friction"]))
     start = c["offset"][np.maximum(rows - 1, 0)]

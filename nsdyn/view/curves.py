@@ -10,6 +10,7 @@ from nsdyn.dynamics.ledger import WORKS
 from nsdyn.recording import link_names
 from nsdyn.recording.body_motion import energies, twists
 from nsdyn.recording.joint_tables import coordinates
+from nsdyn.recording.tables import contact_steps
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view.keyframes import thinned
 
@@ -48,9 +49,8 @@ def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array
     out["put_in"], out["drives"] = np.maximum(given, 0.0), np.minimum(given, 0.0)
     penetration = np.full(trajectory.steps, np.nan)
     if trajectory.has_contacts:
-        step = np.repeat(np.arange(trajectory.steps), np.diff(trajectory.columns["contacts/offset"]))
         penetration[:] = 0.0
-        np.maximum.at(penetration, step, -trajectory.columns["contacts/gap"])
+        np.maximum.at(penetration, contact_steps(trajectory) - 1, -trajectory.columns["contacts/gap"])
     figures = {"residual": trajectory.solver.residual, "bound": trajectory.gauss.bound, "penetration": penetration}
     for name, values in figures.items():
         out[name] = np.full(rows.size, np.nan)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from nsdyn.recording.tables import impulses
+from nsdyn.recording.tables import contact_columns, contact_steps, impulses
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view.contact_points import identities
 
@@ -58,8 +58,7 @@ def find(trajectory: Trajectory) -> Impacts:
     none = Impacts(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty((0, 2), np.int64))
     if not trajectory.has_contacts or trajectory.every > 1:
         return none
-    c = {name.removeprefix("contacts/"): x for name, x in trajectory.columns.items() if name.startswith("contacts/")}
-    step = np.repeat(np.arange(1, trajectory.steps + 1), np.diff(c["offset"]))
+    c, step = contact_columns(trajectory), contact_steps(trajectory)
     impulse, u = c["impulse"][:, 0], c["u"][:, 0]
     push = impulse > 0.0
     speed = np.zeros(u.size)
