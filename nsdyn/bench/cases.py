@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from nsdyn.audit.audit import deepest
 from nsdyn.scene import named as scenes
@@ -62,22 +63,15 @@ def _attitude(scene: Scene, t: Array, poses: Array) -> float:
     moments = np.diag(body.inertia)
 
     def rate(_: float, y: Array) -> Array:
-        w, q = y[:3], y[3:]
-        out: Array = np.r_[np.cross(moments * w, w) / moments, 0.5 * _times(q, np.r_[w, 0.0])]
+        w, v, s = y[:3], y[3:6], y[6]
+        out: Array = np.r_[np.cross(moments * w, w) / moments, 0.5 * (s * w + np.cross(v, w)), -0.5 * v @ w]
         return out
 
     # Body and world axes agree at the start.
     start = np.r_[body.angular_velocity, body.quaternion]
-    exact: Array = solve_ivp(rate, (0.0, t[-1]), start, "DOP853", t, rtol=1e-13, atol=1e-14).y[3:].T
-    exact *= [-1.0, -1.0, -1.0, 1.0]  # conjugate
-    left = [_times(a, b) for a, b in zip(exact, poses[:, 0, 3:], strict=True)]
-    return max(2.0 * math.atan2(float(np.linalg.norm(q[:3])), abs(float(q[3]))) for q in left)
-
-
-def _times(a: Array, b: Array) -> Array:
-    """Return the product of two quaternions xyzw."""
-    out: Array = np.r_[a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3]), a[3] * b[3] - a[:3] @ b[:3]]
-    return out
+    exact = solve_ivp(rate, (0.0, t[-1]), start, "DOP853", t, rtol=1e-13, atol=1e-14).y[3:].T
+    left = Rotation.from_quat(exact).inv() * Rotation.from_quat(poses[:, 0, 3:])
+    return float(left.magnitude().max())
 
 
 def _penetration(scene: Scene, t: Array, poses: Array) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import siconos.kernel as sk
 import siconos.numerics as sn
+from scipy.spatial.transform import Rotation
 from siconos.mechanics import collision
 from siconos.mechanics.collision import bullet
 from stepping import serve
@@ -70,7 +71,7 @@ class Simulation:
         """Add a body; its angular velocity is in body axes, its quaternion begins with w."""
         x, y, z, w = body["quaternion"]
         pose = [*body["position"], w, x, y, z]
-        v = [*body["linear_velocity"], *(rotation(body["quaternion"]).T @ body["angular_velocity"])]
+        v = [*body["linear_velocity"], *Rotation.from_quat(body["quaternion"]).inv().apply(body["angular_velocity"])]
         out = collision.RigidBodyDS(pose, v, body["mass"], np.diag(body["inertia"]))
         out.setUseContactorInertia(False)
         if body["shape"] == "box":
@@ -98,14 +99,6 @@ class Simulation:
     def poses(self) -> Any:
         """Return the poses of the bodies."""
         return np.array([np.array(body.q())[[0, 1, 2, 4, 5, 6, 3]] for body in self.bodies])
-
-
-def rotation(quaternion: Any) -> Any:
-    """Return the rotation matrix of a quaternion xyzw."""
-    x, y, z, w = quaternion
-    u = np.array([x, y, z])
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return (w * w - u @ u) * np.eye(3) + 2.0 * np.outer(u, u) + 2.0 * w * cross
 
 
 def variants(scene: dict[str, Any]) -> list[str]:

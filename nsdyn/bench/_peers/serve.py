@@ -21,6 +21,21 @@ REPEAT, SHORT, TOGETHER = 0.05, 1e-3, 20
 succession, because the first few find the processor's caches empty."""
 
 
+def answer(reply: Callable[[dict[str, Any], Callable[..., None]], dict[str, Any]]) -> None:
+    """Answer requests until stdin ends by ``reply(request, say)``; ``say(event=...)`` writes a line before it."""
+    replies = os.dup(1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # solvers and engines that print must not garble the replies
+
+    def say(**line: Any) -> None:
+        os.write(replies, (json.dumps(line) + "\n").encode())
+
+    for line in sys.stdin:
+        try:
+            say(**reply(json.loads(line), say))
+        except Exception as failure:  # any error of a peer is its result
+            say(failure=f"{type(failure).__name__}: {failure}")
+
+
 def serve(prepare: Callable[..., Callable[[], Call]], warm: bool) -> None:
     """Answer requests until stdin ends.
 
@@ -38,31 +53,24 @@ def serve(prepare: Callable[..., Callable[[], Call]], warm: bool) -> None:
     best time counts. A line is written before and after each call, or group of short calls, so that the process that
     reads the replies can apply a time limit.
     """
-    replies = os.dup(1)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # solvers that print must not garble the replies
 
-    def say(**reply: Any) -> None:
-        os.write(replies, (json.dumps(reply) + "\n").encode())
+    def solved(request: dict[str, Any], say: Callable[..., None]) -> dict[str, Any]:
+        fresh = prepare(request["problem"], request["solver"], request["tol"])
+        best, count, until = np.inf, -1 if warm else 0, np.inf
+        while count < 3 or time.perf_counter() < until:
+            calls = [fresh() for _ in range(TOGETHER if best < SHORT else 1)]
+            say(event="warm" if count < 0 else "start")
+            for call in calls:
+                begin = time.perf_counter()
+                r, iterations = call()
+                seconds = time.perf_counter() - begin
+                if count >= 0:
+                    best, until = min(best, seconds), min(until, begin + REPEAT)
+            say(event="end")
+            count += 1
+            if best > 1.0 and count > 0:
+                break
+        np.save(request["answer"], r)
+        return {"seconds": best, "iterations": int(iterations)}
 
-    for line in sys.stdin:
-        request = json.loads(line)
-        try:
-            fresh = prepare(request["problem"], request["solver"], request["tol"])
-            best, count, until = np.inf, -1 if warm else 0, np.inf
-            while count < 3 or time.perf_counter() < until:
-                calls = [fresh() for _ in range(TOGETHER if best < SHORT else 1)]
-                say(event="warm" if count < 0 else "start")
-                for call in calls:
-                    begin = time.perf_counter()
-                    r, iterations = call()
-                    seconds = time.perf_counter() - begin
-                    if count >= 0:
-                        best, until = min(best, seconds), min(until, begin + REPEAT)
-                say(event="end")
-                count += 1
-                if best > 1.0 and count > 0:
-                    break
-            np.save(request["answer"], r)
-            say(seconds=best, iterations=int(iterations))
-        except Exception as failure:  # any error of a peer is its result
-            say(failure=f"{type(failure).__name__}: {failure}")
+    answer(solved)

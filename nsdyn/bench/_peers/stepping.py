@@ -1,20 +1,17 @@
-"""The loop of a worker that steps scenes: it reads requests on stdin, one JSON object per line, and writes replies.
+"""The loop of a worker that steps scenes; plain Python and NumPy, for any interpreter.
 
-Replies go to the original stdout. Plain Python and NumPy, for any interpreter. A scene is the result of
-`nsdyn.bench.cases.describe`.
+A scene is the result of `nsdyn.bench.cases.describe`.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
+from serve import answer
 
 MOST, ENOUGH = 5, 0.2  # most runs of one request, and seconds after which no further run begins
 
@@ -45,11 +42,6 @@ def serve(variants: Callable[[dict[str, Any]], list[str]], build: Callable[..., 
     at every sample are saved. The reply to a request without a `variant` is the list of variants. The processor time is
     measured: with one thread it equals the wall time on an idle machine, and does not change on a busy one.
     """
-    replies = os.dup(1)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # engines that print must not garble the replies
-
-    def say(**reply: Any) -> None:
-        os.write(replies, (json.dumps(reply) + "\n").encode())
 
     def run(simulation: Simulation, steps: int, samples: int) -> tuple[float, list[Any]]:
         seconds, poses = 0.0, []
@@ -60,21 +52,18 @@ def serve(variants: Callable[[dict[str, Any]], list[str]], build: Callable[..., 
             poses.append(np.array(simulation.poses(), dtype=float))
         return seconds, poses
 
-    for line in sys.stdin:
-        request = json.loads(line)
+    def played(request: dict[str, Any], say: Callable[..., None]) -> dict[str, Any]:
         scene = request["scene"]
-        try:
-            if "variant" not in request:
-                say(variants=variants(scene))
-                continue
-            times: list[float] = []
-            while len(times) < MOST and sum(times) < ENOUGH:
-                simulation = build(scene, request["variant"], request["dt"])
-                say(event="start")
-                seconds, poses = run(simulation, request["steps"], request["samples"])
-                say(event="end")
-                times.append(seconds)
-            np.save(request["answer"], poses)
-            say(seconds=statistics.median(times))
-        except Exception as failure:  # any error of an engine is its result
-            say(failure=f"{type(failure).__name__}: {failure}")
+        if "variant" not in request:
+            return {"variants": variants(scene)}
+        times: list[float] = []
+        while len(times) < MOST and sum(times) < ENOUGH:
+            simulation = build(scene, request["variant"], request["dt"])
+            say(event="start")
+            seconds, poses = run(simulation, request["steps"], request["samples"])
+            say(event="end")
+            times.append(seconds)
+        np.save(request["answer"], poses)
+        return {"seconds": statistics.median(times)}
+
+    answer(played)
