@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import one_line, say_json
+from nsdyn.cli.output import one_line, report
 
 __all__ = ["CHECKS", "PACKAGES", "diagnose", "tell", "version_of", "wrong_packages"]
 
@@ -105,18 +105,13 @@ def diagnose(arguments: argparse.Namespace) -> int:
         "wrong": wrong,
         "ok": sound,
     }
-    if arguments.json:
-        say_json(arguments, figures)
-        return 0 if sound else 1
-    for name, found in {"python": figures["python"], **packages}.items():
-        print(f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}")
+    every = {"python": figures["python"], **packages}
+    lines = [f"{name:12} {found['version'] or 'MISSING':12} {found['file'] or ''}" for name, found in every.items()]
     absent = "not found; only pictures and films (nsdyn view --png, nsdyn film) need it"
-    print(f"{'chromium':12} {figures['chromium'] or absent}")
-    print(f"{'cache':12} {cache or none}")
-    for line in wrong:
-        print(f"{'wrong':12} {line}")
-    for name, outcome in checks.items():
-        print(f"check        {name}: {outcome}")
+    lines += [f"{'chromium':12} {figures['chromium'] or absent}", f"{'cache':12} {cache or none}"]
+    lines += [f"{'wrong':12} {line}" for line in wrong]
+    lines += [f"check        {name}: {outcome}" for name, outcome in checks.items()]
+    report(arguments, figures, "\n".join(lines))
     return 0 if sound else 1
 
 

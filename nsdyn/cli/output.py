@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
-    from nsdyn.tools.arrays import Array
     from nsdyn.tools.files import Kind
 
 __all__ = [
@@ -31,12 +30,10 @@ __all__ = [
     "plain",
     "plot_to",
     "say",
-    "say_found",
-    "say_json",
     "seconds",
     "sides",
     "table",
-    "write_columns",
+    "report",
     "write_rows",
 ]
 
@@ -71,17 +68,9 @@ def say(arguments: argparse.Namespace, text: object) -> None:
     print(text, file=sys.stderr if taken else sys.stdout)
 
 
-def say_json(arguments: argparse.Namespace, figures: Any) -> None:
-    """Print results as JSON."""
-    say(arguments, json.dumps(plain(figures), indent=2))
-
-
-def say_found(arguments: argparse.Namespace, found: Any) -> None:
-    """Print the result of a study, as JSON with ``--json``."""
-    if arguments.json:
-        say_json(arguments, found.as_dict())
-    else:
-        say(arguments, found)
+def report(arguments: argparse.Namespace, figures: Any, words: object) -> None:
+    """Print results in words, or with ``--json`` their figures as JSON."""
+    say(arguments, json.dumps(plain(figures), indent=2) if arguments.json else words)
 
 
 def seconds(time: float) -> str:
@@ -156,18 +145,6 @@ def plot_to(path: Path, *draw: Callable[[Any], Any]) -> None:
             panel(axes)
 
     picture(path, panels, (3 + 5 * len(draw), 5))
-
-
-def write_columns(trajectory: Trajectory, series: Mapping[str, Array], path: Path) -> None:
-    """Write energies (n + 1,) and works (n,) of a recording, step by step, as a table."""
-    import numpy as np
-
-    columns = {"t [s]": trajectory.t}
-    for name, values in series.items():
-        # A work belongs to the step that ends at t; no step ends at the first time.
-        columns[f"{name} [J]"] = values if values.size == trajectory.t.size else np.concatenate([[0.0], values])
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
 
 
 def ledger(trajectory: Trajectory) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nsdyn.cli.output import check_files, picture, plot_to, say, say_json, seconds
+from nsdyn.cli.output import check_files, picture, plot_to, report, seconds
 from nsdyn.tools.naming import counted
 
 __all__ = ["bench_engines", "profile_solvers", "solve_file"]
@@ -34,15 +34,12 @@ def solve_file(arguments: argparse.Namespace) -> int:
         "time": solution.time,
         "solution": arguments.output,
     }
-    if arguments.json:
-        say_json(arguments, figures)
-    else:
-        say(
-            arguments,
-            f"{counted(problem.nc, 'contact')}, {arguments.solver}: {solution.status.message}; "
-            f"error {solution.error:.2e}, residual {solution.residual:.2e} m/s, "
-            f"{counted(solution.iterations, 'iteration')} in {seconds(solution.time)}",
-        )
+    words = (
+        f"{counted(problem.nc, 'contact')}, {arguments.solver}: {solution.status.message}; "
+        f"error {solution.error:.2e}, residual {solution.residual:.2e} m/s, "
+        f"{counted(solution.iterations, 'iteration')} in {seconds(solution.time)}"
+    )
+    report(arguments, figures, words)
     return 0 if solution.converged else 1
 
 
@@ -63,16 +60,10 @@ def profile_solvers(arguments: argparse.Namespace) -> int:
         profiles.write_csv(arguments.csv, found)
     if arguments.plot:
         plot_to(arguments.plot, *(partial(one.plot, legend=one is found[-1]) for one in found))
-    if arguments.json:
-        say_json(
-            arguments,
-            [
-                {"tol": p.tol, "limit": p.limit, "summary": p.summary(), "runs": [asdict(run) for run in p.runs]}
-                for p in found
-            ],
-        )
-    else:
-        say(arguments, "\n\n".join(f"tol {one.tol:g}\n{one.table()}" for one in found))
+    figures = [
+        {"tol": p.tol, "limit": p.limit, "summary": p.summary(), "runs": list(map(asdict, p.runs))} for p in found
+    ]
+    report(arguments, figures, "\n\n".join(f"tol {one.tol:g}\n{one.table()}" for one in found))
     return 0
 
 
@@ -88,8 +79,5 @@ def bench_engines(arguments: argparse.Namespace) -> int:
         found.write_csv(arguments.csv)
     if arguments.plot:
         picture(arguments.plot, found.plot, (13, 9.5), 80)
-    if arguments.json:
-        say_json(arguments, {"summary": found.summary(), "runs": [asdict(run) for run in found.runs]})
-    else:
-        say(arguments, found.table())
+    report(arguments, {"summary": found.summary(), "runs": [asdict(run) for run in found.runs]}, found.table())
     return 0

@@ -14,9 +14,8 @@ from nsdyn.cli.output import (
     check_files,
     ledger,
     picture,
+    report,
     say,
-    say_json,
-    write_columns,
 )
 from nsdyn.tools.files import PARQUET, TABLE
 
@@ -41,17 +40,16 @@ def show_energy(arguments: argparse.Namespace) -> int:
         return _energy_by(arguments, trajectory)
     if arguments.csv:
         trajectory.table("energy").to_csv(arguments.csv)
-    if arguments.json:
-        say_json(arguments, ledger(trajectory))
-    else:
-        say(arguments, trajectory.energy_table())
+    report(arguments, ledger(trajectory), trajectory.energy_table())
     return 0
 
 
 def _energy_by(arguments: argparse.Namespace, trajectory: Trajectory) -> int:
     """Print works by pair of bodies, or energies by body; return the exit code."""
+    import numpy as np
+
     from nsdyn.recording import breakdown
-    from nsdyn.tools import files
+    from nsdyn.tools.table import Table
 
     pairs = arguments.by == "pair"
     series: dict[str, tuple[Array, Array]] = (
@@ -60,15 +58,13 @@ def _energy_by(arguments: argparse.Namespace, trajectory: Trajectory) -> int:
         else trajectory.body_energies()
     )
     words = ("normal", "friction") if pairs else ("kinetic", "potential")
+    told = {name: dict(zip(words, both, strict=True)) for name, both in series.items()}
     if arguments.csv:
-        columns = {f"{name} {word}": v for name, both in series.items() for word, v in zip(words, both, strict=True)}
-        with files.writing(arguments.csv, files.TABLE) as part:
-            write_columns(trajectory, columns, part)
-    if arguments.json:
-        last = {name: dict(zip(words, both, strict=True)) for name, both in series.items()}
-        say_json(arguments, {"by": arguments.by, "t": trajectory.t_steps if pairs else trajectory.t, "series": last})
-    else:
-        say(arguments, (breakdown.pair_table if pairs else breakdown.body_table)(trajectory))
+        first = [0.0] if pairs else []  # a work belongs to the step that ends at t; no step ends at the first time
+        columns = {f"{name} {word}": np.append(first, v) for name, both in told.items() for word, v in both.items()}
+        Table("energy", {"t": trajectory.t} | columns, dict.fromkeys(columns, "J") | {"t": "s"}).to_csv(arguments.csv)
+    figures = {"by": arguments.by, "t": trajectory.t_steps if pairs else trajectory.t, "series": told}
+    report(arguments, figures, (breakdown.pair_table if pairs else breakdown.body_table)(trajectory))
     return 0
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import check_files, ledger, one_line, say, say_json
+from nsdyn.cli.output import check_files, ledger, one_line, report
 from nsdyn.tools.naming import counted
 
 __all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "chosen_steps", "list_scenes", "run_scene"]
@@ -62,12 +62,11 @@ def list_scenes(arguments: argparse.Namespace) -> int:
     for name in scenes.names():
         summary = (inspect.getdoc(scenes.module(name)) or "").partition("\n")[0]
         found[name] = {"summary": summary, "parameters": settings.parameters(name)}
-    if arguments.json:
-        say_json(arguments, found)
-        return 0
+    lines = []
     for name, scene in found.items():
         shown = ", ".join(f"{key}={settings.as_text(value)}" for key, value in scene["parameters"].items())
-        print(f"{name}: {scene['summary']}\n    {shown}")
+        lines.append(f"{name}: {scene['summary']}\n    {shown}")
+    report(arguments, found, "\n".join(lines))
     return 0
 
 
@@ -178,27 +177,23 @@ def run_scene(arguments: argparse.Namespace) -> int:
     if arguments.html:
         trajectory.to_html(arguments.html)
     audit = nsdyn.check(trajectory) if arguments.check else None
-    code = 0 if audit is None or audit.passed else 1
-    if arguments.json:
-        figures = {
-            "scene": name,
-            "parameters": settings.parameters(name) | parameters,
-            "dt": trajectory.dt,
-            "steps": trajectory.steps * trajectory.every,
-            "every": trajectory.every,
-            **took,
-            "contacts": _contacts(trajectory),
-            **ledger(trajectory),
-            "recording": recording,
-            "html": arguments.html,
-        }
-        say_json(arguments, figures if audit is None else figures | {"audit": audit.as_dict()})
-        return code
-    say(arguments, trajectory.energy_table())
-    say(arguments, _summary(trajectory, solver, took))
+    figures = {
+        "scene": name,
+        "parameters": settings.parameters(name) | parameters,
+        "dt": trajectory.dt,
+        "steps": trajectory.steps * trajectory.every,
+        "every": trajectory.every,
+        **took,
+        "contacts": _contacts(trajectory),
+        **ledger(trajectory),
+        "recording": recording,
+        "html": arguments.html,
+    }
+    words = [trajectory.energy_table(), _summary(trajectory, solver, took)]
     if audit is not None:
-        say(arguments, audit)
-    return code
+        figures, words = figures | {"audit": audit.as_dict()}, [*words, repr(audit)]
+    report(arguments, figures, "\n".join(words))
+    return 0 if audit is None or audit.passed else 1
 
 
 def _file(path: Path | None) -> int | None:

@@ -17,7 +17,7 @@ from nsdyn.cli.output import (
     header,
     one_line,
     picture,
-    say_found,
+    report,
     write_rows,
 )
 from nsdyn.cli.run import add_solver, chosen_solver
@@ -78,7 +78,7 @@ def study_steps(arguments: argparse.Namespace) -> int:
         from nsdyn.study.drawings import draw_refinement
 
         picture(arguments.plot, lambda figure: draw_refinement(found, figure), PICTURE_SIZE)
-    say_found(arguments, found)
+    report(arguments, found.as_dict(), found)
     return 0
 
 
@@ -95,7 +95,7 @@ def compare_recordings(arguments: argparse.Namespace) -> int:
 
     check_files(arguments)
     found = nsdyn.compare(*(nsdyn.Trajectory.load(path) for path in (arguments.first, arguments.second)))
-    say_found(arguments, found)
+    report(arguments, found.as_dict(), found)
     return 0
 
 
@@ -148,5 +148,5 @@ def check_anything(arguments: argparse.Namespace) -> int:
             raise ValueError(f"--set is for scenes, which {what} is not")
         options = settings.values(what, arguments.set)
     found = nsdyn.check(what, **options)
-    say_found(arguments, found)
+    report(arguments, found.as_dict(), found)
     return 0 if found.passed else 1

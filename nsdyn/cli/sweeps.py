@@ -18,8 +18,7 @@ from nsdyn.cli.output import (
     header,
     one_line,
     picture,
-    say,
-    say_json,
+    report,
     table,
     write_rows,
 )
@@ -98,11 +97,9 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
     if arguments.plot:
         size = PICTURE_SIZE[0], 2.0 * PICTURE_SIZE[1]
         picture(arguments.plot, lambda figure: drawings.draw_sweep(parameters, members, figure), size)
-    if arguments.json:
-        say_json(arguments, {"scene": name, "runs": rows})
-    else:
-        shown = [{columns[name]: value for name, value in _quiet(row, ensemble.UNITS).items()} for row in rows]
-        say(arguments, table(shown, [header for name, header in columns.items() if name != "failure"]))
+    shown = [{columns[name]: value for name, value in _quiet(row, ensemble.UNITS).items()} for row in rows]
+    words = table(shown, [header for name, header in columns.items() if name != "failure"])
+    report(arguments, {"scene": name, "runs": rows}, words)
     for m in members:
         if m.failure:
             which = f"{m.parameters}: " if m.parameters else ""
