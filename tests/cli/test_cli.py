@@ -55,28 +55,7 @@ def recording(run, tmp_path):
     return tmp_path / "run.h5"
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        [],
-        ["scenes"],
-        ["doctor"],
-        ["run"],
-        ["solve"],
-        ["profile"],
-        ["bench"],
-        ["sweep"],
-        ["new"],
-        ["study"],
-        ["compare"],
-        ["check"],
-        ["plot"],
-        ["energy"],
-        ["contacts"],
-        ["view"],
-        ["film"],
-    ],
-)
+@pytest.mark.parametrize("command", [[], *([name] for name in EXAMPLES)])
 def test_help(run, command):
     code, out, err = run(*command, "--help")
     assert code == 0 and out.startswith("usage: nsdyn") and err == ""

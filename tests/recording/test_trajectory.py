@@ -264,35 +264,16 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         offset, pieces = file["contacts/offset"][:], file["pieces/offset"][:]
         assert offset.shape == (8,) and offset[0] == 0
         assert pieces.tolist() == [0, 1, 3, 3, 4, 6, 6, 7] and file["pieces/shift"].shape == (7, 1)
-        assert {name: file["joints"][name].shape for name in {*file["joints"]} - named} == dict.fromkeys(
-            ("actuation", "limit", "friction", "external", "shift", "strength", "drive"), (7, 1)
-        )
+        joints = ("actuation", "limit", "friction", "external", "shift", "strength", "drive")
+        shapes = {name: file["joints"][name].shape for name in {*file["joints"]} - named}
+        assert shapes == dict.fromkeys(joints, (7, 1))
         assert file["links/impulse"].shape == (7, 1, 6)
         assert file["wrenches/offset"][:].tolist() == [0, 2, 2, 4, 4, 6, 6, 8]
         assert file["lifts/offset"][:].tolist() == [0, 1, 2, 2, 3, 4, 4, 5] and file["lifts/shift"].shape == (5, 6)
-        assert {name: len(file["wrenches"][name]) for name in ("body", "time", "duration", "impulse")} == dict.fromkeys(
-            ("body", "time", "duration", "impulse"), 8
-        )
+        assert [len(file["wrenches"][name]) for name in ("body", "time", "duration", "impulse")] == [8] * 4
         columns = set(file["contacts"]) - {"offset"} - named
-        assert columns == {
-            "geom1",
-            "geom2",
-            "point",
-            "normal",
-            "gap",
-            "u",
-            "impulse",
-            "couple",
-            "mu",
-            "restitution",
-            "key",
-            "status",
-            "tangent",
-            "time",
-            "duration",
-            "work_normal",
-            "work_friction",
-        }
+        names = "geom1 geom2 point normal gap u impulse couple mu restitution key status tangent time duration"
+        assert columns == {*names.split(), "work_normal", "work_friction"}
         assert {len(file[f"contacts/{name}"]) for name in columns} == {offset[-1]}
 
 
@@ -447,43 +428,32 @@ def test_damaged_file_is_named(damage, message, tmp_path):
     assert str(path) in str(failure.value)
 
 
-def to_version_2(file):
-    """Three terms in place of `integration`, 1, 2 and 3 J a step, and no `created`."""
-    n = len(file["energy/integration"])
-    del file["energy/integration"], file["energy/created"], file["solver/error"], file["wall_time"]
-    del file["contacts/time"], file["contacts/duration"]
-    for work, name in enumerate(("gyroscopic", "theta", "mass"), start=1):
-        file[f"energy/{name}"] = np.full(n, float(work))
+@pytest.mark.parametrize("version", [1, 2])
+def test_old_recordings_are_read(version, tmp_path):
+    """And saved as recordings of now: three terms in place of `integration`, 1, 2 and 3 J a step, and no `created`.
 
-
-def test_recordings_of_version_2_are_read(tmp_path):
-    """And saved as recordings of now."""
+    Those of version 1 lack the works of joint damping and of constraints, which were 0.
+    """
     path = tmp_path / "run.h5"
     record(path, 5)
     with h5py.File(path, "r+") as file:
-        file["meta"].attrs["format_version"] = 2
-        to_version_2(file)
+        file["meta"].attrs["format_version"] = version
+        normal = file["energy/normal"][:]
+        del file["energy/integration"], file["energy/created"], file["solver/error"], file["wall_time"]
+        del file["contacts/time"], file["contacts/duration"]
+        for work, name in enumerate(("gyroscopic", "theta", "mass"), start=1):
+            file[f"energy/{name}"] = np.full(5, float(work))
+        if version == 1:
+            del file["energy/damping"], file["energy/constraint"]
     old = Trajectory.load(path)
     np.testing.assert_array_equal(old.energy.integration, np.full(5, 6.0))
+    np.testing.assert_array_equal(old.energy.normal, normal)
+    if version == 1:
+        np.testing.assert_array_equal([old.energy.damping, old.energy.constraint], np.zeros((2, 5)))
     for missing in (old.energy.created, old.solver.error, old.wall_time, old.columns["contacts/time"]):
         assert missing.size and np.isnan(missing).all()
     old.save(path)
     np.testing.assert_array_equal(Trajectory.load(path).energy.integration, np.full(5, 6.0))
-
-
-def test_recordings_of_version_1_are_read(tmp_path):
-    """They lack the works of joint damping and of constraints, which were 0."""
-    path = tmp_path / "run.h5"
-    record(path, 5)
-    with h5py.File(path, "r+") as file:
-        file["meta"].attrs["format_version"] = 1
-        normal = file["energy/normal"][:]
-        del file["energy/damping"], file["energy/constraint"]
-        to_version_2(file)
-    old = Trajectory.load(path)
-    np.testing.assert_array_equal(old.energy.damping, np.zeros(5))
-    np.testing.assert_array_equal(old.energy.constraint, np.zeros(5))
-    np.testing.assert_array_equal(old.energy.normal, normal)
 
 
 @pytest.mark.parametrize("parts", [40, pytest.param(150, marks=pytest.mark.slow)])
