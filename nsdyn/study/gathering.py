@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection
 from typing import Any
@@ -28,6 +29,7 @@ callbacks."""
 
 Tasks = Mapping[int, tuple[Any, ...]]
 Outcome = tuple[int, Any, str]
+Submit = Callable[..., Future[Any]]
 
 
 def gather(function: Callable[..., Any], tasks: Tasks, workers: int | Executor | None) -> Iterator[Outcome]:
@@ -55,15 +57,61 @@ def gather(function: Callable[..., Any], tasks: Tasks, workers: int | Executor |
         for k, task in tasks.items():
             yield k, function(*task), ""
     elif isinstance(workers, int):
-        yield from _in_processes(function, tasks, workers)
+        count = min(workers, len(tasks))
+        with _processes(count) as submit:
+            yield from _sent(function, tasks, submit, 1, count)
     else:
-        yield from _by_executor(function, tasks, workers)
+        size = max(1, math.ceil(len(tasks) / MESSAGES))
+        yield from _sent(function, tasks, workers.submit, size, len(tasks))
 
 
-def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Iterator[Outcome]:
-    """Run tasks in pools of one process each, so that a process that dies loses only its own task, and is replaced.
+def _sent(function: Callable[..., Any], tasks: Tasks, submit: Submit, size: int, most: int) -> Iterator[Outcome]:
+    """Send tasks, `size` in a message and at most `most` messages at once; tasks of a lost message again one by one."""
+    numbers, tried = list(tasks), set[int]()
+    waiting = deque(numbers[first : first + size] for first in range(0, len(numbers), size))
+    running: dict[Future[list[Any]], list[int]] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < most:
+                some = waiting.popleft()
+                try:
+                    running[submit(_each, function, [tasks[k] for k in some])] = some
+                except RuntimeError as broken:  # the executor accepts no more tasks
+                    if some[0] not in tried:
+                        raise
+                    yield some[0], None, _reason(broken)
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                some = running.pop(future)
+                try:
+                    outcomes = future.result()
+                except Exception as failure:  # the worker was lost, or data could not be sent
+                    for k in some:
+                        if k in tried:
+                            yield k, None, _reason(failure)
+                        else:
+                            tried.add(k)
+                            waiting.append([k])
+                else:
+                    yield from ((k, outcome, "") for k, outcome in zip(some, outcomes, strict=True))
+    finally:
+        for future in running:
+            future.cancel()
 
-    If the generator ends early, it interrupts running tasks; a pool alone would wait for them.
+
+def _each(function: Callable[..., Any], tasks: list[tuple[Any, ...]]) -> list[Any]:
+    return [function(*task) for task in tasks]
+
+
+def _reason(failure: Exception) -> str:
+    return f"its worker was lost twice: {type(failure).__name__}: {' '.join(str(failure).split())}"
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[Submit]:
+    """Yield a function that calls another one in a process that is idle; in the end, running calls are interrupted.
+
+    Each process has a pool of its own, so that one that dies loses only its own task, and is replaced. A pool alone
+    would wait for running calls.
     """
     context = get_context("spawn")
     stopped, stop = context.Pipe(duplex=False)
@@ -71,28 +119,18 @@ def _in_processes(function: Callable[..., Any], tasks: Tasks, count: int) -> Ite
     def pool() -> ProcessPoolExecutor:
         return ProcessPoolExecutor(1, context, _heed, (stopped,))
 
-    pools = [pool() for _ in range(min(count, len(tasks)))]
-    idle, waiting, tried = list(range(len(pools))), deque(tasks), set[int]()
-    running: dict[Future[Any], tuple[int, int]] = {}
+    pools, last = [pool() for _ in range(count)], dict[int, Future[Any]]()
+
+    def submit(function: Callable[..., Any], *given: Any) -> Future[Any]:
+        k = next(k for k in range(count) if k not in last or last[k].done())
+        if k in last and isinstance(last[k].exception(), BrokenExecutor):  # the process died
+            pools[k].shutdown(wait=False)
+            pools[k] = pool()
+        last[k] = pools[k].submit(_heeding, function, *given)
+        return last[k]
+
     try:
-        while waiting or running:
-            while waiting and idle:
-                k, place = waiting.popleft(), idle.pop()
-                running[pools[place].submit(_heeding, function, *tasks[k])] = k, place
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                k, place = running.pop(future)
-                idle.append(place)
-                try:
-                    yield k, future.result(), ""
-                except Exception as failure:  # the process died, or data could not be sent
-                    if isinstance(failure, BrokenExecutor):
-                        pools[place].shutdown(wait=False)
-                        pools[place] = pool()
-                    if k in tried:
-                        yield k, None, _reason(failure)
-                    else:
-                        tried.add(k)
-                        waiting.append(k)
+        yield submit
     finally:
         stop.close()
         for one in pools:
@@ -149,45 +187,3 @@ def _heeding(function: Callable[..., Any], *task: Any) -> Any:
         return function(*task)
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _by_executor(function: Callable[..., Any], tasks: Tasks, executor: Executor) -> Iterator[Outcome]:
-    """Run tasks by an executor, several per message; the tasks of a lost message are sent again one by one."""
-    size, numbers = math.ceil(len(tasks) / MESSAGES), list(tasks)
-    running: dict[Future[list[Any]], list[int]] = {}
-    tried: set[int] = set()
-
-    def send(some: list[int]) -> None:
-        running[executor.submit(_each, function, [tasks[k] for k in some])] = some
-
-    for first in range(0, len(numbers), max(1, size)):
-        send(numbers[first : first + size])
-    try:
-        while running:
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                some = running.pop(future)
-                try:
-                    outcomes = future.result()
-                except Exception as failure:  # the worker was lost, or data could not be sent
-                    for k in some:
-                        if k in tried:
-                            yield k, None, _reason(failure)
-                            continue
-                        tried.add(k)
-                        try:
-                            send([k])
-                        except RuntimeError as broken:  # the executor accepts no more tasks
-                            yield k, None, _reason(broken)
-                else:
-                    yield from ((k, outcome, "") for k, outcome in zip(some, outcomes, strict=True))
-    finally:
-        for future in running:
-            future.cancel()
-
-
-def _each(function: Callable[..., Any], tasks: list[tuple[Any, ...]]) -> list[Any]:
-    return [function(*task) for task in tasks]
-
-
-def _reason(failure: Exception) -> str:
-    return f"its worker was lost twice: {type(failure).__name__}: {' '.join(str(failure).split())}"
