@@ -10,6 +10,7 @@ import pages
 import pytest
 
 import nsdyn as nd
+from nsdyn import cli
 from nsdyn.view import browser
 
 # What is tested is machine code, not the interpreter until there is some.
@@ -39,6 +40,22 @@ def window():
 def opened(window, tmp_path_factory):
     """Function that opens the page of a recording, at its beginning and paused, in a window of a size."""
     return pages.Opener(window, tmp_path_factory.mktemp("pages"))
+
+
+@pytest.fixture
+def run(capsys, tmp_path, monkeypatch):
+    """Run the command in an empty folder; (exit code, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        try:
+            code = cli.main([str(a) for a in arguments])
+        except SystemExit as exit_:  # argparse ends --help and wrong usage so
+            code = exit_.code
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
 
 
 def drift(trajectory: nd.Trajectory) -> float:

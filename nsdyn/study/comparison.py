@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,10 @@ from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view.titles import differing
 
-__all__ = ["Comparison", "Differences", "compare", "differences"]
+__all__ = ["UNITS", "Comparison", "Differences", "compare", "differences"]
+
+UNITS = {"position": "m", "rotation": "rad", "velocity": "m/s, rad/s", "energy": "J"}
+"""Compared quantities and their units."""
 
 LEVELS = tuple(10.0**k for k in range(-15, 3))
 """Levels of difference, m or rad; a comparison reports when two runs first exceed each."""
@@ -45,6 +48,11 @@ class Differences:
     rotation: Array
     velocity: Array
     energy: Array
+
+    @property
+    def largest(self) -> dict[str, float]:
+        """The largest of each quantity of `UNITS` at all times."""
+        return {name: float(getattr(self, name).max()) for name in UNITS}
 
 
 def differences(a: Trajectory, b: Trajectory) -> Differences:
@@ -116,14 +124,7 @@ class Comparison:
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as JSON values."""
         parted = [{"level": level, "t": t, "body": body} for level, t, body in self.parted]
-        return {
-            "options": self.options,
-            "times": self.times,
-            "identical": self.identical,
-            "parted": parted,
-            "touching": self.touching,
-            "largest": self.largest,
-        }
+        return asdict(self) | {"parted": parted}
 
     def __repr__(self) -> str:
         lines = [f"{name}: {one} and {other}" for name, (one, other) in self.options.items()]
@@ -131,7 +132,7 @@ class Comparison:
         lines += [f"beyond {level:7.0e} m or rad at t = {t:<10.6g} s  {body}" for level, t, body in self.parted]
         if self.touching:
             lines.append("pushes in one run only, first at t = {:.6g} s: {} and {}".format(*self.touching))
-        units = {"position": "m", "rotation": "rad", "velocity": "m/s or rad/s", "energy": "J"}
+        units = {name: unit.replace(", ", " or ") for name, unit in UNITS.items()}
         largest = ", ".join(f"{name} {self.largest[name]:.2e} {unit}" for name, unit in units.items())
         lines.append(f"largest differences: {largest}")
         return "\n".join(lines)
@@ -167,8 +168,7 @@ def compare(a: Trajectory, b: Trajectory) -> Comparison:
             if parted and parted[-1][1] == d.t[k]:
                 parted.pop()  # of several levels exceeded at one time only the largest stays
             parted.append((level, float(d.t[k]), d.names[body[k]]))
-    largest = {name: float(getattr(d, name).max()) for name in ("position", "rotation", "velocity", "energy")}
-    return Comparison(differing(a, b), d.t.size, identical, tuple(parted), _touching(a, b, d), largest)
+    return Comparison(differing(a, b), d.t.size, identical, tuple(parted), _touching(a, b, d), d.largest)
 
 
 def _touching(a: Trajectory, b: Trajectory, d: Differences) -> tuple[float, str, str] | None:

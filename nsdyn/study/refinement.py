@@ -15,15 +15,12 @@ from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import RunOptions, simulate
 from nsdyn.stepping.system import check_seconds
-from nsdyn.study.comparison import differences
+from nsdyn.study.comparison import UNITS, differences
 from nsdyn.tools import notebook
 from nsdyn.tools.arrays import numbers
 from nsdyn.tools.naming import check_known
 
 __all__ = ["Refinement", "Row", "order", "refine"]
-
-ERRORS = {"position": "m", "rotation": "rad", "velocity": "m/s, rad/s", "energy": "J"}
-"""Compared quantities, as in `nsdyn.study.comparison.differences`, and their units."""
 
 ROUND_OFF = 1e-11
 """Smallest error, in its unit, for which an order is computed."""
@@ -77,7 +74,7 @@ class Refinement:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the rows as JSON values."""
-        return {"scene": self.name, "units": ERRORS, "runs": [asdict(row) for row in self.rows]}
+        return {"scene": self.name, "units": UNITS, "runs": [asdict(row) for row in self.rows]}
 
     def __repr__(self) -> str:
         lines = self._lines()
@@ -98,13 +95,13 @@ class Refinement:
             [
                 "dt [s]",
                 "steps",
-                *(h for name, unit in ERRORS.items() for h in (f"{name} [{unit}]", "order")),
+                *(h for name, unit in UNITS.items() for h in (f"{name} [{unit}]", "order")),
                 "time [s]",
             ]
         ]
         for row in self.rows:
             out.append([f"{row.dt:.3g}", str(row.steps)])
-            for name in ERRORS:
+            for name in UNITS:
                 p = row.orders.get(name, math.nan)
                 out[-1] += [f"{getattr(row, name):.2e}", "-" if math.isnan(p) else f"{p:.2f}"]
             out[-1].append(f"{row.time:.3g}")
@@ -174,13 +171,13 @@ def refine(
             raise ValueError(f"duration must be a whole number of every dt, got {duration:g} s and dt = {dt:g} s")
     runs = [_run(scene, dt, duration, parameters or {}, progress, options) for dt in chosen]
     finest = runs[-1]
-    errors = [_errors(run, finest) for run in runs]
+    errors = [differences(run, finest).largest for run in runs]
     rows = []
     for k, (dt, run) in enumerate(zip(chosen, runs, strict=True)):
         orders = {}
         if k + 2 < len(runs):
             next_ = {name: error if error > ROUND_OFF else 0.0 for name, error in errors[k + 1].items()}
-            orders = {name: order(errors[k][name], next_[name], dt, chosen[k + 1], chosen[-1]) for name in ERRORS}
+            orders = {name: order(errors[k][name], next_[name], dt, chosen[k + 1], chosen[-1]) for name in UNITS}
         # The first step includes loading and compiling of kernels: the median replaces its time.
         time = float(run.wall_time[1:].sum() + np.median(run.wall_time))
         rows.append(Row(dt, run.steps, **errors[k], orders=orders, time=time))
@@ -213,9 +210,3 @@ def _run(
         setup = scenes.setup(scene, **parameters)
         return simulate(setup.scene, duration, **setup.options(**options | {"dt": dt, "progress": progress}))
     return simulate(scenes.made(scene, **parameters), duration, dt=dt, progress=progress, **options)
-
-
-def _errors(run: Trajectory, finest: Trajectory) -> dict[str, float]:
-    """Return the largest differences of a run from the finest one at their common times."""
-    found = differences(run, finest)
-    return {name: float(getattr(found, name).max()) for name in ERRORS}

@@ -21,7 +21,6 @@ import pytest
 from test_problem import corner_box
 
 import nsdyn as nd
-from nsdyn import cli
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.cli import doctor, output
 from nsdyn.cli.command import EXAMPLES, parser
@@ -31,22 +30,6 @@ from nsdyn.scene import settings
 from nsdyn.view import browser, viewer
 
 SHORT = ["--time", "0.02", "--dt", "1e-3"]
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Run the command in an empty folder; (exit code, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        try:
-            code = cli.main([str(a) for a in arguments])
-        except SystemExit as exit_:  # argparse ends --help and wrong usage so
-            code = exit_.code
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
 
 
 @pytest.fixture

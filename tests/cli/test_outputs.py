@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import nsdyn as nd
-from nsdyn import cli
 from nsdyn.study.refinement import order
 
 matplotlib.use("Agg")
@@ -27,18 +26,6 @@ def trajectory():
     scene.set_pair("below", "above", mu=0.1)
     scene.add_sphere("ball", 0.1, 1.0, position=(0, 5, 0.3))
     return nd.simulate(scene, 0.4, dt=0.01)
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Run the command in an empty folder; (exit code, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        code = cli.main([str(a) for a in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_works_of_pairs_sum_up_to_the_ledger(trajectory):
