@@ -12,20 +12,7 @@ from nsdyn.tools.files import PICTURE
 
 __all__ = ["add_plot", "draw"]
 
-KINDS = (
-    "position",
-    "speed",
-    "force",
-    "slip",
-    "gap",
-    "joint",
-    "phase",
-    "energy",
-    "power",
-    "friction",
-    "certificate",
-    "penetration",
-)
+KINDS = "position speed force slip gap joint phase energy power friction certificate penetration".split()
 """Kinds of plots of `nsdyn.view.plots`, repeated here so that the help does not load that module."""
 
 LEAST = 40.0

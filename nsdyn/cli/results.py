@@ -69,22 +69,11 @@ def _energy_by(arguments: argparse.Namespace, trajectory: Trajectory) -> int:
 
 
 SHOWN = {
-    "bodies": ("body", *"xyz", "v_x", "v_y", "v_z", "speed", "force_x", "force_y", "force_z"),
-    "joints": (
-        "joint",
-        "coordinate",
-        "unit",
-        "position",
-        "velocity",
-        "torque",
-        "limit",
-        "friction",
-        "reaction_force_x",
-        "reaction_force_y",
-        "reaction_force_z",
-    ),
-    "pairs": ("body1", "body2", "state", "gap", "slip", "normal_force", "friction_force"),
-    "contacts": ("body1", "body2", "state", "gap", "u_N", "u_T", "impulse_N", "impulse_T", "mu"),
+    "bodies": "body x y z v_x v_y v_z speed force_x force_y force_z",
+    "joints": "joint coordinate unit position velocity torque limit friction "
+    "reaction_force_x reaction_force_y reaction_force_z",
+    "pairs": "body1 body2 state gap slip normal_force friction_force",
+    "contacts": "body1 body2 state gap u_N u_T impulse_N impulse_T mu",
 }
 """Columns that are printed, by kind of table."""
 
@@ -119,7 +108,7 @@ def show_table(kind: str, arguments: argparse.Namespace) -> int:
             table.to_csv(arguments.csv)
         if arguments.parquet:
             table.to_parquet(arguments.parquet)
-    say(arguments, found.select(*SHOWN[kind]).text())
+    say(arguments, found.select(*SHOWN[kind].split()).text())
     say(arguments, f"step {k}, which ends at t = {trajectory.t[k]:g} s; --csv and --parquet have all steps and columns")
     return 0
 

@@ -11,19 +11,7 @@ from nsdyn import cli
 from nsdyn.recording import file
 from nsdyn.recording.columns import LAYOUT, ON_LINKS
 
-NOT_LABELS = (
-    "shape",
-    "coordinate",
-    "velocity",
-    "joint_coordinate",
-    "body",
-    "axis",
-    "quaternion",
-    "side",
-    "link",
-    "wrench",
-    "lift",
-)
+NOT_LABELS = "shape coordinate velocity joint_coordinate body axis quaternion side link wrench lift".split()
 
 
 @pytest.fixture(scope="module")
