@@ -126,6 +126,7 @@ __all__ = [
     "WIDTHS",
     "Column",
     "Columns",
+    "rows_of",
 ]
 
 Columns = dict[str, NDArray[Any]]
@@ -230,7 +231,6 @@ ON_BODIES = {
 RAGGED = {"contacts": CONTACT, "pieces": PIECES, **ON_BODIES}
 """Groups of datasets in which rows `offset[k-1]` to `offset[k]` belong to step k."""
 
-# All other datasets by their number of rows: n + 1 (STATES, LINKS) or n (STEPS, JOINTS, ON_LINKS).
 STATES = {
     "t": Column("f8", "s"),
     "q": Column("f8", "m, rad or 1", ("coordinate",)),
@@ -252,6 +252,15 @@ LAYOUT: dict[str, Column] = {
     **{f"{group}/{name}": column for group, columns in RAGGED.items() for name, column in columns.items()},
 }
 """All columns by the names of their datasets."""
+
+
+def rows_of(name: str) -> str:
+    """Return what a column has a row for: "states" (n + 1), "steps" (n), or a group of `RAGGED`."""
+    group, _, inner = name.partition("/")
+    if name in STATES or name in LINKS or inner == "offset":
+        return "states"
+    return group if group in RAGGED else "steps"
+
 
 # Columns that older files lack: (version, column, columns of the older file whose sum it is, value if there are none).
 ADDED: list[tuple[int, str, tuple[str, ...], float]] = [

@@ -28,7 +28,6 @@ from nsdyn.recording.columns import (
     FORMAT_VERSION,
     JOINTS,
     LAYOUT,
-    LINKS,
     ON_LINKS,
     RAGGED,
     STATES,
@@ -36,6 +35,7 @@ from nsdyn.recording.columns import (
     WIDTHS,
     Column,
     Columns,
+    rows_of,
 )
 from nsdyn.tools.datasets import check_heaps, created, dataset
 from nsdyn.tools.files import is_file
@@ -65,8 +65,8 @@ written to a new place, so that a file that grows by a few rows at a time would 
 
 def _row_counts(names: Iterable[str], states: int, ends: Mapping[str, int]) -> dict[str, int]:
     """Return the number of rows of each dataset in a recording with `states` states; `ends` are those of `RAGGED`."""
-    count = dict.fromkeys([*STATES, *LINKS, *(f"{group}/offset" for group in ends)], states)
-    return {name: count.get(name, ends.get(name.partition("/")[0], states - 1)) for name in names}
+    count = {"states": states, "steps": states - 1, **ends}
+    return {name: count[rows_of(name)] for name in names}
 
 
 def _ends(source: Mapping[str, Any], row: int) -> dict[str, int]:

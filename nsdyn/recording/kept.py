@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from nsdyn.recording.columns import RAGGED, Columns
+from nsdyn.recording.columns import Columns, rows_of
 
 __all__ = ["Kept", "Part"]
 
@@ -41,7 +41,7 @@ class Kept:
                 shape = fitted or (len(values),)
                 begin, end = ends[name], ends[name] + math.prod(shape)
                 if end > len(self._arrays[name]):
-                    self._grow(_group(name), end, ends)
+                    self._grow(rows_of(name), end, ends)
                 array = self._arrays[name]
                 np.copyto(array[begin:end].reshape(*shape, *array.shape[1:]), values, casting="same_kind")
                 ends[name] = end
@@ -50,7 +50,7 @@ class Kept:
     def _grow(self, group: str, rows: int, ends: dict[str, int]) -> None:
         """Make room for `rows` rows of a group of columns, and for the rest of the run at the present rate of rows."""
         rows = int(rows * min(max(2.0, 1.1 * self._expected / max(1, ends["t"])), MOST))
-        old = {name: array for name, array in self._arrays.items() if _group(name) == group}
+        old = {name: array for name, array in self._arrays.items() if rows_of(name) == group}
         sizes = [rows * array.itemsize * math.prod(array.shape[1:]) for array in old.values()]
         room, at = np.empty(sum(sizes) + 8 * len(sizes), np.uint8), 0
         for (name, array), size in zip(old.items(), sizes, strict=True):
@@ -65,9 +65,3 @@ class Kept:
     def clear(self) -> None:
         """Remove all rows; keep the memory."""
         self._rows = dict.fromkeys(self._rows, 0)
-
-
-def _group(name: str) -> str:
-    """Return the group of columns with the same number of rows: a name of `RAGGED`, or "steps"."""
-    group, _, inner = name.partition("/")
-    return group if group in RAGGED and inner != "offset" else "steps"

@@ -23,12 +23,13 @@ from typing import Any
 import h5py
 import numpy as np
 
-from nsdyn.recording.columns import CONTACT_STATES, LAYOUT, LINKS, ON_BODIES, STATES
+from nsdyn.recording.columns import CONTACT_STATES, LAYOUT, ON_BODIES, rows_of
 
 __all__ = ["name_axes", "name_units"]
 
-ROWS = {"contacts": "contacts/contact", "pieces": "pieces/piece", **{group: f"{group}/row" for group in ON_BODIES}}
-"""Names of the axis of rows of the groups in which steps have several."""
+ROWS = {"states": "t", "steps": "t_steps", "contacts": "contacts/contact", "pieces": "pieces/piece"}
+ROWS |= {group: f"{group}/row" for group in ON_BODIES}
+"""Names of the axis of rows, by what a column has a row for."""
 
 
 def name_units(file: Any, meta: Mapping[str, Any], columns: Iterable[str]) -> None:
@@ -53,7 +54,7 @@ def name_axes(file: Any, scene: Mapping[str, Any], columns: Iterable[str]) -> No
     for axis in used:
         if axis in labels:
             file.create_dataset(axis, data=np.array(labels[axis], dtype=object), dtype=h5py.string_dtype())
-        elif axis in ROWS.values():
+        elif "/" in axis:
             rows = np.diff(file[f"{axis.partition('/')[0]}/offset"][:])
             file.create_dataset(axis, data=np.repeat(file["t"][1:], rows), compression="gzip", shuffle=True)
             file[axis].attrs["units"] = "s"
@@ -73,8 +74,7 @@ def name_axes(file: Any, scene: Mapping[str, Any], columns: Iterable[str]) -> No
 
 def _axes(name: str) -> tuple[str, ...]:
     """Return the names of the scales of a column."""
-    of_states = name in STATES or name in LINKS or name.endswith("/offset")
-    return ("t" if of_states else ROWS.get(name.partition("/")[0], "t_steps"), *LAYOUT[name].axes)
+    return (ROWS[rows_of(name)], *LAYOUT[name].axes)
 
 
 def _labels(scene: Mapping[str, Any]) -> dict[str, list[str]]:

@@ -16,16 +16,15 @@ from nsdyn.recording.columns import (
     CONTACT,
     JOINTS,
     LAYOUT,
-    LINKS,
     ON_BODIES,
     ON_JOINTS,
     ON_LINKS,
     RAGGED,
-    STATES,
     STEP,
     STEPS,
     WIDTHS,
     Columns,
+    rows_of,
 )
 from nsdyn.recording.kept import Part
 from nsdyn.tools.arrays import Array, Index
@@ -59,7 +58,7 @@ def keep(step: Any) -> Any:
 def begin(state: Any) -> Columns:
     """Return the columns of the initial state."""
     columns = _columns(_stacked([_read_state(state)]))
-    return {name: x for name, x in columns.items() if name in STATES or name in LINKS}
+    return {name: x for name, x in columns.items() if rows_of(name) == "states"}
 
 
 def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
@@ -187,7 +186,7 @@ def _merged(columns: Columns, every: int) -> Columns:
     worst = np.where(bad | ~bad.any(axis=1, keepdims=True), error, -np.inf).argmax(axis=1)
     out = {}
     for name, x in rows.items():
-        rule = "last" if name in STATES or name in LINKS else LAYOUT[name].merged
+        rule = "last" if rows_of(name) == "states" else LAYOUT[name].merged
         if rule == "sum":
             out[name] = np.add.accumulate(x, axis=1)[:, -1]  # one after the other, in the order of a resumed run
         else:
