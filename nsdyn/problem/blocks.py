@@ -127,7 +127,7 @@ class DelassusFactors(NamedTuple):
     def mass(self) -> sp.csr_array:
         """Return M, shape (n, n)."""
         sizes = np.diff(self.offset)
-        parts = [self.m[a : a + n * n].reshape(n, n) for a, n in zip(self.m_start, sizes, strict=True)]
+        parts = [sp.coo_array(self.m[a : a + n * n].reshape(n, n)) for a, n in zip(self.m_start, sizes, strict=True)]
         return sp.csr_array(sp.block_diag(parts)) if parts else sp.csr_array((0, 0))
 
     def dense(self) -> tuple[Array, Array]:
