@@ -48,8 +48,9 @@ def joints(poses: Poses, found: Retraced | str | None) -> Iterator[Found]:
 def _places(poses: Poses, found: Trees) -> Iterator[Found]:
     """Findings on frames of links, gaps of loops and joint limits, in all states."""
     t, frames = poses.trajectory, poses.scene["frames"]
-    states, off, far = range(t.steps + 1), *np.zeros((2, t.steps + 1, len(frames)))
-    radius = np.zeros(len(frames))
+    off, far = np.zeros((2, t.steps + 1, len(frames)))
+    R, x = np.zeros((t.steps + 1, len(frames), 3, 3)), np.zeros((t.steps + 1, len(frames), 3))
+    radius, links = np.zeros(len(frames)), list(found.links)
     moving = poses.frame >= 0
     np.maximum.at(radius, poses.frame[moving], poses.bounding_radius[moving])
     gaps, beyond, scales, ranges, labels = [], [], [], [], []
@@ -57,23 +58,23 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
         own = [(frame, joint) for frame, (tree, joint) in found.links.items() if tree == i]
         length = sum(float(np.linalg.norm(p.translation)) for p in m.model.jointPlacements) or 1.0
         width = np.where(np.isfinite(m.upper - m.lower), m.upper - m.lower, 1.0)
-        for k in states:
+        for k in range(t.steps + 1):
             q = found.state(i, k)[0]
             m.place(q)
             for frame, joint in own:
                 pose = m.pose(joint)
-                turn = matrix(poses.quaternion[k, frame]) - pose.rotation
-                norm = abs(float(np.linalg.norm(poses.quaternion[k, frame])) - 1.0)
-                off[k, frame] = np.linalg.norm(poses.x[k, frame] - pose.translation) + radius[frame] * (
-                    np.linalg.norm(turn) + norm
-                )
-                far[k, frame] = np.linalg.norm(pose.translation)
+                R[k, frame], x[k, frame] = pose.rotation, pose.translation
             angle = m.angle(q)
             beyond.append(np.maximum(m.lower - angle, angle - m.upper) / np.where(width > 0.0, width, 1.0))
             gaps.append(np.abs(m.constraints(q)[0]).max(initial=0.0))
             scales.append(length)
             ranges.append(width)
             labels.append((k, i))
+    quaternion = poses.quaternion[:, links]
+    turn = np.linalg.norm(matrix(quaternion) - R[:, links], axis=(2, 3))
+    turn += np.abs(np.linalg.norm(quaternion, axis=2) - 1.0)
+    off[:, links] = np.linalg.norm(poses.x[:, links] - x[:, links], axis=2) + radius[links] * turn
+    far[:, links] = np.linalg.norm(x[:, links], axis=2)
     yield worst_among("links", off, radius + far, frames, 0)
     k, i = np.array(labels).T
     trees_ = [m.name for m in found.mechanisms]

@@ -24,7 +24,7 @@ CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 def matrix(quaternion: Array) -> Array:
     """Rotation matrices of unit quaternions (..., 4) xyzw, shape (..., 3, 3)."""
-    return np.stack([rotate(quaternion, axis) for axis in np.eye(3)], axis=-1)
+    return np.swapaxes(rotate(quaternion[..., None, :], np.eye(3)), -1, -2)
 
 
 def turned(quaternion: Array, angle: Array) -> Array:

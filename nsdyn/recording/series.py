@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nsdyn.dynamics.ledger import WORKS
 from nsdyn.recording import shares
 from nsdyn.recording.columns import CONTACT_STATES, ENERGIES
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, cross
 from nsdyn.tools.naming import counted
 from nsdyn.tools.table import Table
 
@@ -175,8 +175,8 @@ class BodyMotion:
 def rotate(quaternion: Array, vector: Array) -> Array:
     """Return the vector rotated by the quaternion, xyzw in the last axis."""
     axis, w = quaternion[..., :3], quaternion[..., 3:]
-    turn = 2.0 * np.cross(axis, vector)
-    out: Array = vector + w * turn + np.cross(axis, turn)
+    turn = 2.0 * cross(axis, vector)
+    out: Array = vector + w * turn + cross(axis, turn)
     return out
 
 
