@@ -24,6 +24,10 @@ RANK = 1e-8
 manifold of closed loops, where redundancy leaves 1e-12. A mechanism that passes a singular configuration is this close
 to it for less than a microsecond."""
 
+SHORT = 1e-3
+"""Least length of a row, as a fraction of the longest, that counts as a unit. Across its plane a planar loop has rows
+of round-off and of gaps, 1e-12, and as units these would hold a direction at random."""
+
 STEPS = 50
 """Most Newton steps to close loops. A start far away takes ten, a step of a simulation one or two."""
 
@@ -72,7 +76,7 @@ def admissible(B: Array, F: Array) -> tuple[Array, Array]:
     """
     A = B @ F.T
     norm = np.linalg.norm(A, axis=1)
-    norm[norm == 0.0] = 1.0
+    norm = np.maximum(norm, SHORT * norm.max()) if norm.any() else np.ones_like(norm)
     U, s, Vt = np.linalg.svd(A / norm[:, None])
     rank = int((s > RANK * s[0]).sum())
     V = F.T @ Vt.T
