@@ -198,9 +198,11 @@ class Linkage:
 
     def _restrict(self, q: Array, F: Array) -> Constraints:
         """Constraints at q, where M⁻¹ = Fᵀ F."""
-        loops = np.empty((0, self.model.nv)) if self.closures is None else self.closures.at(q)[1]
+        loops, threes = np.empty((0, self.model.nv)), 0
+        if self.closures is not None:
+            loops, threes = self.closures.at(q)[1], self.closures.of_loops
         B = np.concatenate((loops, self._driven_rows))
-        Z, P = admissible(B, F)
+        Z, P = admissible(B, F, threes)
         return Constraints(B, P, Z)
 
 

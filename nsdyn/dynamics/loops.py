@@ -64,18 +64,24 @@ def indefinite(model: pin.Model, M: Array) -> Exception:
     )
 
 
-def admissible(B: Array, F: Array) -> tuple[Array, Array]:
+def admissible(B: Array, F: Array, loops: int = 0) -> tuple[Array, Array]:
     """(Z, P) with B Z = 0, Zᵀ M Z = I, and v = P b + Z y all velocities with B v = b; P b has the least vᵀ M v.
+
+    Where no v has B v = b, P b is nearest to it, in a measure that does not depend on the world's axes.
 
     Parameters
     ----------
     B : ndarray, shape (m, n)
-        Any rank. The rank is determined from rows of unit length in the metric of M, so that units do not matter.
+        Any rank. The rank is determined from rows of about unit length in the metric of M, so that units do not matter.
     F : ndarray, shape (n, n)
         M⁻¹ = Fᵀ F.
+    loops : int
+        Number of rows at the beginning that come in threes, for the axes of the world.
     """
     A = B @ F.T
     norm = np.linalg.norm(A, axis=1)
+    threes = norm[:loops].reshape(-1, 3)
+    threes[:] = threes.max(axis=1, keepdims=True)
     norm = np.maximum(norm, SHORT * norm.max()) if norm.any() else np.ones_like(norm)
     U, s, Vt = np.linalg.svd(A / norm[:, None])
     rank = int((s > RANK * s[0]).sum())
@@ -88,7 +94,8 @@ class Closures:
     """Closed loops and gears of one tree as φ(q) = 0.
 
     A loop makes points of two links coincide, or their frames; a gear is q2 = a q1 + b. The rows `driven` (k, nv) are
-    those of driven coordinates, which stay fixed when loops are closed.
+    those of driven coordinates, which stay fixed when loops are closed. The first `of_loops` of all `size` rows are
+    those of loops, in threes.
     """
 
     def __init__(
@@ -105,7 +112,8 @@ class Closures:
         sizes = [6 if loop.kind == "frame" else 3 for loop in loops]
         self._rows = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
         self._gears, self._names = GearGaps(model, gears), [*(loop.name for loop in loops), *(g.name for g in gears)]
-        self.size = int(self._rows[-1]) + len(gears)
+        self.of_loops = int(self._rows[-1])
+        self.size = self.of_loops + len(gears)
         self._last: tuple[Array | None, tuple[Array, Array]] = None, (np.empty(0), np.empty((0, 0)))
 
     def at(self, q: Array) -> tuple[Array, Array]:
@@ -122,7 +130,7 @@ class Closures:
             if loop.kind == "frame":
                 a, b = self._data.oMi[loop.joint1].rotation, self._data.oMi[loop.joint2].rotation
                 phi[row + 3 : row + 6] = pin.log3(a @ loop.placement1.rotation @ (b @ loop.placement2.rotation).T)
-        if (first := self._rows[-1]) < self.size:
+        if (first := self.of_loops) < self.size:
             phi[first:], G[first:] = self._gears.at(q), self._gears.rows
         return phi, G
 

@@ -91,7 +91,7 @@ def _midpoint(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v:
     middle = closures.close(integrate(model, q, 0.5 * h * v))
     M, F, _ = factored(model, data, middle)
     B = np.concatenate((closures.at(middle)[1], closures.driven))
-    Z, P = admissible(B, F)
+    Z, P = admissible(B, F, closures.of_loops)
     minv, b = Z @ Z.T, B @ v
     b[:size] = 0.0
     rest = start = minv @ (M @ v)

@@ -116,6 +116,26 @@ def test_a_planar_loop_that_floats_turns_out_of_its_plane(tilt):
     np.testing.assert_allclose(step.v[3:6], 1e-3 * np.linalg.solve(body, (1.0, 0, 2.0)), rtol=0, atol=1e-7)
 
 
+def test_a_loop_that_floats_knows_nothing_of_the_axes_of_the_world():
+    """Four rods that fold and tumble, their plane 1e-3 rad from that of two axes, move as they do turned anyhow."""
+    model, parent = pin.Model(), 0
+    for k, joint in enumerate((pin.JointModelFreeFlyer(), *[pin.JointModelRY()] * 3)):
+        parent = model.addJoint(parent, joint, at((0, 0, -1 if k else 0)), f"rod{k}")
+        model.appendBodyToJoint(parent, rod((0, 0, -1)), pin.SE3.Identity())
+    limit(model)
+
+    def velocity(turn):
+        scene = nd.Scene(gravity=(0, 0, 0))
+        q = (0, 0, 0, *(turn * pin.Quaternion(pin.exp3(np.array((1e-3, 0, 0))))).coeffs(), 1.0, 2.0, 1.2)
+        scene.add_model("rods", model, q=q, v=(0, 0, 0, 2, 3, 1, 5, -5, 5))
+        scene.add_loop("rods", "last", "rod3", "rod0", position=(0, 0, -1))
+        return nd.Stepper(scene, 1e-2).step().v
+
+    turned = velocity(pin.Quaternion(np.array((0.5, -0.5, 0.1, 0.7))).normalized())
+    # Round-off of 7 rad/s.
+    np.testing.assert_allclose(velocity(pin.Quaternion.Identity()), turned, rtol=0, atol=1e-9)
+
+
 @pytest.mark.slow
 def test_a_chain_between_two_pins_hangs_as_statics_says():
     """Three damped rods over a span of two: the outer ones come to rest at 30° from the vertical."""
