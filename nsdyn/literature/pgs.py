@@ -50,10 +50,8 @@ class PGS(Options):
         sweeps = 0
         if problem.nc and not problem.solved(r, self.tol)[0]:
             q_norm = float(np.linalg.norm(problem.q)) or 1.0
-            blocks = problem.blocks
-            W = _kernels.matrix(*problem.csr) if blocks is None else _kernels.factors(blocks.arrays)
             sweeps, _ = _kernels.accelerated(
-                W,
+                problem.csr,
                 problem.q,
                 problem.mu,
                 problem.scales,
