@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from nsdyn.literature._kernels import one_contact as _kernels
 from nsdyn.problem import cones
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools.arrays import Array
@@ -79,70 +80,26 @@ def _direction(x: Array) -> tuple[Array, Array]:
     return size, np.divide(x, size[:, None], out=np.zeros_like(x), where=size[:, None] > 0.0)
 
 
-def _saxce_derivative(u: Array, mu: Array) -> Array:
-    """∂û/∂u = I + μ e_N tᵀ with t = u_T/‖u_T‖, or t = 0 (in the unit ball) without slip, shape (nc, 3, 3)."""
-    out = np.tile(np.eye(3), (mu.size, 1, 1))
-    out[:, 0, 1:] = mu[:, None] * _direction(u[:, 1:])[1]
-    return out
+def _element(kind: int, u: Array, r: Array, mu: Array, rho: Array) -> Element:
+    steps = np.array(np.broadcast_to(rho, (mu.size, 2)))
+    F, F_u, F_r = np.empty((mu.size, 3)), np.empty((mu.size, 3, 3)), np.empty((mu.size, 3, 3))
+    _kernels.elements(kind, np.array(u), np.array(r), mu, steps, F, F_u, F_r)
+    return F, F_u, F_r
 
 
 def natural_map(u: Array, r: Array, mu: Array, rho: Array) -> Element:
     """F = r - P_K(r - ρ û), with F_r = I - J and F_u = ρ J ∂û/∂u, J an element of ∂P_K; ρ has shape (nc, 1 or 2)."""
-    step = rho[:, :1]
-    z = r - step * cones.saxce(u, mu)
-    J = cones.projection_jacobian(z, mu)
-    return r - cones.project(z, mu), step[:, :, None] * (J @ _saxce_derivative(u, mu)), np.eye(3) - J
-
-
-def _disk_map(u: Array, r: Array, mu: Array, rho: Array, predicted: bool) -> Element:
-    """Map on half-line and disk; the radius of the disk is μ (r_N - ρ_N u_N)₊ if predicted, otherwise μ (r_N)₊."""
-    rn, rt = rho[:, 0], rho[:, 1]
-    a = r[:, 0] - rn * u[:, 0]
-    y = r[:, 1:] - rt[:, None] * u[:, 1:]
-    bound = a if predicted else r[:, 0]
-    size, t = _direction(y)
-    radius = mu * np.maximum(bound, 0.0)
-    slip = size > radius
-    closed, grows = a > 0.0, slip & (bound > 0.0)
-    F = np.empty_like(r)
-    F[:, 0] = r[:, 0] - np.maximum(a, 0.0)
-    F[:, 1:] = r[:, 1:] - np.where(slip[:, None], radius[:, None] * t, y)
-    F_u, F_r = np.zeros((mu.size, 3, 3)), np.zeros((mu.size, 3, 3))
-    F_u[:, 0, 0], F_r[:, 0, 0] = np.where(closed, rn, 0.0), np.where(closed, 0.0, 1.0)
-    ratio = radius / np.where(slip, size, 1.0)
-    bent = ratio[:, None, None] * (np.eye(2) - t[:, :, None] * t[:, None, :])
-    gamma = np.where(slip[:, None, None], bent, np.eye(2))  # derivative of the projection on the disk
-    F_u[:, 1:, 1:] = rt[:, None, None] * gamma
-    F_r[:, 1:, 1:] = np.eye(2) - gamma
-    growth = np.where(grows, mu, 0.0)[:, None] * t
-    F_r[:, 1:, 0] = -growth
-    if predicted:
-        F_u[:, 1:, 0] = rn[:, None] * growth
-    return F, F_u, F_r
+    return _element(_kernels.NATURAL, u, r, mu, rho)
 
 
 def jean_moreau(u: Array, r: Array, mu: Array, rho: Array) -> Element:
     """F_N = r_N - (r_N - ρ_N u_N)₊ and F_T = r_T - P_D(r_T - ρ_T u_T) on the disk of radius μ (r_N)₊."""
-    return _disk_map(u, r, mu, rho, predicted=False)
+    return _element(_kernels.JEAN_MOREAU, u, r, mu, rho)
 
 
 def alart_curnier(u: Array, r: Array, mu: Array, rho: Array) -> Element:
     """F_N = r_N - (r_N - ρ_N u_N)₊ and F_T = r_T - P_D(r_T - ρ_T u_T) on the disk of radius μ (r_N - ρ_N u_N)₊."""
-    return _disk_map(u, r, mu, rho, predicted=True)
-
-
-def _arrow(x: Array) -> Array:
-    """Matrix L_x of the Jordan product x ∘ y = L_x y, shape (nc, 3, 3)."""
-    out = x[:, :1, None] * np.eye(3)
-    out[:, 0, 1:] = out[:, 1:, 0] = x[:, 1:]
-    return out
-
-
-def _spectral(x: Array, f: Callable[[Array], Array]) -> Array:
-    """Apply f to the eigenvalues x_N ∓ ‖x_T‖ of every x."""
-    size, t = _direction(x[:, 1:])
-    low, high = f(x[:, 0] - size), f(x[:, 0] + size)
-    return np.column_stack((0.5 * (low + high), (0.5 * (high - low))[:, None] * t))
+    return _element(_kernels.ALART_CURNIER, u, r, mu, rho)
 
 
 def fischer_burmeister(u: Array, r: Array, mu: Array, rho: Array) -> Element:
@@ -150,25 +107,7 @@ def fischer_burmeister(u: Array, r: Array, mu: Array, rho: Array) -> Element:
 
     A contact with μ = 0 uses the scalar function of r_N and ρ u_N, and F_T = r_T.
     """
-    smooth = mu == 0.0
-    m = np.where(smooth, 1.0, mu)
-    X, Y = np.tile(np.eye(3), (mu.size, 1, 1)), _saxce_derivative(u, mu)
-    X[:, 0, 0] = m
-    X[smooth, 1:] = 0.0
-    Y[:, 1:] *= mu[:, None, None]
-    Y *= rho[:, :1, None]
-    x = (X @ r[:, :, None])[:, :, 0]
-    y = rho[:, :1] * np.column_stack((cones.saxce(u, mu)[:, 0], mu[:, None] * u[:, 1:]))
-    squares = (_arrow(x) @ x[:, :, None] + _arrow(y) @ y[:, :, None])[:, :, 0]
-    w = _spectral(squares, lambda s: np.sqrt(np.maximum(s, 0.0)))
-    # On the boundary of the cone L_w is singular: raising its smallest eigenvalue by round-off gives a nearby element.
-    floor = 1e-10 * w[:, 0] + 1e-300
-    inverse = np.linalg.inv(_arrow(_spectral(w, lambda s: np.maximum(s, floor))))
-    F = x + y - w
-    F_r, F_u = (np.eye(3) - inverse @ _arrow(x)) @ X, (np.eye(3) - inverse @ _arrow(y)) @ Y
-    F[smooth, 1:] = r[smooth, 1:]
-    F_r[smooth, 1:], F_u[smooth, 1:] = np.eye(3)[1:], 0.0
-    return F, F_u, F_r
+    return _element(_kernels.FISCHER_BURMEISTER, u, r, mu, rho)
 
 
 def xuewen_soh_wanji(u: Array, r: Array, mu: Array, rho: Array) -> Element:
@@ -274,7 +213,7 @@ def residual_soccp(problem: FC3D, r: Array) -> Array:
     mu, hat = problem.mu, cones.saxce(u, problem.mu)
     x = np.column_stack((hat[:, 0], mu[:, None] * u[:, 1:]))
     y = np.column_stack((np.where(mu > 0.0, mu, 1.0) * r[:, 0], r[:, 1:]))
-    product = (_arrow(x) @ y[:, :, None])[:, :, 0]
+    product = np.column_stack(((x * y).sum(axis=1), y[:, :1] * x[:, 1:] + x[:, :1] * y[:, 1:]))
     return np.concatenate([a.ravel() for a in (product, hat - cones.project_dual(hat, mu), r - cones.project(r, mu))])
 
 

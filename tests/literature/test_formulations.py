@@ -223,6 +223,12 @@ def test_fischer_burmeister_is_zero_exactly_on_complementary_pairs(rng):
     assert both.sum() > 100 and np.linalg.norm(F[both], axis=1).min() > 1e-2
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_contact_without_velocity_and_impulse_has_a_derivative(name):
+    F, F_u, F_r = fm.ELEMENTS[name](np.zeros((1, 3)), np.zeros((1, 3)), np.array([0.5]), np.ones((1, 2)))
+    assert not F.any() and np.isfinite(F_u).all() and np.isfinite(F_r).all()
+
+
 def test_bad_arguments():
     problem = CASES["rest"]
     with pytest.raises(ValueError, match="rho must be positive"):

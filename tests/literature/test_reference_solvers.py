@@ -222,28 +222,7 @@ def test_over_relaxation(velocities):
         agrees(nd.solvers.ADMM(tol=REACH, relaxation=1.6)(problem), velocities[case])
 
 
-LOCAL = {
-    "alart-curnier": one_contact.ALART_CURNIER,
-    "jean-moreau": one_contact.JEAN_MOREAU,
-    "natural": one_contact.NATURAL,
-    "fischer-burmeister": one_contact.FISCHER_BURMEISTER,
-}
-
-
-@pytest.mark.parametrize("function", LOCAL)
-def test_local_maps_are_those_of_the_formulations(function, rng):
-    """The compiled maps and their derivatives against the NumPy ones, in all states and without friction."""
-    u, r, mu = rng.normal(size=(300, 3)), rng.normal(size=(300, 3)), rng.uniform(0.1, 1.5, 300)
-    mu[:30], u[30:60, 1:] = 0.0, 0.0
-    F, A, B = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    expected = formulations.ELEMENTS[function](u, r, mu, np.full((300, 2), 0.7))
-    for c in range(300):
-        one_contact.element(LOCAL[function], u[c], r[c], mu[c], 0.7, F, A, B)
-        for given, wanted in zip((F, A, B), expected, strict=True):
-            np.testing.assert_allclose(given, wanted[c], rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("local", ["projection", "iterated-projection", "exact", *LOCAL])
+@pytest.mark.parametrize("local", ["projection", "iterated-projection", "exact", *formulations.ELEMENTS])
 def test_local_solvers(velocities, local):
     for case, problem in CASES.items():
         agrees(nd.solvers.GaussSeidel(tol=REACH, local=local)(problem), velocities[case])
@@ -303,7 +282,7 @@ def test_hybrid_solves_where_newton_wanders(function):
     assert not ImpulseNewton(tol=REACH, max_iter=15, function=function)(problem).converged
     solution = nd.solvers.Hybrid(tol=REACH, function=function)(problem)
     assert solution.converged and 100 < solution.iterations <= 110
-    for other in LOCAL:
+    for other in formulations.ELEMENTS:
         assert nd.solvers.Hybrid(tol=REACH, function=other)(CASES["definite1"]).converged
 
 

@@ -1,4 +1,8 @@
-"""Local solvers of the literature for block Gauss–Seidel (one contact, u = W r + q with W 3 x 3), and their sweep."""
+"""Maps of the literature for one contact with their derivatives, and local solvers for block Gauss–Seidel.
+
+The maps are those of `nsdyn.literature.formulations`, which has their formulas. A local solver takes u = W r + q with
+W 3 x 3; `sweep` goes from contact to contact.
+"""
 
 import math
 
@@ -58,31 +62,34 @@ def iterate(W, q, mu, rho, goal, most, r):
 
 
 @no_alloc
-def _disk(predicted, u, r, mu, rho, F, A, B):
-    """Alart–Curnier (predicted) and Jean–Moreau: F, A = ∂F/∂u, B = ∂F/∂r; A and B must be zero at entry."""
-    a = r[0] - rho * u[0]
-    y1, y2 = r[1] - rho * u[1], r[2] - rho * u[2]
+def _disk(predicted, u, r, mu, rn, rt, F, A, B):
+    """Alart–Curnier (predicted) and Jean–Moreau with steps of their own along the normal and across it.
+
+    F, A = ∂F/∂u, B = ∂F/∂r; A and B must be zero at entry.
+    """
+    a = r[0] - rn * u[0]
+    y1, y2 = r[1] - rt * u[1], r[2] - rt * u[2]
     F[0] = r[0] - max(a, 0.0)
     if a > 0.0:
-        A[0, 0] = rho
+        A[0, 0] = rn
     else:
         B[0, 0] = 1.0
     bound = a if predicted else r[0]
     radius, size = mu * max(bound, 0.0), math.sqrt(y1 * y1 + y2 * y2)
     if size <= radius:
         F[1], F[2] = r[1] - y1, r[2] - y2
-        A[1, 1] = A[2, 2] = rho
+        A[1, 1] = A[2, 2] = rt
         return
     t1, t2 = y1 / size, y2 / size
     F[1], F[2] = r[1] - radius * t1, r[2] - radius * t2
     ratio = radius / size
     g11, g12, g22 = ratio * (1.0 - t1 * t1), -ratio * t1 * t2, ratio * (1.0 - t2 * t2)
-    A[1, 1], A[1, 2], A[2, 1], A[2, 2] = rho * g11, rho * g12, rho * g12, rho * g22
+    A[1, 1], A[1, 2], A[2, 1], A[2, 2] = rt * g11, rt * g12, rt * g12, rt * g22
     B[1, 1], B[1, 2], B[2, 1], B[2, 2] = 1.0 - g11, -g12, -g12, 1.0 - g22
     if bound > 0.0:
         B[1, 0], B[2, 0] = -mu * t1, -mu * t2
         if predicted:
-            A[1, 0], A[2, 0] = rho * mu * t1, rho * mu * t2
+            A[1, 0], A[2, 0] = rn * mu * t1, rn * mu * t2
 
 
 @no_alloc
@@ -115,7 +122,8 @@ def _root(s0, s1, s2):
 def _one_minus_quotient(w0, w1, w2, x0, x1, x2, out):
     """Compute I - L_w⁻¹ L_x into out; a singular L_w is first shifted by round-off."""
     size = math.sqrt(w1 * w1 + w2 * w2)
-    low, high = max(w0 - size, 1e-10 * w0 + 1e-300), max(w0 + size, 1e-10 * w0 + 1e-300)
+    floor = 1e-10 * w0 + 1e-150  # whose square does not vanish where w does
+    low, high = max(w0 - size, floor), max(w0 + size, floor)
     a = 0.5 * (low + high)
     f = 0.5 * (high - low) / size if size > 0.0 else 0.0
     b1, b2, det = f * w1, f * w2, low * high
@@ -159,17 +167,27 @@ def _fischer_burmeister(u, r, mu, rho, F, A, B):
 
 
 @no_alloc
-def element(kind, u, r, mu, rho, F, A, B):
-    """Compute F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; return |F|."""
+def element(kind, u, r, mu, rn, rt, F, A, B):
+    """Compute F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; return |F|.
+
+    The steps are rn along the normal and rt across it; the natural map and Fischer–Burmeister's have rn alone.
+    """
     A[:] = 0.0
     B[:] = 0.0
     if kind == NATURAL:
-        _natural(u, r, mu, rho, F, A, B)
+        _natural(u, r, mu, rn, F, A, B)
     elif kind == FISCHER_BURMEISTER:
-        _fischer_burmeister(u, r, mu, rho, F, A, B)
+        _fischer_burmeister(u, r, mu, rn, F, A, B)
     else:
-        _disk(kind == ALART_CURNIER, u, r, mu, rho, F, A, B)
+        _disk(kind == ALART_CURNIER, u, r, mu, rn, rt, F, A, B)
     return math.sqrt(F[0] * F[0] + F[1] * F[1] + F[2] * F[2])
+
+
+@no_alloc
+def elements(kind, u, r, mu, rho, F, A, B):
+    """Compute `element` of every contact, with steps rho (nc, 2), into F (nc, 3), A and B (nc, 3, 3)."""
+    for c in range(mu.size):
+        element(kind, u[c], r[c], mu[c], rho[c, 0], rho[c, 1], F[c], A[c], B[c])
 
 
 @kernel
@@ -207,12 +225,12 @@ def newton(kind, W, q, mu, rho, goal, most, r):
     """
     u, F, A, B = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     _product(W, q, r, u)
-    size = element(kind, u, r, mu, rho, F, A, B)
+    size = element(kind, u, r, mu, rho, rho, F, A, B)
     for k in range(most):
         if (k > 0 and not size > goal) or size == 0.0 or not _newton_step(W, A, B, F, r):
             return size, k
         _product(W, q, r, u)
-        size = element(kind, u, r, mu, rho, F, A, B)
+        size = element(kind, u, r, mu, rho, rho, F, A, B)
     return size, most
 
 
