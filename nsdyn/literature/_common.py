@@ -88,10 +88,10 @@ def factor(A: Any) -> Callable[[Array], Array] | None:
     return lambda b: np.asarray(scipy.linalg.lapack.dgetrs(lu, pivots, b)[0])
 
 
-def is_sparse(W: Any) -> bool:
-    """Whether a sparse factorisation of W is cheaper."""
+def matrix(W: Any) -> Any:
+    """Return a sparse W in the form for `factor`: dense, or unchanged if a sparse factorisation is cheaper."""
     n = W.shape[0]
-    return bool(n > SPARSE[0] and W.nnz < SPARSE[1] * n * n)
+    return W if n > SPARSE[0] and W.nnz < SPARSE[1] * n * n else W.toarray()
 
 
 class Anderson:

@@ -12,6 +12,9 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 
+SWEEPS = 2000
+"""Largest number of sweeps for one convex problem."""
+
 State = Callable[[Equilibrated, Array], Array]
 """(problem, x) → frozen part."""
 
@@ -45,7 +48,7 @@ def defect(scaled: Equilibrated, x: Array) -> float:
     return float(np.linalg.norm(x - P))
 
 
-def descend(sweep: Callable[[Array], None], x: Array, goal: float, max_sweeps: int) -> tuple[Array, int]:
+def descend(sweep: Callable[[Array], None], x: Array, goal: float, max_sweeps: int = SWEEPS) -> tuple[Array, int]:
     """Repeat sweeps, which work in place on their argument, with Anderson's acceleration until x changes by ≤ goal."""
     mix = Anderson(20)
     for k in range(1, max_sweeps + 1):

@@ -12,14 +12,10 @@ from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
-SWEEPS = 2000
-"""Largest number of sweeps for one convex problem."""
-
 
 def _inner(scaled: Equilibrated, shift: Array, x: Array, goal: float) -> tuple[Array, int]:
     q = shifted(scaled, shift)
-    ones = scaled.mu * 0.0 + 1.0
-    return descend(lambda y: _kernels.cone_sweep(*scaled.csr, q, scaled.mu, ones, y), x, goal, SWEEPS)
+    return descend(lambda y: _kernels.cone_sweep(*scaled.csr, q, scaled.mu, y), x, goal)
 
 
 @dataclass(frozen=True)

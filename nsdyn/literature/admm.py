@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-import scipy.sparse as sp
 
-from nsdyn.literature._common import Equilibrated, Run, factor
+from nsdyn.literature._common import Equilibrated, Run, factor, matrix
 from nsdyn.literature._kernels import variational as _kernels
-from nsdyn.literature.impulse_newton import matrix
+from nsdyn.literature.formulations import with_blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
@@ -65,13 +64,12 @@ class ADMM(Options):
             return run.finish(0)
         scaled = Equilibrated(problem)
         W = matrix(scaled.W)
-        eye = np.eye(scaled.q.size) if isinstance(W, np.ndarray) else sp.eye_array(scaled.q.size, format="bsr")
         top = scaled.largest_eigenvalue()
         solves: dict[int, Callable[[Array], Array] | None] = {}
         power = 4  # p = 0.2 in twentieths
         x = run.r * scaled.root
         z, y = x.copy(), -(W @ x + scaled.q)
-        rho, solve = _penalty(W, eye, top, power, solves)
+        rho, solve = _penalty(W, top, power, solves)
         k = 0
         for k in range(1, self.max_iter + 1):
             if solve is None:
@@ -91,15 +89,15 @@ class ADMM(Options):
             move = int(primal > 10.0 * dual) - int(dual > 10.0 * primal)
             if move and -10 <= power + move <= 20:
                 power += move
-                rho, solve = _penalty(W, eye, top, power, solves)
+                rho, solve = _penalty(W, top, power, solves)
         return run.finish(k)
 
 
 def _penalty(
-    W: Any, eye: Any, top: float, power: int, solves: dict[int, Callable[[Array], Array] | None]
+    W: Any, top: float, power: int, solves: dict[int, Callable[[Array], Array] | None]
 ) -> tuple[float, Callable[[Array], Array] | None]:
     """Return (ρ, function that solves with W + (η + ρ) I) for an exponent p in twentieths."""
     rho = float(np.sqrt(PROXIMAL * top) * (top / PROXIMAL) ** (0.05 * power))
     if power not in solves:
-        solves[power] = factor(W + (PROXIMAL + rho) * eye)
+        solves[power] = factor(with_blocks(W, (PROXIMAL + rho) * np.eye(3)))
     return rho, solves[power]

@@ -45,6 +45,7 @@ __all__ = [
     "residual_quasi_variational_inequality",
     "residual_soccp",
     "residual_xuewen_soh_wanji",
+    "with_blocks",
     "xuewen_soh_wanji",
 ]
 
@@ -290,3 +291,14 @@ def block_diagonal(blocks: Array) -> sp.bsr_array:
     """Block-diagonal sparse matrix of blocks (nc, 3, 3)."""
     nc = blocks.shape[0]
     return sp.bsr_array((blocks, np.arange(nc), np.arange(nc + 1)), shape=(3 * nc, 3 * nc))
+
+
+def with_blocks(W: Any, blocks: Array) -> Any:
+    """Return W, dense or sparse, with blocks (nc, 3, 3) or (3, 3) added to its diagonal blocks."""
+    nc = W.shape[0] // 3
+    blocks = np.broadcast_to(blocks, (nc, 3, 3))
+    if sp.issparse(W):
+        return W + block_diagonal(blocks)
+    out, c = W.copy(), np.arange(nc)
+    out.reshape(nc, 3, nc, 3)[c, :, c] += blocks
+    return out

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.literature._common import Equilibrated, Run, matrix
 from nsdyn.literature.fixed_point import march
-from nsdyn.literature.impulse_newton import Function, matrix, newton, steps
+from nsdyn.literature.impulse_newton import Function, newton, steps
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run, factor, is_sparse
-from nsdyn.literature.formulations import ELEMENTS, block_diagonal
+from nsdyn.literature._common import Equilibrated, Run, factor, matrix
+from nsdyn.literature.formulations import ELEMENTS, block_diagonal, with_blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
@@ -108,7 +108,6 @@ def newton(
     """
     element, nc = ELEMENTS[function], mu.size
     sparse = not isinstance(W, np.ndarray)
-    eye = np.arange(3 * nc)
 
     def evaluate(x: Array) -> tuple[Array, Array, Array]:
         return element((W @ x + q).reshape(-1, 3), x.reshape(-1, 3), mu, rho)
@@ -118,13 +117,8 @@ def newton(
         size = float(np.linalg.norm(F))
         if not np.isfinite(size) or done(x, size):
             return x, k, bool(np.isfinite(size))
-        if sparse:
-            J = block_diagonal(F_r + LIFT * F_u) + block_diagonal(F_u) @ W
-        else:
-            J = (F_u @ W.reshape(nc, 3, 3 * nc)).reshape(3 * nc, 3 * nc)
-            rows = eye.reshape(-1, 3)
-            J[rows[:, :, None], rows[:, None, :]] += F_r + LIFT * F_u
-        solve = factor(J)
+        J = block_diagonal(F_u) @ W if sparse else (F_u @ W.reshape(nc, 3, 3 * nc)).reshape(3 * nc, 3 * nc)
+        solve = factor(with_blocks(J, F_r + LIFT * F_u))
         if solve is None:
             return x, k, False
         step = solve(-F.ravel())
@@ -135,11 +129,6 @@ def newton(
         x = x + _length(merit, 0.5 * size**2, search) * step
         F, F_u, F_r = evaluate(x)
     return x, max_iter, done(x, float(np.linalg.norm(F)))
-
-
-def matrix(W: Any) -> Any:
-    """Return W in the form for `newton`: dense, or unchanged if a sparse factorisation is cheaper."""
-    return W if is_sparse(W) else W.toarray()
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn.literature._common import Equilibrated, factor, is_sparse
+from nsdyn.literature._common import Equilibrated, factor, matrix
 from nsdyn.literature._frozen import freeze, shifted, slip_shift
 from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.literature._lorentz import jordan, nesterov_todd, root, target, times
-from nsdyn.literature.formulations import block_diagonal
+from nsdyn.literature.formulations import with_blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
@@ -46,15 +46,12 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
     D[:, 0] = 1.0 / np.where(mu > 0.0, mu, 1.0)
     D[mu == 0.0, 1:] = 0.0
     flat = D.ravel()
-    sparse = is_sparse(scaled.W)
     scaling = sp.diags_array(flat)
-    A = scaling @ scaled.W @ scaling
-    A = sp.bsr_array(A, blocksize=(3, 3)) if sparse else A.toarray()
+    A = matrix(sp.bsr_array(scaling @ scaled.W @ scaling, blocksize=(3, 3)))
     b = (flat * q).reshape(-1, 3)
     z = np.zeros((nc, 3))
     z[:, 0] = float(np.abs(b).max()) or 1.0
     s = z.copy()
-    rows = np.arange(3 * nc).reshape(-1, 3)
     best, least, F, P = np.zeros(3 * nc), np.inf, np.empty(3 * nc), np.empty(3 * nc)
     for k in range(FACTORISATIONS):
         x = flat * z.ravel()
@@ -67,12 +64,7 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
         if least <= goal or not gap > 1e-30:
             return best, k
         T, inverse, lam = nesterov_todd(s, z, root(s), root(z))
-        if sparse:
-            solve = factor(A + block_diagonal(T @ T))
-        else:
-            K = A.copy()
-            K[rows[:, :, None], rows[:, None, :]] += T @ T
-            solve = factor(K)
+        solve = factor(with_blocks(A, T @ T))
         if solve is None:
             return best, k
         defect = (A @ z.ravel()).reshape(-1, 3) + b - s

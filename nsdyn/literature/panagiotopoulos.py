@@ -14,9 +14,6 @@ from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
-SWEEPS = 2000
-"""Largest number of sweeps for one convex problem."""
-
 
 def _tangential_impulse(scaled: Equilibrated, x: Array) -> Array:
     return x.reshape(-1, 3)[:, 1:].ravel()
@@ -26,10 +23,10 @@ def _inner(scaled: Equilibrated, tangent: Array, x: Array, goal: float) -> tuple
     x, ones = x.copy(), np.ones_like(scaled.mu)
     x.reshape(-1, 3)[:, 1:] = tangent.reshape(-1, 2)
     args = *scaled.csr, scaled.q
-    x, normal = descend(lambda y: _kernels.cylinder_sweep(*args, ones, ones, True, False, y), x, goal, SWEEPS)
+    x, normal = descend(lambda y: _kernels.cylinder_sweep(*args, ones, True, False, y), x, goal)
     x[::3] = np.maximum(x[::3], 0.0)
     radius = scaled.mu * x[::3]
-    x, tangential = descend(lambda y: _kernels.cylinder_sweep(*args, radius, ones, False, True, y), x, goal, SWEEPS)
+    x, tangential = descend(lambda y: _kernels.cylinder_sweep(*args, radius, False, True, y), x, goal)
     return x, normal + tangential
 
 

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy.sparse as sp
 
-from nsdyn.literature._common import Equilibrated, Run
-from nsdyn.literature.formulations import ELEMENTS
-from nsdyn.literature.impulse_newton import Function, Search, matrix, newton
+from nsdyn.literature._common import Equilibrated, Run, matrix
+from nsdyn.literature.formulations import ELEMENTS, with_blocks
+from nsdyn.literature.impulse_newton import Function, Search, newton
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
@@ -67,7 +66,6 @@ class Proximal(Options):
             return run.finish(0)
         scaled = Equilibrated(problem)
         W = matrix(scaled.W)
-        shift = np.eye(scaled.q.size) if isinstance(W, np.ndarray) else sp.eye_array(scaled.q.size, format="bsr")
         x = run.r * scaled.root
         if self.rule == "error":
             alpha = self._by_error(run.r, problem)
@@ -80,7 +78,7 @@ class Proximal(Options):
                 return run.done(y / scaled.root) or size <= target
 
             new, used, ended = newton(
-                W + alpha * shift,
+                with_blocks(W, alpha * np.eye(3)),
                 scaled.q - alpha * x,
                 scaled.mu,
                 x,

@@ -35,7 +35,6 @@ def relaxed(problem: FC3D, tol: float = 1e-4, max_sweeps: int = 2000, r0: Array 
     """
     scaled = Equilibrated(problem)
     x = np.zeros_like(problem.q) if r0 is None else problem.impulse(r0) * scaled.root
-    ones = np.ones_like(scaled.mu)
     goal = tol * float(np.linalg.norm(scaled.q))
-    x, _ = descend(lambda y: _kernels.cone_sweep(*scaled.csr, scaled.q, scaled.mu, ones, y), x, goal, max_sweeps)
+    x, _ = descend(lambda y: _kernels.cone_sweep(*scaled.csr, scaled.q, scaled.mu, y), x, goal, max_sweeps)
     return np.asarray(x / scaled.root)

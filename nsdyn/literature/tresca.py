@@ -14,15 +14,10 @@ from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
-SWEEPS = 2000
-"""Largest number of sweeps for one convex problem."""
-
 
 def _inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[Array, int]:
-    radius, ones = scaled.mu * np.maximum(theta, 0.0), np.ones_like(theta)
-    return descend(
-        lambda y: _kernels.cylinder_sweep(*scaled.csr, scaled.q, radius, ones, True, True, y), x, goal, SWEEPS
-    )
+    radius = scaled.mu * np.maximum(theta, 0.0)
+    return descend(lambda y: _kernels.cylinder_sweep(*scaled.csr, scaled.q, radius, True, True, y), x, goal)
 
 
 @dataclass(frozen=True)

@@ -38,37 +38,35 @@ def step_on_cylinders(r, F, rho, radius, out):
 
 
 @no_alloc
-def cone_sweep(indptr, indices, data, q, mu, scales, r):
-    """One projected Gauss–Seidel sweep of min ½ rᵀ W r + qᵀ r on the cones, in place of r."""
+def cone_sweep(indptr, indices, data, q, mu, r):
+    """One projected Gauss–Seidel sweep of min ½ rᵀ W r + qᵀ r on the cones, in place of r, for W_cc of norm 1."""
     for c in range(mu.size):
         i = 3 * c
         u0, u1, u2 = velocity_of((indptr, indices, data), q, r, c)
-        rho = 1.0 / scales[c]
-        r[i], r[i + 1], r[i + 2] = project(r[i] - rho * u0, r[i + 1] - rho * u1, r[i + 2] - rho * u2, mu[c])
+        r[i], r[i + 1], r[i + 2] = project(r[i] - u0, r[i + 1] - u1, r[i + 2] - u2, mu[c])
 
 
 @no_alloc
-def cylinder_sweep(indptr, indices, data, q, radius, scales, normal, tangent, r):
+def cylinder_sweep(indptr, indices, data, q, radius, normal, tangent, r):
     """One projected Gauss–Seidel sweep of min ½ rᵀ W r + qᵀ r on r_N >= 0, |r_T| <= radius, in place of r.
 
     Parameters
     ----------
     indptr, indices, data : ndarray
-        W in CSR form.
+        W in 3 x 3 blocks, W_cc of norm 1.
     q, r : ndarray, shape (3 nc,)
-    radius, scales : ndarray, shape (nc,)
-        Radii of the cylinders, N·s, and upper bounds of the blocks W_cc, 1/kg.
+    radius : ndarray, shape (nc,)
+        Radii of the cylinders.
     normal, tangent : bool
         Whether normal and tangential parts are updated.
     """
     for c in range(radius.size):
         i = 3 * c
         u0, u1, u2 = velocity_of((indptr, indices, data), q, r, c)
-        rho = 1.0 / scales[c]
         if normal:
-            r[i] = max(0.0, r[i] - rho * u0)
+            r[i] = max(0.0, r[i] - u0)
         if tangent:
-            x, y = r[i + 1] - rho * u1, r[i + 2] - rho * u2
+            x, y = r[i + 1] - u1, r[i + 2] - u2
             t = math.sqrt(x * x + y * y)
             s = radius[c] / t if t > radius[c] else 1.0
             r[i + 1], r[i + 2] = s * x, s * y
