@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import INERTIAL
+from robot_texts import scene_of
 from scipy.linalg import null_space
 
 import nsdyn as nd
@@ -349,29 +350,24 @@ CROWDED = f"""<robot name="r"><link name="base">{INERTIAL}</link>
 
 @pytest.fixture
 def crowded(tmp_path):
-    """A file whose zero configuration is outside a limit, and whose links a and c overlap."""
-    path = tmp_path / "crowded.urdf"
-    path.write_text(CROWDED)
-    return path
+    """A robot whose zero configuration is outside a limit, and whose links a and c overlap."""
+    return lambda **options: scene_of(tmp_path, CROWDED, **options)
 
 
 def test_configuration_outside_limits_names_the_remedy(crowded):
     with pytest.raises(ValueError, match=r"'ja' is at 0, its limits are 0\.5 and 2; give another q, or clip=True"):
-        nd.Scene().add_urdf("r", crowded)
-    scene = nd.Scene()
-    scene.add_urdf("r", crowded, clip=True)
+        crowded()
+    scene = crowded(clip=True)
     np.testing.assert_array_equal(scene.articulations["r"].q, (0.5, 0, 0, 0))
 
 
 def test_links_that_overlap_at_the_start_may_stay_apart(crowded):
-    scene = nd.Scene()
-    scene.add_urdf("r", crowded, clip=True)
+    scene = crowded(clip=True)
     with pytest.raises(ValueError, match=r"'r/a_0' and 'r/c_0' overlap .*; self_collisions='apart' of 'r', or an SRDF"):
         nd.Stepper(scene)
-    scene = nd.Scene()
     left = "contact of 'a_0' and 'c_0' (0.1 m deep), which overlap at the start"
     with pytest.warns(UserWarning, match=rf"^'r' leaves out: {re.escape(left)}$"):
-        scene.add_urdf("r", crowded, clip=True, self_collisions="apart")
+        scene = crowded(clip=True, self_collisions="apart")
     a = scene.articulations["r"]
     names = [link.name for link in a.links]
     assert {frozenset((names[i], names[j])) for i, j in a.excluded} == {
@@ -381,7 +377,7 @@ def test_links_that_overlap_at_the_start_may_stay_apart(crowded):
     assert a.report == (left,)
     nd.Stepper(scene).step()
     with pytest.raises(ValueError, match="self_collisions of 'r' must be True, False or 'apart', got 'together'"):
-        nd.Scene().add_urdf("r", crowded, clip=True, self_collisions="together")
+        crowded(clip=True, self_collisions="together")
 
 
 def test_every_option_has_a_default_and_no_other_is_taken():
@@ -404,10 +400,7 @@ HAND = f"""<robot name="r"><link name="base">{INERTIAL}
 @pytest.fixture
 def hand(tmp_path):
     """An arm over a plate; foot and tip hang on it by fixed joints."""
-    path = tmp_path / "hand.urdf"
-    path.write_text(HAND)
-    scene = nd.Scene()
-    scene.add_urdf("r", path, q=(1.0, 0.0), position=(0, 0, 1.0))
+    scene = scene_of(tmp_path, HAND, q=(1.0, 0.0), position=(0, 0, 1.0))
     scene.add_box("plate", (0.4, 0.4, 0.1), position=(0.5, 0, 1.85), fixed=True)
     return scene
 
@@ -436,15 +429,14 @@ def test_links_go_by_their_names_in_a_recording(hand):
 
 def test_links_without_shapes_are_in_a_recording(tmp_path):
     """As those that have some: where they are, how they move, and pushed by what the scene says."""
-    path = tmp_path / "r.urdf"
-    path.write_text(
+    text = (
         '<robot name="r"><link name="base"><collision><geometry><sphere radius="1"/></geometry></collision></link>'
         f'<link name="arm">{INERTIAL}</link><link name="tip"/><joint name="j" type="continuous"><axis xyz="0 1 0"/>'
         '<parent link="base"/><child link="arm"/></joint><joint name="f" type="fixed"><parent link="arm"/>'
         '<child link="tip"/><origin xyz="2 0 0"/></joint></robot>'
     )
-    scene = nd.Scene(gravity=(0, 0, 0))
-    scene.add_urdf("r", path, q=(np.cos(0.5), np.sin(0.5)), v=(3.0,))
+    scene = scene_of(tmp_path, text, q=(np.cos(0.5), np.sin(0.5)), v=(3.0,))
+    scene.gravity = (0, 0, 0)
     run, speed = nd.simulate(scene, 0.01, dt=1e-2), 6.0 * np.array((-np.sin(0.5), 0, -np.cos(0.5)))
     # Sines of an angle, by a quaternion and by a matrix.
     np.testing.assert_allclose(

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import INERTIAL
+from robot_texts import robot_of, scene_of
 from scipy.integrate import solve_ivp
 
 import nsdyn as nd
@@ -31,7 +32,7 @@ def model_of(*kinds, inertias=(0.1, 0.4), chain=False):
     return model
 
 
-def scene_of(model, ratio, offset=None, gravity=(0, 0, 0), **keywords):
+def geared(model, ratio, offset=None, gravity=(0, 0, 0), **keywords):
     scene = nd.Scene(gravity=gravity)
     scene.add_model("a", model, **keywords)
     scene.add_gear("a", "j0", "j1", ratio, offset)
@@ -49,7 +50,7 @@ def scene_of(model, ratio, offset=None, gravity=(0, 0, 0), **keywords):
 def test_two_wheels(kinds, second):
     """Inertia I1 + a² I2, turned on by a torque on either; many turns leave the teeth where they are."""
     tau, ratio = np.array([0.3, 0.2]), -0.5
-    scene, dt = scene_of(model_of(*kinds), ratio), 5e-2
+    scene, dt = geared(model_of(*kinds), ratio), 5e-2
     run = nd.simulate(scene, 10.0, dt, controller=lambda t, q, v: {"a": tau})
     assert nd.check(run).passed, nd.check(run)
     rate = (tau[0] + ratio * tau[1]) / (0.1 + ratio**2 * second)
@@ -84,7 +85,7 @@ def test_geared_pendulum_is_of_second_order():
     exact = solve_ivp(rate, (0.0, 2.0), (1.0, 0.0), rtol=1e-11, atol=1e-12).y[:, -1]
     errors = []
     for dt in (8e-3, 4e-3, 2e-3):
-        run = nd.simulate(scene_of(model, ratio, gravity=(0, 0, -9.81), q=(1.0, -2.0)), 2.0, dt)
+        run = nd.simulate(geared(model, ratio, gravity=(0, 0, -9.81), q=(1.0, -2.0)), 2.0, dt)
         assert errors or nd.check(run).passed, nd.check(run)  # the coarsest
         np.testing.assert_allclose(run.q[:, 1], ratio * run.q[:, 0], rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(run.v[:, 1], ratio * run.v[:, 0], rtol=0.0, atol=1e-11)
@@ -102,11 +103,11 @@ def test_limits_of_either_joint_hold_both(side):
     model, ratio = model_of(pin.JointModelRZ(), pin.JointModelRZ()), -2.0
     model.upperPositionLimit = np.array([0.5, np.inf] if side == 0 else [np.inf, np.inf])
     model.lowerPositionLimit = np.array([-np.inf, -np.inf] if side == 0 else [-np.inf, -1.0])
-    run = nd.simulate(scene_of(model, ratio, v=(1.0, -2.0), restitution=0.5), 1.0, 5e-3)
+    run = nd.simulate(geared(model, ratio, v=(1.0, -2.0), restitution=0.5), 1.0, 5e-3)
     assert nd.check(run).passed, nd.check(run)
     np.testing.assert_allclose(run.v[-1], (-0.5, 1.0), rtol=1e-12)
     assert run.q[:, 0].max() <= 0.5 + 1e-9
-    pressed = scene_of(model, ratio, q=(0.5, -1.0))
+    pressed = geared(model, ratio, q=(0.5, -1.0))
     run = nd.simulate(pressed, 0.5, 1e-2, controller=lambda t, q, v: {"a": (0.3, 0.0)})
     assert nd.check(run).passed, nd.check(run)
     np.testing.assert_allclose(run.v, 0.0, rtol=0.0, atol=1e-12)
@@ -141,11 +142,9 @@ def test_gripper_presses_with_half_the_force_on_each_side():
 
 def test_urdf_mimic(tmp_path):
     """The reader makes the gear, in a chain, and starts where it says."""
-    path = tmp_path / "r.urdf"
     mimic = '<mimic joint="j" multiplier="-2" offset="0.1"/>'
-    path.write_text(MIMIC.format(body=INERTIAL, kind="revolute", parent="a", mimic=mimic))
-    scene = nd.Scene()
-    scene.add_urdf("r", path)
+    text = MIMIC.format(body=INERTIAL, kind="revolute", parent="a", mimic=mimic)
+    scene = scene_of(tmp_path, text)
     assert scene.articulations["r"].report == () and scene.articulations["r"].q.tolist() == [0.0, 0.1]
     run = nd.simulate(scene, 0.5, 5e-3, controller=lambda t, q, v: {"r": (1.0, 0.0)})
     assert nd.check(run).passed, nd.check(run)
@@ -156,9 +155,8 @@ def test_urdf_mimic(tmp_path):
         ('joint="j" m', 'joint="k" m', "joint2 of mimic of 'k' must be another than joint1"),
         ('multiplier="-2"', 'multiplier="x"', r"could not be read: .*value \(x\) is not a valid"),
     ):
-        path.write_text(MIMIC.format(body=INERTIAL, kind="revolute", parent="a", mimic=mimic).replace(before, after))
         with pytest.raises(ValueError, match=words):
-            nd.Scene().add_urdf("r", path)
+            scene_of(tmp_path, text.replace(before, after))
 
 
 @pytest.mark.parametrize("kind", [pytest.param("revolute", marks=pytest.mark.slow), "prismatic"])
@@ -209,35 +207,27 @@ MJCF = """<mujoco><compiler angle="radian"/><worldbody>
 
 def test_mjcf_equalities_of_joints(tmp_path):
     """Linear polynomials between deviations from the file's zero, and one joint that is held; others are told."""
-    path = tmp_path / "m.xml"
-    path.write_text(MJCF.format("0.3 -2 0 0 0"))
-    scene = nd.Scene()
-    scene.add_mjcf("m", path, v=(1.0, -2.0, 0.0))
+    scene = scene_of(tmp_path, MJCF.format("0.3 -2 0 0 0"), "m", v=(1.0, -2.0, 0.0))
     assert scene.articulations["m"].missing == ()
     stepper = nd.Stepper(scene, 5e-3)
     assert [tree.model.nv for tree in stepper.dynamics.trees] == [2, 1]
     for _ in range(100):
         step = stepper.step()
     mujoco = pytest.importorskip("mujoco", reason="the extra 'peers' is not installed")
-    theirs = mujoco.MjModel.from_xml_path(str(path))
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "m.mjcf"))
     data = mujoco.MjData(theirs)
     data.qpos[:] = step.q
     mujoco.mj_forward(theirs, data)
     np.testing.assert_allclose(data.efc_pos[:2], 0.0, rtol=0.0, atol=1e-12)  # what MuJoCo calls a violation
     assert abs(step.v[0]) > 0.1 and step.v[1] == pytest.approx(-2 * step.v[0], abs=1e-12)
-    path.write_text(MJCF.format("0 1 0.5"))
-    scene = nd.Scene()
     with pytest.warns(UserWarning, match="'m' leaves out: equality 'b': polycoef of degree 2, not linear"):
-        scene.add_mjcf("m", path)
-    assert scene.articulations["m"].missing == ("equality 'b': polycoef of degree 2, not linear",)
+        a = robot_of(tmp_path, MJCF.format("0 1 0.5"), "m")
+    assert a.missing == ("equality 'b': polycoef of degree 2, not linear",)
 
 
 def test_a_short_polycoef_keeps_the_ratio_1(tmp_path):
     """As in MuJoCo, whose default is 0 1 0 0 0."""
-    path, scene = tmp_path / "m.xml", nd.Scene()
-    path.write_text(MJCF.format("0.3"))
-    scene.add_mjcf("m", path)
-    one, lock = scene.articulations["m"].gears
+    one, lock = robot_of(tmp_path, MJCF.format("0.3")).gears
     assert (one.ratio, lock.ratio) == (1.0, 0.0) and one.offset == pytest.approx(-0.1 + 0.3 - 0.2, abs=1e-15)
 
 
@@ -251,29 +241,25 @@ def test_a_short_polycoef_keeps_the_ratio_1(tmp_path):
     ],
 )
 def test_equalities_that_join_nothing_are_refused(tmp_path, equality, words):
-    path = tmp_path / "m.xml"
     body = '<body name="k"><joint name="b"/><geom size=".1" pos="0 0 1"/><site name="s"/></body>'
-    path.write_text(f"<mujoco><worldbody>{body}</worldbody><equality>{equality}</equality></mujoco>")
     with pytest.raises(ValueError, match=words):
-        nd.Scene().add_mjcf("m", path)
+        scene_of(tmp_path, f"<mujoco><worldbody>{body}</worldbody><equality>{equality}</equality></mujoco>")
 
 
 def test_sdf_mimic(tmp_path):
     """multiplier (q1 - reference) + offset."""
     joint = '<joint name="{0}" type="revolute"><parent>{1}</parent><child>{2}</child><axis>{3}</axis></joint>'
     mimic = '<mimic joint="j"><multiplier>3</multiplier><offset>0.1</offset><reference>0.2</reference></mimic>'
-    path = tmp_path / "m.sdf"
-    path.write_text(
+    a = robot_of(
+        tmp_path,
         '<sdf version="1.11"><model name="m"><link name="a"/><link name="b"/>'
         + joint.format("j", "world", "a", "")
         + joint.format("k", "a", "b", mimic)
-        + "</model></sdf>"
+        + "</model></sdf>",
     )
-    scene = nd.Scene()
-    scene.add_sdf("m", path)
-    (gear,) = scene.articulations["m"].gears
+    (gear,) = a.gears
     assert (gear.coordinate1, gear.coordinate2, gear.ratio) == (0, 1, 3.0) and gear.offset == pytest.approx(-0.5)
-    assert scene.articulations["m"].report == ()
+    assert a.report == ()
 
 
 def test_bad_gears():
@@ -294,11 +280,11 @@ def test_bad_gears():
 
 def test_resumed_with_another_gear_is_refused():
     model = model_of(pin.JointModelRZ(), pin.JointModelRZ())
-    assert checksums(scene_of(model, 1.0)) != checksums(scene_of(model, 2.0))
+    assert checksums(geared(model, 1.0)) != checksums(geared(model, 2.0))
 
 
 def test_acceleration_of_geared_wheels():
-    scene = scene_of(model_of(pin.JointModelRZ(), pin.JointModelRZ()), 3.0)
+    scene = geared(model_of(pin.JointModelRZ(), pin.JointModelRZ()), 3.0)
     pytest.importorskip("clarabel", reason="the extra 'acceleration' is not installed")
     from nsdyn.literature.acceleration import accelerations, least_constraint
 
@@ -309,7 +295,7 @@ def test_acceleration_of_geared_wheels():
 @pytest.mark.slow
 def test_a_driven_wheel_drives_the_other():
     """Its work is that of both; what contradicts the drive stops by name."""
-    scene = scene_of(model_of(pin.JointModelRZ(), pin.JointModelRZ()), -0.5)
+    scene = geared(model_of(pin.JointModelRZ(), pin.JointModelRZ()), -0.5)
     scene.set_motion("a/j0", lambda t: 2.0 * t)
     run = nd.simulate(scene, 1.0, 1e-2)
     assert nd.check(run).passed, nd.check(run)

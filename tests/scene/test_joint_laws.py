@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import INERTIAL
+from robot_texts import robot_of
 from scipy.integrate import solve_ivp
 
 import nsdyn as nd
@@ -183,60 +184,47 @@ def test_limits_and_gains_of_joints_without_an_angle_are_refused():
         nd.Stepper(scene, controller=lambda t, q, v: {"a": nd.PD(np.ones(3), 0.0, np.zeros(3))}).step()
 
 
-def test_velocity_limits_of_a_model_are_told():
-    scene = nd.Scene()
-    with pytest.warns(UserWarning, match=r"'a' leaves out: joint 'j': velocity limit \(1\)"):
-        scene.add_model("a", model_of(pin.JointModelRX(), upperVelocityLimit=[3.0]))
-
-
 def test_efforts_of_joints_in_one_body_are_limits(tmp_path):
     """Two hinges of an MJCF body, which Pinocchio makes one joint."""
-    path = tmp_path / "m.xml"
-    path.write_text(
+    a = robot_of(
+        tmp_path,
         '<mujoco><worldbody><body><joint axis="0 1 0" actuatorfrcrange="-3 3"/><joint axis="0 0 1"/>'
-        '<geom size=".1"/></body></worldbody></mujoco>'
+        '<geom size=".1"/></body></worldbody></mujoco>',
     )
-    scene = nd.Scene(gravity=(0, 0, 0))
-    scene.add_mjcf("m", path)
-    assert scene.articulations["m"].effort.tolist() == [3.0, np.inf] and scene.articulations["m"].report == ()
+    assert a.effort.tolist() == [3.0, np.inf] and a.report == ()
 
 
 def test_what_files_say_of_joints_without_an_angle_fails_the_check(tmp_path, capsys):
-    path = tmp_path / "r.urdf"
-    path.write_text(
+    text = (
         f'<robot name="r"><link name="w"/><link name="a">{INERTIAL}</link><joint name="j" type="planar">'
         '<axis xyz="0 0 1"/>'
         '<parent link="w"/><child link="a"/><limit lower="-1" upper="1" effort="1" velocity="0"/>'
         '<dynamics damping="1" friction="2"/><safety_controller k_velocity="1"/></joint>'
         '<gazebo reference="a"><mu1>0.2</mu1><turnGravityOff>true</turnGravityOff></gazebo></robot>'
     )
-    scene = nd.Scene()
     with pytest.warns(UserWarning, match="'r' leaves out: joint 'j': <limit> of a planar joint"):
-        scene.add_urdf("r", path)
-    a = scene.articulations["r"]
+        a = robot_of(tmp_path, text)
     assert a.missing == ("joint 'j': <limit> of a planar joint", "joint 'j': <dynamics> of a planar joint")
     assert a.dropped == ("joint 'j': <safety_controller>", "gazebo 'a': <mu1>", "gazebo 'a': <turnGravityOff>")
-    assert cli.main(["check", str(path)]) == 1
+    assert cli.main(["check", str(tmp_path / "r.urdf")]) == 1
     assert "<dynamics> of a planar joint" in capsys.readouterr().out
-    path = tmp_path / "m.xml"
-    path.write_text(
+    text = (
         '<mujoco><worldbody><body><joint name="j" type="ball" frictionloss="1" stiffness="2"/><geom size=".1"/></body>'
         "</worldbody></mujoco>"
     )
     with pytest.warns(UserWarning, match="stiffness of a ball joint"):
-        scene.add_mjcf("m", path)
-    assert cli.main(["check", str(path)]) == 1
-    path = tmp_path / "m.sdf"
-    path.write_text(
+        robot_of(tmp_path, text)
+    assert cli.main(["check", str(tmp_path / "r.mjcf")]) == 1
+    text = (
         '<sdf version="1.9"><world name="w"><gravity>0 0 -1</gravity>'
         "<wind><linear_velocity>1 0 0</linear_velocity></wind>"
         '<model name="m"><link name="a"/><joint name="j" type="ball"><parent>world</parent><child>a</child>'
         "<axis><dynamics><damping>1</damping></dynamics></axis></joint></model></world></sdf>"
     )
-    with pytest.warns(UserWarning, match="'s' leaves out: joint 'j': <axis> of a ball joint; world: <gravity>"):
-        scene.add_sdf("s", path)
-    assert scene.articulations["s"].missing == ("joint 'j': <axis> of a ball joint",)
-    assert scene.articulations["s"].dropped == ("world: <gravity>", "world 'w': <linear_velocity> of <wind>")
+    with pytest.warns(UserWarning, match="'r' leaves out: joint 'j': <axis> of a ball joint; world: <gravity>"):
+        a = robot_of(tmp_path, text)
+    assert a.missing == ("joint 'j': <axis> of a ball joint",)
+    assert a.dropped == ("world: <gravity>", "world 'w': <linear_velocity> of <wind>")
 
 
 @pytest.mark.parametrize(

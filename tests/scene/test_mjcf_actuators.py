@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from robot_texts import robot_of, scene_of
 
 import nsdyn as nd
 
-LEG = """
-<mujoco><compiler angle="radian"/><option timestep="1e-4" integrator="RK4"/>
+LEG = """<mujoco><compiler angle="radian"/><option timestep="1e-4" integrator="RK4"/>
 <default>
   <geom contype="0" conaffinity="0"/><position kp="30" kv="1"/><general gear="2" ctrlrange="-1 1"/>
   <default class="weak"><motor forcerange="-1 1"/></default>
@@ -32,21 +32,9 @@ CONTROLS = {"hip": 0.8, "roll_motor": 0.9, "knee": 0.3, "slide": 0.2, "spring": 
 """Of which that of roll_motor is beyond its range, and the force of the knee beyond that of its joint."""
 
 
-def added(path):
-    scene = nd.Scene()
-    scene.add_mjcf("r", path)
-    return scene.articulations["r"]
-
-
 @pytest.fixture
 def leg(tmp_path):
-    def loaded(drives):
-        (tmp_path / "leg.xml").write_text(LEG % drives)
-        scene = nd.Scene()
-        scene.add_mjcf("leg", tmp_path / "leg.xml")
-        return scene
-
-    return loaded
+    return lambda drives: scene_of(tmp_path, LEG % drives, "leg")
 
 
 def run(scene, control, dt=2e-3, time=0.2):
@@ -138,10 +126,7 @@ def keyed(tmp_path, keyframe="up", key='ctrl=".1 .2 .3 .4 .5"'):
     """The leg at one of two keyframes."""
     keys = f'<keyframe><key name="up" qpos="0 0 0 0" {key}/><key name="plain"/></keyframe></mujoco>'
     text = (LEG % DRIVES).replace("</mujoco>", keys)
-    (tmp_path / "leg.xml").write_text(text)
-    scene = nd.Scene()
-    scene.add_mjcf("leg", tmp_path / "leg.xml", keyframe=keyframe)
-    return scene, text
+    return scene_of(tmp_path, text, "leg", keyframe=keyframe), text
 
 
 def test_controls_of_a_keyframe(tmp_path):
@@ -241,8 +226,7 @@ def test_kinds_of_a_class_share_their_gains(tmp_path, default, drive, gain, bias
     """The numbers are MuJoCo 4.0's: a kind begins from the gains of its own kind or of `general`."""
     body = '<body><joint name="j"/><geom size=".1"/></body>'
     text = f"<default>{default}</default><worldbody>{body}</worldbody>" + f'<actuator>{drive} joint="j"/></actuator>'
-    (tmp_path / "one.xml").write_text(f"<mujoco>{text}</mujoco>")
-    (a,) = added(tmp_path / "one.xml").actuators
+    (a,) = robot_of(tmp_path, f"<mujoco>{text}</mujoco>").actuators
     assert (a.gain, a.bias) == (gain, bias)
 
 
@@ -264,5 +248,5 @@ def test_gains_of_several_kinds_are_told(tmp_path, parent, child, drive, note):
     body = '<body><joint name="j"/><geom size=".1"/></body>'
     default = f'<default>{parent}<default class="c">{child}</default></default>'
     drives = f'<actuator>{drive} class="c" joint="j"/></actuator>'
-    (tmp_path / "one.xml").write_text(f"<mujoco>{default}<worldbody>{body}</worldbody>{drives}</mujoco>")
-    assert added(tmp_path / "one.xml").dropped == ((f"actuator 'j': {note}",) if note else ())
+    a = robot_of(tmp_path, f"<mujoco>{default}<worldbody>{body}</worldbody>{drives}</mujoco>")
+    assert a.dropped == ((f"actuator 'j': {note}",) if note else ())

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import write_stl
+from robot_texts import robot_of, scene_of
 
 import nsdyn as nd
 from nsdyn import cli
@@ -28,11 +29,7 @@ def mjcf(kind, count, ends=False, size=None, more=""):
 
 def fixed(tmp_path, text):
     """The geom g, as the scene has it; ValueError for one that is refused."""
-    path = tmp_path / "r.xml"
-    path.write_text(text)
-    scene = nd.Scene()
-    scene.add_mjcf("m", path)
-    return scene.geoms()[0]
+    return scene_of(tmp_path, text, "m").geoms()[0]
 
 
 def lengths(shape):
@@ -50,7 +47,7 @@ def lengths(shape):
 
 @pytest.mark.parametrize(("kind", "count", "ends"), WRITTEN)
 def test_every_type_with_every_count_of_sizes(tmp_path, capsys, kind, count, ends):
-    text, path = mjcf(kind, count, ends), tmp_path / "r.xml"
+    text, path = mjcf(kind, count, ends), tmp_path / "m.mjcf"
     fits = (1 if ends else TAKES[kind]) <= count <= 3 and (kind in BETWEEN or not ends)
     if fits:
         half = 0.5 * np.linalg.norm(np.diff(np.array(ENDS.split(), dtype=float).reshape(2, 3), axis=0))
@@ -148,17 +145,13 @@ def test_meshes_of_vertices(tmp_path):
 )
 def test_an_orientation_replaces_that_of_the_class(own, tmp_path):
     """In whatever form either is given, as in MuJoCo."""
-    path = tmp_path / "turned.xml"
-    path.write_text(
+    a = robot_of(
+        tmp_path,
         "<mujoco><compiler angle='degree'/><default><geom euler='90 0 0'/></default><worldbody><body name='b'>"
-        f"<joint name='j'/><geom name='g' type='box' size='.5 .1 .02' mass='1' {own}/></body></worldbody></mujoco>"
+        f"<joint name='j'/><geom name='g' type='box' size='.5 .1 .02' mass='1' {own}/></body></worldbody></mujoco>",
     )
-    scene = nd.Scene()
-    articulation = scene.add_mjcf("r", path)
     turned = [[0, -1, 0], [1, 0, 0], [0, 0, 1]] if own else [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    found = scene.articulations["r"].links[0].placement.rotation
-    np.testing.assert_allclose(found, turned, rtol=0, atol=1e-15)
-    del articulation
+    np.testing.assert_allclose(a.links[0].placement.rotation, turned, rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,13 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from robot_texts import scene_of
 
 import nsdyn as nd
 
 
 def loaded(tmp_path, body, more="", **options):
-    path, scene = tmp_path / "r.xml", nd.Scene()
-    path.write_text(f"<mujoco><worldbody>{body}</worldbody>{more}</mujoco>")
-    scene.add_mjcf("r", path, **options)
-    return scene
+    return scene_of(tmp_path, f"<mujoco><worldbody>{body}</worldbody>{more}</mujoco>", **options)
 
 
 def pose(a, name):

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import DATA, INERTIAL, write_stl
+from robot_texts import robot_of, scene_of
 
 import nsdyn as nd
 from nsdyn.scene import shapes
@@ -48,7 +49,7 @@ def test_urdf(robot):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("<robot name='r'><link", "could not be read"),
+        ("<robot name='r'><link", r"r\.urdf could not be read"),
         ("<sdf/>", "its root is <sdf>, not <robot>"),
         ('<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro/></robot>', "xacro"),
         ('<robot name="r"><link name="a"><collision><geometry><cone/></geometry></collision></link></robot>', "<cone>"),
@@ -108,33 +109,28 @@ def test_bad_urdf_is_told_in_one_line_with_its_culprit(tmp_path, capfd, old, new
     assert old in ARM
     (tmp_path / "empty.stl").touch()
     (tmp_path / "none.stl").write_bytes(bytes(84))
-    path = tmp_path / "r.urdf"
-    path.write_text(ARM.replace(old, new))
     with pytest.raises(ValueError, match=words) as failure:
-        nd.Scene().add_urdf("r", path, clip=True)
+        scene_of(tmp_path, ARM.replace(old, new), clip=True)
     assert "\n" not in str(failure.value)
     assert capfd.readouterr() == ("", ""), "the libraries print nothing"
 
 
 def test_inertias_can_be_trusted(tmp_path):
-    path = tmp_path / "r.urdf"
-    path.write_text(ARM.replace('izz=".1"', 'izz="5"'))
-    scene = nd.Scene()
+    text = ARM.replace('izz=".1"', 'izz="5"')
     with pytest.warns(UserWarning, match="'r' leaves out: inertia of link 'arm' is not that of a body"):
-        scene.add_urdf("r", path, clip=True, inertias="trust")
-    assert scene.articulations["r"].model.inertias[1].inertia[2, 2] == 5.0
+        a = robot_of(tmp_path, text, clip=True, inertias="trust")
+    assert a.model.inertias[1].inertia[2, 2] == 5.0
     with pytest.raises(ValueError, match=r"inertias of 'r' must be one of check, trust; got 'trsut'"):
-        nd.Scene().add_urdf("r", path, inertias="trsut")
+        scene_of(tmp_path, text, inertias="trsut")
     with pytest.raises(ValueError, match=r"inertias of 'm' must be one of check, trust; got 'chekc'"):
         nd.Scene().add_model("m", pin.buildSampleModelManipulator(), inertias="chekc")
 
 
 def test_thin_and_rounded_inertias_are_sound(tmp_path):
     """A rod without a moment about its axis, a plate whose sum is rounded to two digits."""
-    path = tmp_path / "r.urdf"
     for x, y, z in ((0.0, 0.1, 0.1), (0.33, 0.33, 0.665)):
-        path.write_text(ARM.replace('ixx=".1" iyy=".1" izz=".1"', f'ixx="{x}" iyy="{y}" izz="{z}"'))
-        nd.Scene().add_urdf("r", path, clip=True)
+        text = ARM.replace('ixx=".1" iyy=".1" izz=".1"', f'ixx="{x}" iyy="{y}" izz="{z}"')
+        scene_of(tmp_path, text, clip=True)
 
 
 @pytest.mark.parametrize(
@@ -147,69 +143,55 @@ def test_thin_and_rounded_inertias_are_sound(tmp_path):
     ],
 )
 def test_bad_inertias_of_mjcf(tmp_path, body, words):
-    path = tmp_path / "r.xml"
-    path.write_text(f'<mujoco><worldbody><body name="b"><joint/>{body}</body></worldbody></mujoco>')
     with pytest.raises(ValueError, match=words):
-        nd.Scene().add_mjcf("r", path)
+        scene_of(tmp_path, f'<mujoco><worldbody><body name="b"><joint/>{body}</body></worldbody></mujoco>')
 
 
 def test_bad_inertia_of_sdf(tmp_path):
-    path = tmp_path / "r.sdf"
     for old, new, words in (
         ("<mass>2<", "<mass>-2<", "mass of link 'base' must not be negative"),
         ("<izz>0.15<", "<izz>1.5<", "inertia of link 'base' is not that of a body"),
     ):
         text = f"<sdf version='1.9'><model name='m'><link name='base'>{sdf_inertial(2)}</link></model></sdf>"
         assert old in text
-        path.write_text(text.replace(old, new))
         with pytest.raises(ValueError, match=words):
-            nd.Scene().add_sdf("r", path)
+            scene_of(tmp_path, text.replace(old, new))
 
 
 def test_friction_of_mjcf_geoms_is_applied(tmp_path):
     """Sliding friction of geoms and of their class; the user's material wins."""
-    path = tmp_path / "r.xml"
-    path.write_text(
+    text = (
         '<mujoco><default><default class="c"><geom friction="0.7"/></default></default><worldbody>'
         '<body name="b"><joint/><geom name="g" size=".1" friction="0.3 0.01 0.001"/><geom class="c" size=".1"/>'
         '<geom size=".1"/><geom size=".1" condim="1"/><geom size=".1" condim="4"/></body></worldbody></mujoco>'
     )
-    scene = nd.Scene()
     with pytest.warns(UserWarning, match="geom 'b_4': friction of spinning and rolling"):
-        scene.add_mjcf("r", path)
-        scene.add_mjcf("own", path, material=nd.Material(0.1))
-    assert [m.mu for m in scene.articulations["r"].materials] == [0.3, 0.7, nd.Material().mu, 0.0, nd.Material().mu]
-    assert {m.mu for m in scene.articulations["own"].materials} == {0.1}
-    path.write_text(path.read_text().replace('friction="0.7"', 'friction="much"'))
+        own, user = robot_of(tmp_path, text), robot_of(tmp_path, text, material=nd.Material(0.1))
+    assert [m.mu for m in own.materials] == [0.3, 0.7, nd.Material().mu, 0.0, nd.Material().mu]
+    assert {m.mu for m in user.materials} == {0.1}
     with pytest.raises(ValueError, match="friction of geom 'b_1' must be a number, got 'much'"):
-        scene.add_mjcf("bad", path)
+        scene_of(tmp_path, text.replace('friction="0.7"', 'friction="much"'))
 
 
 def test_friction_of_sdf_collisions_is_applied(tmp_path):
-    path = tmp_path / "r.sdf"
     surface = "<surface><friction><ode><mu>0.2</mu><mu2>0.1</mu2></ode></friction></surface>"
     box = "<geometry><box><size>1 1 1</size></box></geometry>"
-    path.write_text(
+    text = (
         f"<sdf version='1.9'><model name='m'><link name='b'>{sdf_inertial(2)}<collision name='c'>{box}{surface}"
         f"</collision><collision name='d'>{box}</collision></link></model></sdf>"
     )
-    scene = nd.Scene()
     with pytest.warns(UserWarning, match="collision 'c': friction across that is not that along"):
-        scene.add_sdf("r", path)
-    assert [m.mu for m in scene.articulations["r"].materials] == [0.2, nd.Material().mu]
+        a = robot_of(tmp_path, text)
+    assert [m.mu for m in a.materials] == [0.2, nd.Material().mu]
 
 
 @pytest.mark.parametrize(("effort", "expected"), [("2", 2.0), ("0", np.inf)])
 def test_limits_of_joints(tmp_path, effort, expected):
     """Efforts are read, 0 for none; velocities are warned of."""
-    path = tmp_path / "r.urdf"
-    path.write_text(ARM.replace('effort="2"', f'effort="{effort}"'))
-    scene = nd.Scene()
-    scene.add_urdf("r", path, clip=True)
-    np.testing.assert_array_equal(scene.articulations["r"].effort, [expected])
-    path.write_text(ARM.replace('velocity="0"', 'velocity="3"'))
-    with pytest.warns(UserWarning, match=r"'s' leaves out: joint 'j': velocity of <limit> \(1\)"):
-        scene.add_urdf("s", path, clip=True)
+    a = robot_of(tmp_path, ARM.replace('effort="2"', f'effort="{effort}"'), clip=True)
+    np.testing.assert_array_equal(a.effort, [expected])
+    with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'j': velocity of <limit> \(1\)"):
+        scene_of(tmp_path, ARM.replace('velocity="0"', 'velocity="3"'), clip=True)
 
 
 def test_bad_mass_of_a_model():
@@ -272,16 +254,13 @@ SEVERAL = """<mujoco><compiler angle="radian"/><worldbody><body name="b" pos="0 
 
 def test_several_joints_of_one_mjcf_body_are_joints_by_their_names(tmp_path):
     """They move as the one that Pinocchio makes of them, can be driven, geared and asked for, and join both bodies."""
-    path = tmp_path / "m.xml"
-    path.write_text(SEVERAL)
-    scene = nd.Scene()
-    scene.add_mjcf("m", path)
+    scene = scene_of(tmp_path, SEVERAL, "m")
     a = scene.articulations["m"]
     assert list(a.model.names)[1:] == ["x", "joint1", "y", "u", "w"]
     assert [(link.name, link.joint) for link in a.links] == [("g", 3), ("h", 5)]
     assert a.excluded == {(0, 1)}  # they overlap
     np.testing.assert_array_equal(a.model.upperPositionLimit[:4], (np.inf, np.inf, 2, np.inf))
-    theirs = pin.buildModelFromMJCF(str(path))
+    theirs = pin.buildModelFromMJCF(str(tmp_path / "m.mjcf"))
     theirs.armature = a.model.armature
     rng, own, other = np.random.default_rng(0), a.model.createData(), theirs.createData()
     q, v = pin.integrate(a.model, a.q, rng.normal(size=7)), rng.normal(size=7)
@@ -299,18 +278,16 @@ def test_several_joints_of_one_mjcf_body_are_joints_by_their_names(tmp_path):
 
 
 def test_mjcf_names_every_attribute_it_leaves_out(tmp_path):
-    path = tmp_path / "r.xml"
-    path.write_text(
+    text = (
         '<mujoco><option density="1.2" wind="0 0 0" timestep="0.01"><flag contact="disable"/></option>'
         '<worldbody><body><joint springdamper="1 1" margin=".1" actuatorfrcrange="-1 2"/>'
         '<geom size=".1" friction="2 0 0" solref=".01 1"/>'
         '<geom size=".1" friction="1 0 0"/></body>'
         "</worldbody></mujoco>"
     )
-    scene = nd.Scene()
     with pytest.warns(UserWarning, match="'m' leaves out: option: density; flag: contact"):
-        scene.add_mjcf("m", path)
-    assert scene.articulations["m"].report == (
+        a = robot_of(tmp_path, text, "m")
+    assert a.report == (
         "option: density",
         "flag: contact",
         "body 'body0': springdamper of <joint>",
@@ -354,15 +331,12 @@ def test_mjcf_loops(mjcf):
 
 def test_weld_with_relpose_and_anchor(tmp_path):
     """`relpose` says where the anchor, a point of the second body, and its axes are in the first, as for MuJoCo."""
-    path, scene = tmp_path / "r.xml", nd.Scene()
     bodies = (
         '<body name="a" pos="0 0 1"><joint axis="0 1 0"/><geom size=".1"/></body>'
         '<body name="c" pos=".5 -.2 1" euler="0 0 90"><freejoint/><geom size=".1"/></body>'
     )
     weld = '<weld body1="a" body2="c" anchor=".2 0 0" relpose=".5 0 0 1 0 0 1"/>'
-    path.write_text(f"<mujoco><worldbody>{bodies}</worldbody><equality>{weld}</equality></mujoco>")
-    scene.add_mjcf("m", path)
-    a = scene.articulations["m"]
+    a = robot_of(tmp_path, f"<mujoco><worldbody>{bodies}</worldbody><equality>{weld}</equality></mujoco>")
     (loop,) = a.loops
     np.testing.assert_array_equal(loop.placement1.translation, (0.5, 0, 0))
     np.testing.assert_array_equal(loop.placement2.translation, (0.2, 0, 0))
@@ -448,18 +422,16 @@ def sdf(robot, tmp_path):
 
 
 def test_sdf_warns_of_what_changes_the_motion(tmp_path):
-    path = tmp_path / "r.sdf"
     link = "<gravity>{}</gravity><kinematic>false</kinematic><velocity_decay><linear>1</linear></velocity_decay>"
-    path.write_text(
+    text = (
         '<sdf version="1.9"><world name="w"><physics type="ode"/><model name="m"><enable_wind>true</enable_wind>'
         f'<link name="a">{link.format("false")}</link><link name="b">{link.format("true")}</link>'
         '<joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 0 1</xyz><limit>'
         "<stiffness>1</stiffness></limit></axis></joint></model></world></sdf>"
     )
-    scene = nd.Scene()
     with pytest.warns(UserWarning, match="'m' leaves out: model 'm': <enable_wind>; link 'a': <gravity>"):
-        scene.add_sdf("m", path)
-    assert scene.articulations["m"].report == (
+        a = robot_of(tmp_path, text, "m")
+    assert a.report == (
         "model 'm': <enable_wind>",
         "link 'a': <gravity>",
         "link 'a': <linear> of <velocity_decay> (2)",
@@ -531,11 +503,7 @@ def four_bar_sdf(closing):
 @pytest.mark.parametrize(("closing", "nv"), [("revolute", 4), ("fixed", 3)])
 def test_sdf_loop(tmp_path, closing, nv):
     """The rod with two parents is cut in halves that a loop welds; the mass is that of the file."""
-    path = tmp_path / "four_bar.sdf"
-    path.write_text(four_bar_sdf(closing))
-    scene = nd.Scene()
-    scene.add_sdf("m", path)
-    a = scene.articulations["m"]
+    a = robot_of(tmp_path, four_bar_sdf(closing))
     (loop,) = a.loops
     assert a.model.nv == nv and loop.kind == "frame"
     assert pin.computeTotalMass(a.model) == pytest.approx(3 - 0.5 * (closing == "fixed"), rel=1e-15)
@@ -658,14 +626,12 @@ def test_robots_of_example_robot_data_load_and_move(name):
 )
 def test_planar_joints_of_urdf_move_across_their_axis(tmp_path, axis, place):
     """It is x by default, as URDF has it; along the plane as in MuJoCo, which turns z onto it the shortest way."""
-    path, scene = tmp_path / "r.urdf", nd.Scene()
     inertial = INERTIAL.format(2).replace("<mass", '<origin xyz="0.1 0.2 0.3" rpy="0.1 0.2 0.3"/><mass')
-    path.write_text(
+    text = (
         f'<robot name="r"><link name="w"/><link name="a">{inertial}</link><joint name="j" type="planar">'
         f'<origin xyz="1 2 3"/><parent link="w"/><child link="a"/>{axis}</joint></robot>'
     )
-    scene.add_urdf("r", path)
-    model = scene.articulations["r"].model
+    model = robot_of(tmp_path, text).model
     data, frame = model.createData(), model.getFrameId("a")
     pin.framesForwardKinematics(model, data, np.array([0.3, 0.2, 1.0, 0.0]))
     # The round-off of turns and of sums of numbers up to 3.
@@ -688,24 +654,20 @@ def test_planar_joints_of_urdf_move_across_their_axis(tmp_path, axis, place):
 )
 def test_a_wrong_origin_of_an_inertia_is_refused(tmp_path, origin, words):
     """The XML parser of Pinocchio drops all of such an inertia, without a word."""
-    path = tmp_path / "r.urdf"
     inertial = INERTIAL.format(1).replace("<mass", f"<origin {origin}/><mass")
-    path.write_text(f'<robot name="r"><link name="a">{inertial}</link></robot>')
     with pytest.raises(ValueError, match=words):
-        nd.Scene().add_urdf("r", path, base="free")
+        scene_of(tmp_path, f'<robot name="r"><link name="a">{inertial}</link></robot>', base="free")
 
 
 @pytest.mark.parametrize(("version", "turned"), [("1.3", True), ("1.4", True), ("1.5", False), ("1.12", False)])
 def test_axes_of_old_sdf_are_in_the_frame_of_the_model(tmp_path, version, turned):
     """As sdformat converts them."""
-    path, scene = tmp_path / "r.sdf", nd.Scene()
-    path.write_text(
+    text = (
         f'<sdf version="{version}"><model name="m"><link name="a"><pose>0 0 0 0 0 1.5707963267948966</pose></link>'
         '<joint name="j" type="revolute"><parent>world</parent><child>a</child><axis><xyz>1 0 0</xyz></axis></joint>'
         "</model></sdf>"
     )
-    scene.add_sdf("r", path)
-    model = scene.articulations["r"].model
+    model = robot_of(tmp_path, text).model
     data = model.createData()
     pin.forwardKinematics(model, data, np.zeros(1), np.ones(1))
     spin = data.oMi[1].rotation @ data.v[1].angular
@@ -713,23 +675,15 @@ def test_axes_of_old_sdf_are_in_the_frame_of_the_model(tmp_path, version, turned
 
 
 @pytest.mark.parametrize(
-    ("kind", "text"),
+    "text",
     [
-        (
-            "urdf",
-            '<robot name="r"><link name="w"/><link name="a">{}</link><joint name="j" type="continuous">'
-            '<parent link="w"/><child link="a"/><axis xyz="0 0 0"/></joint></robot>',
-        ),
-        (
-            "mjcf",
-            '<mujoco><worldbody><body><joint name="j" axis="0 0 0"/><geom size=".1"/></body></worldbody></mujoco>',
-        ),
-        ("mjcf", '<mujoco><worldbody><body><joint name="j" axis="0 0"/><geom size=".1"/></body></worldbody></mujoco>'),
+        '<robot name="r"><link name="w"/><link name="a">{}</link><joint name="j" type="continuous">'
+        '<parent link="w"/><child link="a"/><axis xyz="0 0 0"/></joint></robot>',
+        '<mujoco><worldbody><body><joint name="j" axis="0 0 0"/><geom size=".1"/></body></worldbody></mujoco>',
+        '<mujoco><worldbody><body><joint name="j" axis="0 0"/><geom size=".1"/></body></worldbody></mujoco>',
     ],
 )
-def test_axes_of_files_are_directions(tmp_path, kind, text):
+def test_axes_of_files_are_directions(tmp_path, text):
     """A rotor that nothing hangs on, else."""
-    path = tmp_path / f"r.{kind}"
-    path.write_text(text.format(INERTIAL.format(1)))
     with pytest.raises(ValueError, match="axis of joint 'j' of 'r' must be of length 1, got 0"):
-        getattr(nd.Scene(), f"add_{kind}")("r", path, armature=[1.0])
+        scene_of(tmp_path, text.format(INERTIAL.format(1)), armature=[1.0])

@@ -6,6 +6,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from robot_texts import robot_of
 
 import nsdyn as nd
 from nsdyn.scene.robot_files.elements import changes_nothing
@@ -67,22 +68,20 @@ def mjcf(**places):
     )
 
 
-def loaded(tmp_path, kind, text):
-    """(What the file's warning names, the report) of a file."""
-    path, scene = tmp_path / f"r.{kind}", nd.Scene()
-    path.write_text(text)
+def loaded(tmp_path, text):
+    """(What the file's warning names, the articulation) of a file."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        getattr(scene, f"add_{kind}")("r", path)
-    return "; ".join(str(w.message) for w in caught), scene.articulations["r"]
+        a = robot_of(tmp_path, text)
+    return "; ".join(str(w.message) for w in caught), a
 
 
 @pytest.mark.parametrize(("place", "name", "value", "still"), MJCF_ATTRIBUTES)
 def test_attributes_of_mjcf(tmp_path, place, name, value, still):
-    told, _ = loaded(tmp_path, "mjcf", mjcf(**{place: f'{name}="{value}"'}))
+    told, _ = loaded(tmp_path, mjcf(**{place: f'{name}="{value}"'}))
     assert f": {name}" in told
     if still is not None:
-        assert loaded(tmp_path, "mjcf", mjcf(**{place: f'{name}="{still}"'}))[0] == ""
+        assert loaded(tmp_path, mjcf(**{place: f'{name}="{still}"'}))[0] == ""
 
 
 @pytest.mark.parametrize(
@@ -125,7 +124,7 @@ def test_attributes_of_mjcf(tmp_path, place, name, value, still):
     ],
 )
 def test_elements_of_mjcf(tmp_path, place, text, note):
-    assert note in loaded(tmp_path, "mjcf", mjcf(**{place: text}))[0]
+    assert note in loaded(tmp_path, mjcf(**{place: text}))[0]
 
 
 def test_usual_mjcf_is_quiet(tmp_path):
@@ -143,7 +142,7 @@ def test_usual_mjcf_is_quiet(tmp_path):
         more='<camera/><light/><site name="s" size=".1"/>',
         end='<sensor/><asset><texture/><material name="grid"/></asset>',
     )
-    told, a = loaded(tmp_path, "mjcf", text)
+    told, a = loaded(tmp_path, text)
     assert told == "" and a.missing == a.dropped == ()
     assert {"mujoco: <visual>", "option: timestep", "mujoco: <sensor>", "body 'b': <camera>"} <= {*a.unused}
 
@@ -154,9 +153,7 @@ def test_sections_that_come_twice_are_one(tmp_path):
         '<mujoco><compiler angle="radian"/><worldbody><body name="d"><joint name="l" range="-1 1"/>'
         '<geom size=".1" pos="9 0 0"/></body></worldbody></mujoco>'
     )
-    _, a = loaded(
-        tmp_path, "mjcf", mjcf(compiler='angle="degree"', end='<include file="more.xml"/>', joint='range="-2 2"')
-    )
+    _, a = loaded(tmp_path, mjcf(compiler='angle="degree"', end='<include file="more.xml"/>', joint='range="-2 2"'))
     assert a.model.nv == 3
     np.testing.assert_array_equal(a.model.lowerPositionLimit, (-2, -np.inf, -1))
 
@@ -164,8 +161,8 @@ def test_sections_that_come_twice_are_one(tmp_path):
 def test_equalities_take_the_defaults_of_their_class(tmp_path):
     weld = '<equality><weld name="w" body1="b"{}/></equality>'
     top = '<default><equality active="false"/><default class="on"><equality active="true"/></default></default>'
-    assert not loaded(tmp_path, "mjcf", mjcf(top=top, end=weld.format("")))[1].loops
-    assert loaded(tmp_path, "mjcf", mjcf(top=top, end=weld.format(' class="on"')))[1].loops
+    assert not loaded(tmp_path, mjcf(top=top, end=weld.format("")))[1].loops
+    assert loaded(tmp_path, mjcf(top=top, end=weld.format(' class="on"')))[1].loops
 
 
 POSES = [
@@ -193,7 +190,7 @@ def test_orientations_are_those_of_mujoco(tmp_path, compiler, pose):
         f'<inertial pos=".1 .2 .3" mass="1" diaginertia=".1 .2 .25" {pose}/><body name="b"><joint axis="1 0 0"/>'
         f'<geom type="box" size=".1 .2 .3" {pose}/></body></body></worldbody></mujoco>'
     )
-    _, a = loaded(tmp_path, "mjcf", text)
+    _, a = loaded(tmp_path, text)
     theirs = mujoco.MjModel.from_xml_string(text)
     data, M = mujoco.MjData(theirs), np.zeros((3, 3))
     mujoco.mj_forward(theirs, data)
@@ -209,7 +206,7 @@ def test_turns_about_several_axes(tmp_path):
 
     def turn(compiler, pose):
         text = f"<mujoco><compiler {compiler}/><worldbody><body><joint/>{box.format(pose)}</body></worldbody></mujoco>"
-        return loaded(tmp_path, "mjcf", text)[1].links[0].placement.rotation
+        return loaded(tmp_path, text)[1].links[0].placement.rotation
 
     x, y, z = (pin.utils.rotate(axis, np.radians(angle)) for axis, angle in (("x", 10), ("y", 20), ("z", 30)))
     for compiler, expected in (
@@ -237,15 +234,13 @@ def test_turns_about_several_axes(tmp_path):
             turn(compiler, pose)
     inertial = '<inertial pos="0 0 0" mass="1" fullinertia="1 1 1 0 0 0" euler="1 2 3"/>'
     with pytest.raises(ValueError, match="of <inertial> '' must be given once, got euler and fullinertia"):
-        loaded(tmp_path, "mjcf", f"<mujoco><worldbody><body><joint/>{inertial}</body></worldbody></mujoco>")
+        loaded(tmp_path, f"<mujoco><worldbody><body><joint/>{inertial}</body></worldbody></mujoco>")
 
 
 def test_what_a_keyframe_says_beyond_its_configuration(tmp_path):
     key = '<keyframe><key name="k" qpos="0 0" act="{}" mpos="1" time="3"/></keyframe>'
-    path = tmp_path / "r.xml"
-    path.write_text(mjcf(end=key.format("0 1")))
     with pytest.warns(UserWarning, match="keyframe 'k': act; keyframe 'k': mpos"):
-        nd.Scene().add_mjcf("r", path, keyframe="k")
+        robot_of(tmp_path, mjcf(end=key.format("0 1")), keyframe="k")
 
 
 def test_meshes_of_shapes_are_where_they_are(tmp_path):
@@ -253,7 +248,7 @@ def test_meshes_of_shapes_are_where_they_are(tmp_path):
     mesh = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" refpos="1 0 0"/></asset>'
     for masks, told in (("", True), ('contype="0" conaffinity="0"', False)):
         text = mjcf(top=mesh, more=f'<geom type="mesh" mesh="m" {masks}/>')
-        assert ("mesh 'm': refpos" in loaded(tmp_path, "mjcf", text)[0]) == told
+        assert ("mesh 'm': refpos" in loaded(tmp_path, text)[0]) == told
 
 
 def test_values_that_change_nothing():
@@ -264,12 +259,12 @@ def test_values_that_change_nothing():
 
 def test_a_bound_of_masses_is_told_where_it_is_left_out(tmp_path):
     """It holds for the <inertial> of b, of 1 kg; c has the mass of its geoms."""
-    told, a = loaded(tmp_path, "mjcf", mjcf(compiler='boundmass="5"'))
+    told, a = loaded(tmp_path, mjcf(compiler='boundmass="5"'))
     assert told == "'r' leaves out: body 'c': boundmass where its geoms have less"
     assert a.model.inertias[1].mass == 5.0
-    told, _ = loaded(tmp_path, "mjcf", mjcf(compiler='boundmass="5" inertiafromgeom="true"'))
+    told, _ = loaded(tmp_path, mjcf(compiler='boundmass="5" inertiafromgeom="true"'))
     assert told.count("boundmass") == 2
-    assert loaded(tmp_path, "mjcf", mjcf(compiler='boundmass="0"'))[0] == ""
+    assert loaded(tmp_path, mjcf(compiler='boundmass="0"'))[0] == ""
 
 
 def test_joints_written_after_the_bodies_they_carry(tmp_path):
@@ -280,7 +275,7 @@ def test_joints_written_after_the_bodies_they_carry(tmp_path):
         text = (
             f'<mujoco><compiler angle="radian"/><worldbody><body name="b">{"".join(order)}</body></worldbody></mujoco>'
         )
-        a = loaded(tmp_path, "mjcf", text)[1]
+        a = loaded(tmp_path, text)[1]
         assert list(a.model.names)[1:] == ["j", "l"]
         np.testing.assert_array_equal(a.damping, (1, 2))
         np.testing.assert_array_equal(a.model.upperPositionLimit, (1, np.inf))
@@ -345,7 +340,7 @@ def urdf(**places):
     ],
 )
 def test_elements_of_urdf(tmp_path, places, note):
-    assert note in loaded(tmp_path, "urdf", urdf(**places))[0]
+    assert note in loaded(tmp_path, urdf(**places))[0]
 
 
 def test_usual_urdf_is_quiet(tmp_path):
@@ -360,7 +355,7 @@ def test_usual_urdf_is_quiet(tmp_path):
         joint='<calibration rising="0"/>',
         end=f'<material name="m"/><transmission name="t"/><gazebo reference="b">{gazebo}</gazebo>',
     )
-    told, a = loaded(tmp_path, "urdf", text)
+    told, a = loaded(tmp_path, text)
     assert told == "" and a.missing == a.dropped == ()
     assert {"robot 'r': <transmission>", "joint 'j': <calibration>", "gazebo 'b': <sensor>"} <= {*a.unused}
 
@@ -371,7 +366,7 @@ def test_quaternions_of_urdf(tmp_path, version):
     places = {"inertial": '<origin xyz="1 2 3" {}/>', "collision": "<origin {}/>"}
     ways = 'rpy="0 0 1.2870022175866"', 'quat_xyzw="0 0 1.2 1.6"'
     written = [urdf(robot=version, **{k: text.format(way) for k, text in places.items()}) for way in ways]
-    a, b = (loaded(tmp_path, "urdf", text)[1] for text in written)
+    a, b = (loaded(tmp_path, text)[1] for text in written)
     np.testing.assert_allclose(a.model.inertias[1].inertia, b.model.inertias[1].inertia, rtol=0, atol=1e-12)
     np.testing.assert_allclose(a.links[0].placement.rotation, b.links[0].placement.rotation, rtol=0, atol=1e-12)
     assert np.abs(a.links[0].placement.rotation - np.eye(3)).max() > 0.5
@@ -473,13 +468,13 @@ SDF_ELEMENTS = [
 
 @pytest.mark.parametrize(("place", "path", "value", "still"), SDF_ELEMENTS)
 def test_elements_of_sdf(tmp_path, place, path, value, still):
-    told, _ = loaded(tmp_path, "sdf", sdf(**{place: nested(path, value)}))
+    told, _ = loaded(tmp_path, sdf(**{place: nested(path, value)}))
     # A friction across may be the same as that along, a velocity is told with the others; soft_contact as a whole.
     expected = {"mu2": "friction across", "velocity": "velocity", "dart": "<soft_contact>"}
     last = path.rpartition("/")[2]
     assert expected.get(last, f"<{last}>") in told
     if still is not None:
-        assert loaded(tmp_path, "sdf", sdf(**{place: nested(path, still)}))[0] == ""
+        assert loaded(tmp_path, sdf(**{place: nested(path, still)}))[0] == ""
 
 
 @pytest.mark.parametrize(
@@ -494,7 +489,7 @@ def test_elements_of_sdf(tmp_path, place, path, value, still):
     ],
 )
 def test_attributes_of_sdf(tmp_path, places, note):
-    assert note in loaded(tmp_path, "sdf", sdf(**places))[0]
+    assert note in loaded(tmp_path, sdf(**places))[0]
 
 
 def test_usual_sdf_is_quiet(tmp_path):
@@ -508,7 +503,7 @@ def test_usual_sdf_is_quiet(tmp_path):
         surface="<friction><ode><mu>0.4</mu><mu2>0.4</mu2></ode></friction>",
         joint="<sensor/>",
     )
-    told, a = loaded(tmp_path, "sdf", text)
+    told, a = loaded(tmp_path, text)
     assert told == "" and a.missing == a.dropped == ()
     assert {"world 'w': <physics>", "link 'a': <sensor>", "joint 'j': <sensor>"} <= {*a.unused}
 
@@ -516,7 +511,7 @@ def test_usual_sdf_is_quiet(tmp_path):
 def test_poses_in_a_link_may_be_relative_to_any_frame(tmp_path):
     frame = '<frame name="f" attached_to="a"><pose>1 2 3 0 0 1</pose></frame>'
     turned = '<pose relative_to="f">0 0 1 0 0 0</pose>'
-    _, a = loaded(tmp_path, "sdf", sdf(model=frame, collision=turned, inertial=turned))
+    _, a = loaded(tmp_path, sdf(model=frame, collision=turned, inertial=turned))
     expected = pin.SE3(pin.rpy.rpyToMatrix(0, 0, 1), np.array([1.0, 2.0, 4.0]))
     assert a.links[0].placement.isApprox(expected, 1e-15)
     np.testing.assert_allclose(a.model.inertias[1].lever, (1, 2, 4), rtol=0, atol=1e-15)
@@ -524,15 +519,15 @@ def test_poses_in_a_link_may_be_relative_to_any_frame(tmp_path):
 
 def test_truth_is_written_in_two_ways(tmp_path):
     pose = '<pose degrees="{}">0 0 0 0 0 90</pose>'
-    a, b = (loaded(tmp_path, "sdf", sdf(collision=pose.format(yes)))[1] for yes in ("true", "1"))
+    a, b = (loaded(tmp_path, sdf(collision=pose.format(yes)))[1] for yes in ("true", "1"))
     assert a.links[0].placement.isApprox(b.links[0].placement, 0.0)
     text = sdf().replace("<inertial>", '<inertial auto="1">')
-    assert "link 'a': automatic inertia" in loaded(tmp_path, "sdf", text)[0]
+    assert "link 'a': automatic inertia" in loaded(tmp_path, text)[0]
 
 
 def test_an_empty_collision_is_no_missing_shape(tmp_path):
     text = sdf().replace("<sphere><radius>1</radius></sphere>", "<empty/>")
-    told, a = loaded(tmp_path, "sdf", text)
+    told, a = loaded(tmp_path, text)
     assert told == "" and a.links == ()
 
 
@@ -582,33 +577,33 @@ def test_pairs_of_a_geometry_model(chain):
 
 
 @pytest.mark.parametrize(
-    ("kind", "text", "words"),
+    ("text", "words"),
     [
-        ("mjcf", mjcf(compiler='angle="radians"'), r"did you mean 'radian'\? angle of <compiler> '' must be one of"),
-        ("mjcf", mjcf(compiler='autolimits="no"'), "autolimits of <compiler> '' must be one of true, false; got 'no'"),
-        ("mjcf", mjcf(joint='limited="True" range="0 1"'), "limited of <joint> 'j' must be one of true, false, auto"),
-        ("mjcf", mjcf(geom='condim="2"'), "condim of <geom> 'g' must be one of 1, 3, 4, 6; got '2'"),
-        ("mjcf", mjcf(end='<actuator><motor joint="j" ctrllimited="1"/></actuator>'), "ctrllimited of <motor> '' must"),
-        ("mjcf", mjcf(end='<contact><exclude body1="b" body2="z"/></contact>'), "body2 of an <exclude> must be one of"),
-        ("mjcf", mjcf(end='<contact><exclude body1="b" bodytwo="c"/></contact>'), "body2 of an <exclude> must be one"),
-        ("sdf", sdf(model='<link name="a"/>'), "link 'a' must have a name of its own"),
-        ("sdf", sdf(model="<static>yes</static>"), "must be true or false, got 'yes'"),
-        ("sdf", sdf(axis='<mimic joint="j" axis="x"/>'), "axis of mimic of 'j' must be one of axis, axis2; got 'x'"),
-        ("sdf", sdf(model='<pose rotation_format="x">0 0 0 0 0 0</pose>'), "rotation_format of <pose> must be"),
+        (mjcf(compiler='angle="radians"'), r"did you mean 'radian'\? angle of <compiler> '' must be one of"),
+        (mjcf(compiler='autolimits="no"'), "autolimits of <compiler> '' must be one of true, false; got 'no'"),
+        (mjcf(joint='limited="True" range="0 1"'), "limited of <joint> 'j' must be one of true, false, auto"),
+        (mjcf(geom='condim="2"'), "condim of <geom> 'g' must be one of 1, 3, 4, 6; got '2'"),
+        (mjcf(end='<actuator><motor joint="j" ctrllimited="1"/></actuator>'), "ctrllimited of <motor> '' must"),
+        (mjcf(end='<contact><exclude body1="b" body2="z"/></contact>'), "body2 of an <exclude> must be one of"),
+        (mjcf(end='<contact><exclude body1="b" bodytwo="c"/></contact>'), "body2 of an <exclude> must be one"),
+        (sdf(model='<link name="a"/>'), "link 'a' must have a name of its own"),
+        (sdf(model="<static>yes</static>"), "must be true or false, got 'yes'"),
+        (sdf(axis='<mimic joint="j" axis="x"/>'), "axis of mimic of 'j' must be one of axis, axis2; got 'x'"),
+        (sdf(model='<pose rotation_format="x">0 0 0 0 0 0</pose>'), "rotation_format of <pose> must be"),
     ],
 )
-def test_words_that_are_none_are_refused(tmp_path, kind, text, words):
+def test_words_that_are_none_are_refused(tmp_path, text, words):
     with pytest.raises(ValueError, match=words):
-        loaded(tmp_path, kind, text)
+        loaded(tmp_path, text)
 
 
 def test_a_range_from_0_to_0_is_none(tmp_path):
     """MuJoCo's default, which defaults of classes may give again; told to be limited, it is one."""
     text = mjcf(joint='range="0 0"', end='<actuator><motor joint="j" ctrlrange="0 0.0" forcerange="0 0"/></actuator>')
-    a = loaded(tmp_path, "mjcf", text)[1]
+    a = loaded(tmp_path, text)[1]
     assert a.model.upperPositionLimit[0] == np.inf
     assert a.actuators[0].control_range == a.actuators[0].force_range == (-np.inf, np.inf)
-    assert loaded(tmp_path, "mjcf", mjcf(joint='range="0 0" limited="true"'))[1].model.upperPositionLimit[0] == 0.0
+    assert loaded(tmp_path, mjcf(joint='range="0 0" limited="true"'))[1].model.upperPositionLimit[0] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -629,17 +624,17 @@ def test_a_range_from_0_to_0_is_none(tmp_path):
 def test_names_and_planes_that_mujoco_refuses_are_refused(tmp_path, places, words):
     """Two hinges had one name, a moving plane weighed 1 kg, a class named at the top was no default; in one line."""
     with pytest.raises(ValueError, match=words) as refused:
-        loaded(tmp_path, "mjcf", mjcf(**places))
+        loaded(tmp_path, mjcf(**places))
     assert "\n" not in str(refused.value)
 
 
 def test_bodies_and_joints_without_a_name_get_another(tmp_path):
     """Than those that have one."""
     more = '<body name="body2"/><body><geom size=".1" pos="0 0 9"/></body>'
-    a = loaded(tmp_path, "mjcf", mjcf(more=more))[1]
+    a = loaded(tmp_path, mjcf(more=more))[1]
     assert "body2_" in a.bodies and a.model.existFrame("body2")
     more = '<joint axis="1 0 0"/><body name="d"><joint name="joint1"/><geom size=".1" pos="0 0 9"/></body>'
-    assert loaded(tmp_path, "mjcf", mjcf(more=more))[1].model.existJointName("joint1_")
+    assert loaded(tmp_path, mjcf(more=more))[1].model.existJointName("joint1_")
 
 
 @pytest.mark.parametrize(
@@ -658,13 +653,13 @@ def test_ranges_that_limit_nothing_are_refused(tmp_path, joint, motor, words):
     """As by MuJoCo, which infers no limit where `autolimits` is false."""
     drive = f'<actuator><position joint="j" {motor}/></actuator>'
     with pytest.raises(ValueError, match=words):
-        loaded(tmp_path, "mjcf", mjcf(joint=joint, end=drive, compiler='autolimits="false"'))
+        loaded(tmp_path, mjcf(joint=joint, end=drive, compiler='autolimits="false"'))
 
 
 def test_all_of_a_static_model_is_fixed(tmp_path):
     """Whatever its joints; as in Gazebo."""
-    assert loaded(tmp_path, "sdf", sdf())[1].model.nv == 1
-    a = loaded(tmp_path, "sdf", sdf(model="<static>true</static>", axis='<mimic joint="j"/>'))[1]
+    assert loaded(tmp_path, sdf())[1].model.nv == 1
+    a = loaded(tmp_path, sdf(model="<static>true</static>", axis='<mimic joint="j"/>'))[1]
     assert a.model.nv == 0 and [link.joint for link in a.links] == [0] and not a.gears
 
 
@@ -679,5 +674,5 @@ def test_masses_of_shapes_that_have_none_here(tmp_path):
         ),
         ({"more": f'<geom name="s" type="sdf" mesh="m" {seen}/>'}, "geom 's' of type 'sdf'"),
     ):
-        told, _ = loaded(tmp_path, "mjcf", mjcf(top=mesh, **places))
+        told, _ = loaded(tmp_path, mjcf(top=mesh, **places))
         assert note in told and bool(note) == bool(told)

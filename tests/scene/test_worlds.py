@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from robot_texts import scene_of
 
 import nsdyn as nd
 from nsdyn.scene import pairs, shapes
@@ -29,19 +30,11 @@ WEIGHT = 9.81 * (6.0 + 4 * 1.05)
 EVERY = pytest.mark.parametrize("self_collisions", [True, False, "apart"])
 
 
-def loaded(tmp_path, text, **keywords):
-    path = tmp_path / "m.xml"
-    path.write_text(text)
-    scene = nd.Scene()
-    scene.add_mjcf("m", path, **keywords)
-    return scene
-
-
 @pytest.mark.parametrize(
     "self_collisions", [True, *(pytest.param(k, marks=pytest.mark.slow) for k in (False, "apart"))]
 )
 def test_a_robot_stands_on_the_floor_of_its_own_file(tmp_path, self_collisions):
-    scene = loaded(tmp_path, QUAD, keyframe="stand", self_collisions=self_collisions)
+    scene = scene_of(tmp_path, QUAD, "m", keyframe="stand", self_collisions=self_collisions)
     none = np.zeros(6)
     gains = {"kp": np.r_[none, np.full(8, 60.0)], "kd": np.r_[none, np.full(8, 2.0)]}
     control = nd.PD(**gains, target=np.r_[none, STANCE])
@@ -58,7 +51,7 @@ def test_a_robot_stands_on_the_floor_of_its_own_file(tmp_path, self_collisions):
 
 @EVERY
 def test_feet_in_the_floor_are_told(tmp_path, self_collisions):
-    scene = loaded(tmp_path, QUAD, keyframe="low", self_collisions=self_collisions)
+    scene = scene_of(tmp_path, QUAD, "m", keyframe="low", self_collisions=self_collisions)
     told = r"^'m/floor' and 'm/.._foot' overlap at the start by 0\.0259 m, more than [^;]*\)$"
     with pytest.raises(ValueError, match=told):  # and nothing that would keep them apart
         nd.Stepper(scene)
@@ -76,7 +69,7 @@ KITCHEN = """<mujoco><worldbody>
 
 
 def kitchen(tmp_path, height="0.6601", **keywords):
-    return loaded(tmp_path, KITCHEN.format(height=height), **keywords)
+    return scene_of(tmp_path, KITCHEN.format(height=height), "m", **keywords)
 
 
 def names(scene):
@@ -133,7 +126,7 @@ def test_apart_names_what_it_leaves_out(tmp_path):
     ],
 )
 def test_masks_and_exclusions_hold_between_the_world_and_links(tmp_path, old, new, apart):
-    scene = loaded(tmp_path, QUAD.replace(old, new, 1), keyframe="stand")
+    scene = scene_of(tmp_path, QUAD.replace(old, new, 1), "m", keyframe="stand")
     at, excluded = names(scene), pairs.excluded(scene, scene.geoms())
     kept = {name for name, k in at.items() if {(k, at["m/floor"]), (at["m/floor"], k)} & excluded}
     assert kept >= {f"m/{name}" for name in apart} and (apart or not kept)
@@ -143,16 +136,16 @@ def test_masks_and_exclusions_hold_between_the_world_and_links(tmp_path, old, ne
 def test_masks_let_a_ball_through_the_floor_of_its_file(tmp_path):
     floor = '<geom name="floor" type="plane" size="0 0 1" {}/>'
     text = f'<mujoco><worldbody>{floor}<body pos="0 0 0.05"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
-    masked = loaded(tmp_path, text.format('contype="2" conaffinity="4"'))
+    masked = scene_of(tmp_path, text.format('contype="2" conaffinity="4"'), "m")
     assert not nd.simulate(masked, 0.01, dt=1e-3).contacts(-1).gap.size
     with pytest.raises(ValueError, match=r"'m/floor' and 'm/body0_0' overlap at the start by 0\.05 m"):
-        nd.Stepper(loaded(tmp_path, text.format("")))
+        nd.Stepper(scene_of(tmp_path, text.format(""), "m"))
 
 
 def test_fixed_bodies_of_a_file_are_like_any_other(tmp_path):
     """Their material, coefficients of a pair and shapes are the user's."""
     given = {"keyframe": "stand", "material": {"world": nd.Material(0.1, 0.0), "trunk": nd.Material(0.4, 0.0)}}
-    scene = loaded(tmp_path, QUAD, **given)
+    scene = scene_of(tmp_path, QUAD, "m", **given)
     assert scene.bodies["m/floor"].material.mu == 0.1
     scene.set_pair("m/floor", "m", mu=0.7)
     scene.set_pair("m/floor", "m/FL_calf", mu=0.3)
@@ -160,13 +153,14 @@ def test_fixed_bodies_of_a_file_are_like_any_other(tmp_path):
     floor = np.array([at["m/floor"]])
     assert [mu(floor, np.array([at[f"m/{leg}_foot"]]))[0][0] for leg in ("FL", "FR")] == [0.3, 0.7]
     for collisions in (False, {"world": []}):
-        assert not loaded(tmp_path, QUAD, keyframe="stand", collisions=collisions).bodies
+        assert not scene_of(tmp_path, QUAD, "m", keyframe="stand", collisions=collisions).bodies
     with pytest.raises(ValueError, match=r"did you mean 'm/floor'\? body must be one of .*; got 'm/flor'"):
         scene.set_pair("m/flor", "m", mu=0.1)
 
 
 def test_files_with_a_world_alone_are_scenery(tmp_path):
-    scene = loaded(tmp_path, '<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/></worldbody></mujoco>')
+    text = '<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/></worldbody></mujoco>'
+    scene = scene_of(tmp_path, text, "m")
     scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1))
     scene.set_motion("m/floor", surface_velocity=(1.0, 0, 0))
     trajectory = nd.simulate(scene, 0.05, dt=1e-2)
