@@ -17,24 +17,17 @@ from nsdyn.tools.arrays import Array, Index
 
 __all__ = ["read"]
 
-_TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "double": "f8",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-    "float64": "f8",
+_NAMES = {
+    "i1": "char int8",
+    "u1": "uchar uint8",
+    "i2": "short int16",
+    "u2": "ushort uint16",
+    "i4": "int int32",
+    "u4": "uint uint32",
+    "f4": "float float32",
+    "f8": "double float64",
 }
+_TYPES = {name: kind for kind, names in _NAMES.items() for name in names.split()}
 
 
 class _Property(NamedTuple):
