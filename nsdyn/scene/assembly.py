@@ -25,7 +25,7 @@ from nsdyn.scene.articulations import (
     check_joints,
     check_size,
 )
-from nsdyn.scene.bodies import Body, BodyOptions, make_body
+from nsdyn.scene.bodies import Body, make_body
 from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import HALFSPACE, Shape, halfspace
@@ -136,9 +136,8 @@ def _warn(name: str, notes: Sequence[str]) -> None:
 def _fixed(name: str, link: Link, material: Material, colour: Colour | None) -> Body:
     """Return a shape of the file's world as a fixed body of the scene."""
     x, quaternion = link.placement.translation, pin.Quaternion(link.placement.rotation).coeffs()
-    options: BodyOptions = {"position": x, "quaternion": quaternion, "material": material, "fixed": True}
-    options["colour"] = colour
-    return make_body(f"{name}/{link.name}", link.shape, None, options)
+    label = f"{name}/{link.name}"
+    return make_body(label, link.shape, None, x, quaternion, material=material, fixed=True, colour=colour)
 
 
 def _check_model(name: str, model: Any) -> None:

@@ -12,7 +12,6 @@ from nsdyn.scene import checks
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array, numbers
-from nsdyn.tools.naming import check_known
 
 __all__ = ["Body", "BodyOptions", "Geom", "make_body"]
 
@@ -107,29 +106,27 @@ class BodyOptions(TypedDict, total=False):
     com: ArrayLike
 
 
-DEFAULTS: dict[str, Any] = {
-    "position": (0, 0, 0),
-    "quaternion": (0, 0, 0, 1),
-    "linear_velocity": (0, 0, 0),
-    "angular_velocity": (0, 0, 0),
-    "material": None,
-    "fixed": False,
-    "colour": None,
-    "inertia": None,
-    "com": (0, 0, 0),
-}
-
-
-def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions) -> Body:
-    """Return a body, with defaults for missing options; ValueError names the argument, expected and given values."""
-    check_known(options, DEFAULTS)
-    given: dict[str, Any] = {**DEFAULTS, **options}
-    centre = checks.vector(given["com"], 3, f"com of {name!r}")
-    v = checks.vector(given["linear_velocity"], 3, f"linear_velocity of {name!r}")
-    w = checks.vector(given["angular_velocity"], 3, f"angular_velocity of {name!r}")
-    if not isinstance(given["fixed"], (bool, np.bool_)):
-        raise ValueError(f"fixed of {name!r} must be True or False, got {given['fixed']!r}")
-    if given["fixed"]:
+def make_body(
+    name: str,
+    shape: Shape,
+    mass: float | None = None,
+    position: Any = (0, 0, 0),
+    quaternion: ArrayLike = (0, 0, 0, 1),
+    linear_velocity: ArrayLike = (0, 0, 0),
+    angular_velocity: ArrayLike = (0, 0, 0),
+    material: Material | None = None,
+    fixed: bool = False,
+    colour: ArrayLike | None = None,
+    inertia: ArrayLike | None = None,
+    com: ArrayLike = (0, 0, 0),
+) -> Body:
+    """Return a body; ValueError names the argument, expected and given values."""
+    centre = checks.vector(com, 3, f"com of {name!r}")
+    v = checks.vector(linear_velocity, 3, f"linear_velocity of {name!r}")
+    w = checks.vector(angular_velocity, 3, f"angular_velocity of {name!r}")
+    if not isinstance(fixed, (bool, np.bool_)):
+        raise ValueError(f"fixed of {name!r} must be True or False, got {fixed!r}")
+    if fixed:
         if v.any() or w.any():
             raise ValueError(f"{name!r} is fixed, so its velocity must be zero, got {v.tolist()}, {w.tolist()}")
         if mass is not None:
@@ -141,7 +138,6 @@ def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions)
         if mass is None:
             raise ValueError(f"mass of {name!r} is needed, unless fixed=True")
         m = checks.positive(mass, f"mass of {name!r}")
-        inertia = given["inertia"]
         if inertia is None and centre.any():
             raise ValueError(f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous")
         J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
@@ -150,12 +146,12 @@ def make_body(name: str, shape: Shape, mass: float | None, options: BodyOptions)
         shape,
         m,
         J,
-        checks.vector(given["position"], 3, f"position of {name!r}"),
-        checks.quaternion(given["quaternion"], f"quaternion of {name!r}"),
+        checks.vector(position, 3, f"position of {name!r}"),
+        checks.quaternion(quaternion, f"quaternion of {name!r}"),
         v,
         w,
-        _material(given["material"], name),
-        _colour(given["colour"], name),
+        _material(material, name),
+        _colour(colour, name),
         centre,
     )
 

@@ -213,7 +213,8 @@ class Scene:
     def add_shape(self, name: str, shape: Shape, mass: float | None = None, **keywords: Unpack[BodyOptions]) -> None:
         """Add a body with any `Shape` of `nsdyn.scene.shapes` or your own `Shape`; keywords as in `add_convex`."""
         self._check_name(name)
-        self.bodies[name] = make_body(name, shape, mass, keywords)
+        check_known(keywords, BodyOptions.__annotations__)
+        self.bodies[name] = make_body(name, shape, mass, **keywords)
 
     def _check_name(self, name: str) -> None:
         checks.name(name)
