@@ -51,7 +51,6 @@ class GaussSeidel(Options):
         measured defect.
     omega : float
         Relaxation ω in (0, 2): below 1 is under-relaxed.
-        Relaxation ω in (0, 2): below 1 is under-relaxed.
     order : {'given', 'shuffled', 'reshuffled', 'symmetric'}
         Order of the contacts: as in the problem, random, random in every sweep, or alternately forward and backward.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn._kernels.compiled import clock
+from nsdyn.literature._common import Run
 from nsdyn.literature._kernels import pgs as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -45,23 +45,19 @@ class PGS(Options):
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
-        start = clock()
-        r = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
-        sweeps = 0
-        if problem.nc and not problem.solved(r, self.tol)[0]:
-            q_norm = float(np.linalg.norm(problem.q)) or 1.0
+        run, sweeps = Run(problem, r0, self.tol), 0
+        if not run.over:
             sweeps, _ = _kernels.accelerated(
                 problem.csr,
                 problem.q,
                 problem.mu,
                 problem.scales,
-                r,
+                run.r,
                 self.tol,
-                q_norm,
+                float(np.linalg.norm(problem.q)) or 1.0,
                 self.max_iter,
                 min(5, self.max_iter),
                 min(self.memory, problem.nc + 1),
                 self.patience,
             )
-        status = Status.STALLED if sweeps < self.max_iter else Status.MAX_ITERATIONS
-        return Solution.judge(problem, r, self.tol, sweeps, clock() - start, status)
+        return run.finish(sweeps, Status.STALLED if sweeps < self.max_iter else Status.MAX_ITERATIONS)
