@@ -14,6 +14,7 @@ from nsdyn.dynamics.runge_kutta import COARSER, TOLERANCE, Rate, fastest, move
 from nsdyn.dynamics.sliding import slide
 from nsdyn.dynamics.values import Flow, FreeMotion, TreeLoads, TreeMidpoint
 from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import integrate
@@ -28,6 +29,8 @@ class Tree(Linkage):
     ----------
     turns : ndarray of bool, shape (nv,)
         Coordinates about which links turn; along all others links only shift.
+    floats : bool
+        Whether nothing but a free joint connects the tree with the world: no internal force changes its momenta.
     """
 
     def __init__(
@@ -48,6 +51,12 @@ class Tree(Linkage):
         self._zero = np.zeros(nv)  # not read-only: for a read-only array all kernels would be compiled once more
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self.turns: Bools = (self._J[3:] != 0.0).any(axis=0)
+        self.floats = (
+            self.model.joints[1].shortname() == FREE
+            and list(self.model.parents).count(0) == 2  # the world counts itself
+            and all(loop.joint1 and loop.joint2 for loop in a.loops)
+            and not (self.driven_at < 6).any()
+        )
 
     def flow(self, q: Array, v: Array, h: float) -> Flow:
         """Motion for h s without forces; loops stay closed, and driven joints keep their speed.
@@ -61,8 +70,24 @@ class Tree(Linkage):
         if not speed < np.inf:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self.closures is not None:
-            return slide(self._weightless, self.data, self.closures, q, v, h)
-        return move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
+            out = slide(self._weightless, self.data, self.closures, q, v, h)
+        else:
+            out = move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
+        return self._keeping_momenta(q, v, out) if self.floats else out
+
+    def _keeping_momenta(self, q: Array, v: Array, end: Flow, fallen: Array | float = 0.0) -> Flow:
+        """Return the end of a motion from (q, v) with the momenta that it has if no external force but gravity acts.
+
+        Errors of the motion change them a little. The whole tree gets the difference as one rigid body: only the twist
+        of its base changes. `fallen` (3,) is the velocity that gravity adds to the centre of mass, m/s.
+        """
+        data, out = self.data, end.v.copy()
+        lacking = pin.computeCentroidalMomentum(self.model, data, q, v).vector
+        lacking[:3] += data.mass[0] * fallen
+        pin.ccrba(self.model, data, end.q, end.v)
+        lacking -= data.hg.vector
+        _trees.carry(lacking, data.Ig.inertia, data.mass[0], data.com[0], self._x, self._R, out)
+        return end._replace(v=out)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under the joint forces tau; `driven` has those of its driven joints."""
@@ -189,8 +214,11 @@ class Tree(Linkage):
                 tau = loads.laws[1, 4] + loads.push
                 driven = self._driven_rows @ (v - begin_v) / h if self.driven else self._steady
                 rate = self._rate(self.model, tau, driven)
-                q, v1, mean, work, _ = move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn))
-                return Flow(q, v1, mean, work, True)
+                out = move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn))._replace(whole=True)
+                if self.floats and not tau[:6].any():
+                    fallen = h * self.model.gravity.linear
+                    out = self._keeping_momenta(halfway.begin, begin_v, out, fallen)
+                return out
         q, v1, _, work, _ = self.flow(halfway.q, v, theta * h)
         return Flow(q, v1, 0.5 * (halfway.v + v), halfway.work + work)
 
