@@ -51,6 +51,7 @@ class Tree(Linkage):
         self._zero = np.zeros(nv)  # not read-only: for a read-only array all kernels would be compiled once more
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self.turns: Bools = (self._J[3:] != 0.0).any(axis=0)
+        self._placement = self.model.jointPlacements[1].rotation.copy()
         self.floats = (
             self.model.joints[1].shortname() == FREE
             and list(self.model.parents).count(0) == 2  # the world counts itself
@@ -73,21 +74,23 @@ class Tree(Linkage):
             out = slide(self._weightless, self.data, self.closures, q, v, h)
         else:
             out = move(self.model, self._rate(self._weightless, self._zero, self._steady), q, v, h, turn, COARSER)
-        return self._keeping_momenta(q, v, out) if self.floats else out
+        return self._with_momenta(q, v, h, out) if self.floats else out
 
-    def _keeping_momenta(self, q: Array, v: Array, end: Flow, fallen: Array | float = 0.0) -> Flow:
-        """Return the end of a motion from (q, v) with the momenta that it has if no external force but gravity acts.
+    def _with_momenta(self, q: Array, v: Array, h: float, end: Flow, fallen: Array | float = 0.0) -> Flow:
+        """Return the end of a motion of h s with the momenta, and the centre of mass, of motion under gravity alone.
 
-        Errors of the motion change them a little. The whole tree gets the difference as one rigid body: only the twist
-        of its base changes. `fallen` (3,) is the velocity that gravity adds to the centre of mass, m/s.
+        Errors of the motion change them a little. The whole tree gets the differences as one rigid body: only its base
+        moves otherwise. `fallen` (3,) is the velocity that gravity adds to the centre of mass, m/s.
         """
-        data, out = self.data, end.v.copy()
-        lacking = pin.computeCentroidalMomentum(self.model, data, q, v).vector
-        lacking[:3] += data.mass[0] * fallen
-        pin.ccrba(self.model, data, end.q, end.v)
+        model, data, q1, v1 = self.model, self.data, end.q.copy(), end.v.copy()
+        lacking = pin.computeCentroidalMomentum(model, data, q, v).vector
+        mass, way = data.mass[0], data.com[0] + h * (lacking[:3] / data.mass[0] + 0.5 * fallen)
+        lacking[:3] += mass * fallen
+        pin.ccrba(model, data, q1, v1)
         lacking -= data.hg.vector
-        _trees.carry(lacking, data.Ig.inertia, data.mass[0], data.com[0], self._x, self._R, out)
-        return end._replace(v=out)
+        way -= data.com[0]
+        _trees.carry(lacking, way, (data.Ig.inertia, mass, data.com[0]), (self._x, self._R, self._placement), q1, v1)
+        return end._replace(q=q1, v=v1)
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under the joint forces tau; `driven` has those of its driven joints."""
@@ -217,7 +220,7 @@ class Tree(Linkage):
                 out = move(self.model, rate, halfway.begin, begin_v, h, max(turn, begin_turn))._replace(whole=True)
                 if self.floats and not tau[:6].any():
                     fallen = h * self.model.gravity.linear
-                    out = self._keeping_momenta(halfway.begin, begin_v, out, fallen)
+                    out = self._with_momenta(halfway.begin, begin_v, h, out, fallen)
                 return out
         q, v1, _, work, _ = self.flow(halfway.q, v, theta * h)
         return Flow(q, v1, 0.5 * (halfway.v + v), halfway.work + work)

@@ -82,6 +82,8 @@ class Mechanism:
         ‖g‖ √Σm, the largest rate at which weights change the velocity, in the norm of the mass matrix, √J/s.
     driven : ndarray of int
         Coordinates with prescribed motion.
+    floats : bool
+        Whether nothing but a free joint, the first, connects the articulation with the world.
     winding : bool
         Whether axes of a joint move with its own coordinates. Pinocchio's derivatives leave this motion out, and so
         does the first pass of a step on loops.
@@ -134,6 +136,12 @@ class Mechanism:
         self.driven: Index = np.array(sorted(self.speeds), dtype=np.int64)
         self.loops = len(self._loops) + len(self._gears)
         self.bound = bool(self.loops or self.driven.size)
+        self.floats = (
+            told["joints"][0]["kind"] == "JointModelFreeFlyer"
+            and all(joint["parent"] > 0 for joint in told["joints"][1:])
+            and all(min(loop["joints"]) > 0 for loop in told["loops"])
+            and not (self.driven < 6).any()
+        )
         self.zero, self.flat = np.zeros(self.nv), self.model.nq == self.nv
         scalars = [joint for joint in list(self.model.joints)[1:] if joint.nq == joint.nv]
         self.linear = np.concatenate([np.arange(j.idx_v, j.idx_v + j.nv) for j in scalars] or [np.empty(0)]).astype(int)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel, no_alloc
-from nsdyn._kernels.vectors import along, cross, dot, row, square, three, to_local
+from nsdyn._kernels.vectors import along, cross, dot, minus, row, square, three, to_local
 
 OVERSHOOT = 3.0
 """Largest value of δ (1 - β) and σ (1 - α) of `nsdyn.PD`. A motion that the damping stops overshoots by at most (3 -
@@ -353,18 +353,21 @@ def fastest(v, turns):
 
 
 @no_alloc
-def carry(lacking, inertia, mass, centre, x, R, v):
-    """Give a tree momenta, (linear, angular about the centre of mass) (6,), as one rigid body; its base is joint 1.
+def carry(lacking, way, whole, poses, q, v):
+    """Give a tree momenta, (linear, angular about the centre of mass) (6,), as one rigid body; move it by a `way` (3,).
 
-    That adds a twist to the first six coordinates of v, which are in the axes of the base. `inertia` (3, 3) is that of
-    the whole tree about its centre of mass, in world axes; x and R are the poses of all joints.
+    That adds a twist to the first six coordinates of v, which are in the axes of its base, joint 1. It shifts the first
+    three of q, which are in the axes of that joint's `placement` (3, 3). whole = (inertia about the centre of mass, in
+    world axes, mass, centre of mass), poses = (x and R of all joints, placement).
     """
+    (inertia, mass, centre), (x, R, placement) = whole, poses
     a, b, c = row(inertia, 0), row(inertia, 1), row(inertia, 2)
     L, volume = three(lacking, 3), dot(a, cross(b, c))
     turn = dot(L, cross(b, c)) / volume, dot(L, cross(c, a)) / volume, dot(L, cross(a, b)) / volume
-    arm = x[1, 0] - centre[0], x[1, 1] - centre[1], x[1, 2] - centre[2]
-    shift = along(cross(turn, arm), 1.0 / mass, three(lacking, 0))
+    shift = along(cross(turn, minus(row(x, 1), centre)), 1.0 / mass, three(lacking, 0))
     shift, turn = to_local(R, 1, shift), to_local(R, 1, turn)
     for i in range(3):
         v[i] += shift[i]
         v[3 + i] += turn[i]
+        for j in range(3):
+            q[i] += placement[j, i] * way[j]
