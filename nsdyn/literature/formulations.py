@@ -20,7 +20,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsdyn.literature._kernels import one_contact as _kernels
-from nsdyn.literature._lorentz import jordan
 from nsdyn.problem import cones
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools.arrays import Array
@@ -215,7 +214,7 @@ def residual_soccp(problem: FC3D, r: Array) -> Array:
     mu, hat = problem.mu, cones.saxce(u, problem.mu)
     x = np.column_stack((hat[:, 0], mu[:, None] * u[:, 1:]))
     y = np.column_stack((np.where(mu > 0.0, mu, 1.0) * r[:, 0], r[:, 1:]))
-    product = jordan(x, y)
+    product = np.column_stack(((x * y).sum(axis=1), y[:, :1] * x[:, 1:] + x[:, :1] * y[:, 1:]))
     return np.concatenate([a.ravel() for a in (product, hat - cones.project_dual(hat, mu), r - cones.project(r, mu))])
 
 

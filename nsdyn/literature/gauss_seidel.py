@@ -98,7 +98,7 @@ class GaussSeidel(Options):
                 goal = share * defect(scaled, x) if self.local_tol is None else self.local_tol * size
                 goal = max(goal, 1e-16 * size)  # round-off of numbers of size q
             _kernels.sweep(
-                scaled.csr,
+                *scaled.csr,
                 scaled.q,
                 scaled.mu,
                 ones,

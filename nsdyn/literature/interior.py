@@ -1,14 +1,4 @@
-"""Interior point method for K* ∋ u + μ‖u_T‖ e_N ⟂ r ∈ K, Coulomb's law as it is (nonassociated), then Newton's method.
-
-Per contact x = (u_N / μ + ‖u_T‖, u_T) and z = (μ r_N, r_T) lie in the Lorentz cone, and x ∘ z = σ e on the central
-path. With Nesterov and Todd's matrix T (T z = T⁻¹ x = λ) the Newton step along the path reads dr = E T⁻¹ d - A du,
-
-    A = E T⁻² C,   E = diag(1/μ, 1, 1),   C = [[1/μ, tᵀ], [0, I]],   t = u_T / ‖u_T‖.
-
-So (I + A W) p = g gives du = W p - F, with g = E T⁻¹ d + A F and F the defect u - W r - q. u stays linear in the
-step; its only constraint is u_N > 0. z moves along the cone, because the direction of slip may turn. All quantities
-are in units in which max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has only its normal component.
-"""
+"""Interior point method for Coulomb's law as it is (nonassociated), with a final Newton method."""
 
 from __future__ import annotations
 
@@ -17,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsdyn._kernels.problem import cones as _cones
-from nsdyn.literature._lorentz import jordan, nesterov_todd, root, tangent, target, times
+from nsdyn.literature._kernels import interior as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import Operator
 from nsdyn.problem.solution import Solution
@@ -30,27 +20,24 @@ __all__ = ["Interior", "interior"]
 PENALTY = 1e3
 """First penalty of Newton's method when it starts from the result of the interior point method."""
 
-START = 100.0
-"""First x and z: far inside the cones, whatever the solution of a problem of unit size."""
-
 
 def interior(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tuple[int, float]:
-    """Run the method from a cold start; put the best impulse into r.
+    """Run the method of `_kernels.interior` from a cold start; put the best impulse into r.
 
     Returns (factorisations, measure of r).
     """
     mu, scales, q_norm, nc = problem.mu, problem.scales, problem.q_norm, problem.nc
     speed, mean = float(np.abs(problem.q).max()) or 1.0, float(scales.mean())
-    slides = mu > 0.0
-    m, on = np.where(slides, mu, 1.0), np.column_stack((np.ones(nc, bool), slides, slides))
-    E = np.column_stack((1.0 / m, np.ones((nc, 2))))
-    u, z = problem.q.reshape(-1, 3) / speed * on, np.zeros((nc, 3))
-    u[:, 0], z[:, 0] = START * m, START
+    q = problem.q / speed
+    u, z, F, nu, nz, lam, d, du = (np.empty((nc, 3)) for _ in range(8))
+    dx, dz = np.zeros((nc, 3)), np.zeros((nc, 3))
+    T, V, C, A = (np.empty((nc, 3, 3)) for _ in range(4))
+    g, trial = np.empty(3 * nc), np.empty(3 * nc)
+    _kernels.start(q, mu, u, z)
     best, last, short, count = np.inf, 1.0, 0, 0
     while True:
-        x = _point(u, m)
-        gap = float((x * z).sum()) / nc
-        trial = (E * z).ravel() * (speed / mean)
+        gap = float(_kernels.scaling(u, z, mu, T, V, C, A, lam))
+        _kernels.impulse(z, mu, speed / mean, trial)
         v = W.product(trial) + problem.q
         now = float(_cones.measure_at(scales, v, trial, mu, q_norm))
         if now < best:
@@ -58,73 +45,26 @@ def interior(problem: FC3D, W: Operator, r: Array, tol: float, most: int) -> tup
             r[:] = trial
         if best <= tol or not gap > 1e-12 or short >= 6 or count >= most:
             return count, best
-        T, V, lam = nesterov_todd(x, z, np.sqrt(u[:, 0] / m * (x[:, 0] + tangent(x))), root(z))
-        C = on[:, :, None] * np.eye(3)
-        C[:, 0, 0] = 1.0 / m
-        C[:, 0, 1:] = u[:, 1:] / np.where(u[:, 1:].any(axis=1), tangent(u), 1.0)[:, None]
-        A = on[:, :, None] * on[:, None, :] * (E[:, :, None] * (V @ V @ C))
-        F = (u - v.reshape(-1, 3) / speed) * on
+        worst = _kernels.defect(u, v / speed, mu, F)
         try:
             solve = W.factor(A / mean)
         except RuntimeError:
             return count, best
         count += 1
-        sigma, product = 0.0, np.zeros((nc, 3))
+        sigma = 0.0
         for stage in range(2):
-            d = target(lam, sigma * gap, product)
-            g = on * (E * times(V, d) + times(A, F))
-            du = on * (solve(g.ravel()).reshape(-1, 3) / mean - F)
-            dx = times(C, du)
-            dz = on * times(V, d - times(V, dx))
-            reach = _longest(u, z, du, dz)
+            _kernels.target(lam, T, V, dx, dz, sigma * gap, stage == 1, d)
+            _kernels.right_side(mu, V, A, d, F, g)
+            _kernels.recover(mu, V, C, d, F, solve(g) / mean, du, dx, dz)
+            reach = float(_kernels.longest(u, z, du, dz))
             if stage == 0:
                 full = min(1.0, reach)
-                there, after = u + full * du, _moved(z, dz, full)
-                left = max(0.0, float((_point(there, m) * after).sum()) / nc)
-                sigma = _centring(gap, left, full, float(np.abs(F).max()), last)
-                product = jordan(times(V, dx), times(T, dz))
+                after = max(0.0, _kernels.move(mu, u, z, du, dz, full, nu, nz))
+                sigma = _kernels.centring(gap, after, full, worst, last)
         last = min(1.0, 0.99 * reach)
-        u, z = u + last * du, _moved(z, dz, last)
+        _kernels.move(mu, u, z, du, dz, last, nu, nz)
+        u, nu, z, nz = nu, u, nz, z
         short = short + 1 if last < 0.02 else 0
-
-
-def _point(u: Array, m: Array) -> Array:
-    """Return x = (u_N / μ + ‖u_T‖, u_T)."""
-    return np.column_stack((u[:, 0] / m + tangent(u), u[:, 1:]))
-
-
-def _slack(z: Array, dz: Array) -> tuple[Array, Array]:
-    """Return z_N - ‖z_T‖ and its slope along dz."""
-    t = tangent(z)
-    return z[:, 0] - t, dz[:, 0] - (z[:, 1:] * dz[:, 1:]).sum(axis=1) / np.where(t > 0.0, t, 1.0)
-
-
-def _longest(u: Array, z: Array, du: Array, dz: Array) -> float:
-    """Return the largest step for which u_N, z_N and the slack z_N - ‖z_T‖ (to first order) do not become negative."""
-    value, slope = np.hstack(((u[:, 0], du[:, 0]), (z[:, 0], dz[:, 0]), _slack(z, dz)))
-    falls = slope < 0.0
-    return float(np.min(-value[falls] / slope[falls], initial=1e300))
-
-
-def _moved(z: Array, dz: Array, a: float) -> Array:
-    """Return z after a step a.
-
-    If the straight step leaves less than half the slack of the linear model, z_T is shortened: the cone is round and
-    the direction of slip has turned.
-    """
-    now, slope = _slack(z, dz)
-    slack, out = now + a * slope, z + a * dz
-    t = tangent(out)
-    short = (out[:, 0] - t < 0.5 * slack) & (t > 0.0)
-    out[short, 1:] *= ((out[:, 0] - np.minimum(slack, 0.9 * out[:, 0]))[short] / t[short])[:, None]
-    return out
-
-
-def _centring(gap: float, after: float, full: float, worst: float, last: float) -> float:
-    """Return the target share of the gap, from the affine step `full`, the defect `worst` and the last step `last`."""
-    if last < 0.1:  # the last step hit the boundary almost immediately
-        return 1.0
-    return max(min(1.0, (after / gap) ** 3), 1e-4, 0.5 * (1.0 - full) ** 3, min(1.0, 0.1 * worst / gap))
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from nsdyn.literature._common import Equilibrated, factor, matrix
 from nsdyn.literature._frozen import freeze, shifted, slip_shift
+from nsdyn.literature._kernels import interior as _interior
 from nsdyn.literature._kernels import variational as _kernels
-from nsdyn.literature._lorentz import jordan, nesterov_todd, root, target, times
 from nsdyn.literature.formulations import with_blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -19,6 +20,11 @@ from nsdyn.tools.options import Count, Options, Positive, Whole
 
 FACTORISATIONS = 60
 """Largest number of iterations for one convex problem."""
+
+
+def _times(A: Any, x: Any) -> Array:
+    """Return A_c x_c of every contact."""
+    return np.asarray((A @ x[:, :, None])[:, :, 0])
 
 
 def _longest(x: Array, dx: Array) -> float:
@@ -52,6 +58,7 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
     z = np.zeros((nc, 3))
     z[:, 0] = float(np.abs(b).max()) or 1.0
     s = z.copy()
+    T, inverse, (lam, d, ds, dz) = np.empty((nc, 3, 3)), np.empty((nc, 3, 3)), np.zeros((4, nc, 3))
     best, least, F, P = np.zeros(3 * nc), np.inf, np.empty(3 * nc), np.empty(3 * nc)
     for k in range(FACTORISATIONS):
         x = flat * z.ravel()
@@ -63,21 +70,20 @@ def minimise(scaled: Equilibrated, q: Array, goal: float) -> tuple[Array, int]:
         gap = float((s * z).sum()) / nc
         if least <= goal or not gap > 1e-30:
             return best, k
-        T, inverse, lam = nesterov_todd(s, z, root(s), root(z))
+        _interior.scalings(s, z, T, inverse, lam)
         solve = factor(with_blocks(A, T @ T))
         if solve is None:
             return best, k
         defect = (A @ z.ravel()).reshape(-1, 3) + b - s
-        sigma, product = 0.0, np.zeros((nc, 3))
+        sigma = 0.0
         for stage in range(2):
-            d = target(lam, sigma * gap, product)
-            dz = solve((times(T, d) - defect).ravel()).reshape(-1, 3)
-            ds = times(T, d - times(T, dz))
+            _interior.target(lam, T, inverse, ds, dz, sigma * gap, stage == 1, d)
+            dz = solve((_times(T, d) - defect).ravel()).reshape(-1, 3)
+            ds = _times(T, d - _times(T, dz))
             step = min(1.0, 0.99 * min(_longest(z, dz), _longest(s, ds)))
             if stage == 0:
                 after = float(((s + step * ds) * (z + step * dz)).sum()) / nc
                 sigma = min(1.0, max(after / gap, 0.0) ** 3)
-                product = jordan(times(inverse, ds), times(T, dz))
         z, s = z + step * dz, s + step * ds
         if not (np.isfinite(z).all() and step > 1e-8):
             return best, k + 1

@@ -47,8 +47,10 @@ class PGS(Options):
         """Solve the problem from r0 (default 0)."""
         run, sweeps = Run(problem, r0, self.tol), 0
         if not run.over:
+            blocks = problem.blocks
+            W = _kernels.matrix(*problem.csr) if blocks is None else _kernels.factors(blocks.arrays)
             sweeps, _ = _kernels.accelerated(
-                problem.csr,
+                W,
                 problem.q,
                 problem.mu,
                 problem.scales,

@@ -11,7 +11,7 @@ from test_problem import corner_box, one_block
 
 import nsdyn as nd
 from nsdyn._kernels.problem import linear
-from nsdyn.literature._lorentz import nesterov_todd, root, times
+from nsdyn.literature._kernels import interior as kernels
 from nsdyn.problem.operators import Local, Velocity
 from nsdyn.problem.solution import Status
 from nsdyn.solvers import auto
@@ -247,14 +247,16 @@ def test_operators(operator, rng):
 
 
 def test_scaling_point(rng):
-    """T z = T⁻¹ x = λ with T symmetric, of points of the Lorentz cone."""
-    x, z = rng.normal(size=(2, 5, 3))
-    for point in (x, z):
-        point[:, 0] = np.hypot(point[:, 1], point[:, 2]) + rng.uniform(0.1, 1, 5)
-    T, V, lam = nesterov_todd(x, z, root(x), root(z))
-    np.testing.assert_array_equal(T, T.transpose(0, 2, 1))
-    np.testing.assert_allclose(times(V, x), lam, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(times(T, z), lam, rtol=0, atol=1e-12)
+    """T z = T⁻¹ x = λ with T symmetric, and the mean of x·z."""
+    nc = 5
+    mu, u, z = rng.uniform(0.2, 1, nc), rng.normal(size=(nc, 3)), rng.normal(size=(nc, 3))
+    u[:, 0], z[:, 0] = np.abs(u[:, 0]) + 0.1, np.hypot(z[:, 1], z[:, 2]) + rng.uniform(0.1, 1, nc)
+    (T, V, C, A), lam = (np.empty((nc, 3, 3)) for _ in range(4)), np.empty((nc, 3))
+    gap = kernels.scaling(u, z, mu, T, V, C, A, lam)
+    x = np.column_stack((u[:, 0] / mu + np.hypot(u[:, 1], u[:, 2]), u[:, 1:]))
+    assert gap == pytest.approx((x * z).sum() / nc, rel=1e-13)
+    np.testing.assert_allclose(np.einsum("cij,cj->ci", V, x), lam, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("cij,cj->ci", T, z), lam, rtol=0, atol=1e-12)
     np.testing.assert_allclose(T @ V, np.broadcast_to(np.eye(3), T.shape), rtol=0, atol=1e-12)
 
 

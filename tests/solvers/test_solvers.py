@@ -10,7 +10,8 @@ from test_problem import corner_box
 
 import nsdyn as nd
 from nsdyn._kernels.problem import sparse as matrix
-from nsdyn.literature._kernels import anderson, one_contact
+from nsdyn.literature._kernels import anderson
+from nsdyn.literature._kernels import pgs as sweeps
 from nsdyn.problem import operators
 from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import PENALTY, newton
@@ -112,9 +113,25 @@ def test_sweep_against_its_definition(rng):
         q = problem.q[i] + W[i] @ expected - W[i, i] @ expected[i]
         one = nd.FC3D(W[i, i], q, problem.mu[c : c + 1])
         expected[i] = nd.solve(one, tol=1e-13).r
-    order = np.arange(problem.nc)
-    one_contact.sweep(problem.csr, problem.q, problem.mu, problem.scales, order, one_contact.EXACT, 1.0, 0.0, 1, r)
+    sweeps.sweep_matrix(sweeps.matrix(*problem.csr), problem.q, problem.mu, r)
     np.testing.assert_allclose(r, expected, rtol=0, atol=1e-11)
+
+
+def test_sweep_by_factors_is_the_sweep_by_matrix(rng):
+    """Both forms of W, on the contacts of a real step; v = M⁻¹ H r is kept up to date."""
+    problem = nd.Stepper(nd.scenes.load("pyramid")(base=3), dt=1e-2).step().problem
+    blocks = problem.blocks
+    W = sweeps.factors(blocks.arrays)
+    np.testing.assert_allclose(W.diagonal, problem.W.toarray().reshape(blocks.nc, 3, blocks.nc, 3)[
+        np.arange(blocks.nc), :, np.arange(blocks.nc)
+    ], rtol=0, atol=1e-13)  # fmt: skip
+    r = rng.uniform(-0.01, 0.1, 3 * blocks.nc)
+    expected, v = r.copy(), blocks.velocity_change(r)
+    for _ in range(3):
+        sweeps.sweep_matrix(sweeps.matrix(*problem.csr), problem.q, problem.mu, expected)
+        sweeps.sweep_factors(W, problem.q, problem.mu, v, r)
+    np.testing.assert_allclose(r, expected, rtol=0, atol=1e-13)  # round-off of impulses below 1
+    np.testing.assert_allclose(v, blocks.velocity_change(r), rtol=0, atol=1e-13)
 
 
 def test_newton_matrix_dense_and_sparse(rng):

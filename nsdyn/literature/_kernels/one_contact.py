@@ -259,15 +259,15 @@ def solve(kind, W, q, mu, rho, goal, most, r):
 
 
 @kernel
-def sweep(W, q, mu, scales, order, kind, omega, goal, most, r):
+def sweep(indptr, indices, data, q, mu, scales, order, kind, omega, goal, most, r):
     """One sweep of block successive over-relaxation in the given order, in place of r; return the local iterations.
 
     Each contact solves FC(W_cc/ω, ·): W = (L + D/ω) + (U + (1 - 1/ω) D), so that r stays in the cones for every ω.
 
     Parameters
     ----------
-    W : tuple
-        Rows, columns and 3 x 3 blocks, as in `given`.
+    indptr, indices, data : ndarray
+        W in 3 x 3 blocks.
     q, r : ndarray, shape (3 nc,)
     mu, scales : ndarray, shape (nc,)
     order : ndarray of int
@@ -280,19 +280,18 @@ def sweep(W, q, mu, scales, order, kind, omega, goal, most, r):
     most : int
         Largest number of iterations of a local solve.
     """
-    indptr, indices, data = W
-    D, b, x, count = np.empty((3, 3)), np.empty(3), np.empty(3), 0
+    W, b, x, count = np.empty((3, 3)), np.empty(3), np.empty(3), 0
     for c in order:
         i = 3 * c
         for p in range(indptr[c], indptr[c + 1]):
             if indices[p] == c:
                 for j in range(3):
                     for k in range(3):
-                        D[j, k] = data[p, j, k] / omega
-        b[0], b[1], b[2] = velocity_of(W, q, r, c)
+                        W[j, k] = data[p, j, k] / omega
+        b[0], b[1], b[2] = velocity_of((indptr, indices, data), q, r, c)
         for j in range(3):
             x[j] = r[i + j]
-            b[j] -= D[j, 0] * r[i] + D[j, 1] * r[i + 1] + D[j, 2] * r[i + 2]
-        count += solve(kind, D, b, mu[c], omega / scales[c], goal, most, x)
+            b[j] -= W[j, 0] * r[i] + W[j, 1] * r[i + 1] + W[j, 2] * r[i + 2]
+        count += solve(kind, W, b, mu[c], omega / scales[c], goal, most, x)
         r[i], r[i + 1], r[i + 2] = x[0], x[1], x[2]
     return count

@@ -1,15 +1,196 @@
-"""Block Gauss–Seidel sweeps with the exact one-contact solver, Anderson-accelerated."""
+"""Block Gauss–Seidel sweeps with the exact one-contact solver, Anderson-accelerated.
+
+W is given as a `Matrix` of 3 x 3 blocks, or by its `Factors`. A contact costs time in proportion to its neighbours with
+the first; with the second it costs its two bodies, however many contacts they have.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
-from nsdyn._kernels.compiled import kernel
-from nsdyn._kernels.problem.cones import measure_at, project
+from nsdyn._kernels.compiled import kernel, no_alloc
+from nsdyn._kernels.problem.blocks import (
+    add_momentum,
+    momentum,
+    relative_velocity,
+    relative_velocity_of,
+    weighted_rows,
+)
+from nsdyn._kernels.problem.cones import coulomb, measure_at, project, slide
 from nsdyn._kernels.problem.given import velocity
 from nsdyn._kernels.vectors import square
 from nsdyn.literature._kernels.anderson import mix
-from nsdyn.literature._kernels.one_contact import EXACT, sweep
+
+
+class Matrix(NamedTuple):
+    """Block-sparse W: rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3), and the inverses of its W_cc."""
+
+    indptr: np.ndarray
+    indices: np.ndarray
+    data: np.ndarray
+    inverse: np.ndarray
+
+
+class Factors(NamedTuple):
+    """W = Hᵀ M⁻¹ H as in `blocks`, with `y` the rows of (M⁻¹ H)ᵀ, and all W_cc (nc, 3, 3) with their inverses."""
+
+    blocks: tuple
+    y: np.ndarray
+    diagonal: np.ndarray
+    inverse: np.ndarray
+
+
+@no_alloc
+def invert(W, S):
+    """Compute the inverse of a 3 x 3 block into S; 0 if the block is singular to round-off."""
+    c0 = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1]
+    c1 = W[1, 2] * W[2, 0] - W[1, 0] * W[2, 2]
+    c2 = W[1, 0] * W[2, 1] - W[1, 1] * W[2, 0]
+    det = W[0, 0] * c0 + W[0, 1] * c1 + W[0, 2] * c2
+    S[:] = 0.0
+    if det > 1e-12 * W[0, 0] * W[1, 1] * W[2, 2]:
+        S[0, 0], S[1, 0], S[2, 0] = c0 / det, c1 / det, c2 / det
+        S[0, 1] = (W[0, 2] * W[2, 1] - W[0, 1] * W[2, 2]) / det
+        S[1, 1] = (W[0, 0] * W[2, 2] - W[0, 2] * W[2, 0]) / det
+        S[2, 1] = (W[0, 1] * W[2, 0] - W[0, 0] * W[2, 1]) / det
+        S[0, 2] = (W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]) / det
+        S[1, 2] = (W[0, 2] * W[1, 0] - W[0, 0] * W[1, 2]) / det
+        S[2, 2] = (W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]) / det
+
+
+@kernel
+def matrix(indptr, indices, data):
+    """Build the `Matrix` of a block-sparse W."""
+    S = np.zeros((indptr.size - 1, 3, 3))
+    for c in range(indptr.size - 1):
+        for p in range(indptr[c], indptr[c + 1]):
+            if indices[p] == c:
+                invert(data[p], S[c])
+    return Matrix(indptr, indices, data, S)
+
+
+@kernel
+def factors(blocks):
+    """Build the `Factors` of W = Hᵀ M⁻¹ H."""
+    offset, block, start, H = blocks[:4]
+    nc = block.shape[0]
+    y = weighted_rows(blocks)
+    D, S = np.zeros((nc, 3, 3)), np.empty((nc, 3, 3))
+    for c in range(nc):
+        for s in range(2):
+            for t in range(2):
+                k = block[c, s]
+                if k < 0 or block[c, t] != k:
+                    continue
+                n = offset[k + 1] - offset[k]
+                for i in range(3):
+                    for j in range(3):
+                        total = 0.0
+                        for l in range(n):
+                            total += y[start[c, s] + i * n + l] * H[start[c, t] + j * n + l]
+                        D[c, i, j] += total
+        invert(D[c], S[c])
+    return Factors(blocks, y, D, S)
+
+
+@no_alloc
+def solve_contact(W, own, S, c, b0, b1, b2, mu):
+    """Return the impulse of contact c with free velocity b, 3 scalars; W[own] is its block, S[c] the inverse or 0."""
+    if b0 >= 0.0:
+        return 0.0, 0.0, 0.0
+    x0 = -(S[c, 0, 0] * b0 + S[c, 0, 1] * b1 + S[c, 0, 2] * b2)
+    x1 = -(S[c, 1, 0] * b0 + S[c, 1, 1] * b1 + S[c, 1, 2] * b2)
+    x2 = -(S[c, 2, 0] * b0 + S[c, 2, 1] * b1 + S[c, 2, 2] * b2)
+    if x0 > 0.0 and x1 * x1 + x2 * x2 <= square(mu * x0):
+        return x0, x1, x2
+    if S[c, 0, 0] == 0.0 or mu == 0.0:
+        return coulomb(W[own], b0, b1, b2, mu)
+    return slide(W[own], b0, b1, b2, mu)
+
+
+@no_alloc
+def sweep_matrix(W, q, mu, r):
+    """One Gauss–Seidel sweep in place: solve each contact exactly with all other impulses frozen."""
+    indptr, indices, data, inverse = W
+    for c in range(mu.size):
+        # Unsigned, so that the compiler skips the test for negative indices.
+        k = np.uint64(c)
+        i, own = np.uint64(3) * k, k
+        b0, b1, b2 = q[i], q[i + np.uint64(1)], q[i + np.uint64(2)]
+        for p in range(indptr[c], indptr[c + 1]):
+            e, d = np.uint64(p), np.uint64(3 * indices[p])
+            if d == i:
+                own = e
+                continue
+            x0, x1, x2 = r[d], r[d + np.uint64(1)], r[d + np.uint64(2)]
+            b0 += data[e, 0, 0] * x0 + data[e, 0, 1] * x1 + data[e, 0, 2] * x2
+            b1 += data[e, 1, 0] * x0 + data[e, 1, 1] * x1 + data[e, 1, 2] * x2
+            b2 += data[e, 2, 0] * x0 + data[e, 2, 1] * x1 + data[e, 2, 2] * x2
+        r[3 * c], r[3 * c + 1], r[3 * c + 2] = solve_contact(data, own, inverse, k, b0, b1, b2, mu[c])
+
+
+@no_alloc
+def sweep_factors(W, q, mu, v, r):
+    """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: solve each contact exactly, other impulses frozen."""
+    blocks, y, diagonal, inverse = W
+    for c in range(mu.size):
+        i = 3 * c
+        u0, u1, u2 = relative_velocity_of(blocks, v, c)
+        b0, b1, b2 = q[i] + u0, q[i + 1] + u1, q[i + 2] + u2
+        D, r0, r1, r2 = diagonal, r[i], r[i + 1], r[i + 2]
+        b0 -= D[c, 0, 0] * r0 + D[c, 0, 1] * r1 + D[c, 0, 2] * r2
+        b1 -= D[c, 1, 0] * r0 + D[c, 1, 1] * r1 + D[c, 1, 2] * r2
+        b2 -= D[c, 2, 0] * r0 + D[c, 2, 1] * r1 + D[c, 2, 2] * r2
+        x0, x1, x2 = solve_contact(D, c, inverse, c, b0, b1, b2, mu[c])
+        r[i], r[i + 1], r[i + 2] = x0, x1, x2
+        add_momentum((*blocks[:3], y), c, x0 - r0, x1 - r1, x2 - r2, v)
+
+
+@kernel
+def change_of(W, r):
+    """Return v = M⁻¹ H r from the factors, shape (n,)."""
+    offset, block, start, _, m_start, m, minv = W.blocks
+    v = np.zeros(offset[-1])
+    momentum((offset, block, start, W.y, m_start, m, minv), r, v)
+    return v
+
+
+def _sweep(W, q, mu, r):
+    """One sweep in place of r."""
+    if isinstance(W, Matrix):
+        sweep_matrix(W, q, mu, r)
+    else:
+        sweep_factors(W, q, mu, change_of(W, r), r)
+
+
+@overload(_sweep)
+def _sweep_of(W, q, mu, r):
+    if W.instance_class is Matrix:
+        return lambda W, q, mu, r: sweep_matrix(W, q, mu, r)
+    return lambda W, q, mu, r: sweep_factors(W, q, mu, change_of(W, r), r)
+
+
+def _velocity(W, q, r, u):
+    """Compute u = W r + q, into u."""
+    if isinstance(W, Matrix):
+        velocity((W.indptr, W.indices, W.data), q, r, u)
+    else:
+        relative_velocity(W.blocks, change_of(W, r), u)
+        u += q
+
+
+@overload(_velocity)
+def _velocity_of(W, q, r, u):
+    if W.instance_class is Matrix:
+        return lambda W, q, r, u: velocity((W.indptr, W.indices, W.data), q, r, u)
+
+    def by_factors(W, q, r, u):
+        relative_velocity(W.blocks, change_of(W, r), u)
+        u += q
+
+    return by_factors
 
 
 @kernel(rounds=1000)
@@ -25,8 +206,7 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
 
     Parameters
     ----------
-    W : tuple
-        Rows, columns and 3 x 3 blocks, as in `given`.
+    W : Matrix or Factors
     q, r : ndarray, shape (3 nc,)
     mu, scales : ndarray, shape (nc,)
         Friction, and λ_max(W_cc).
@@ -41,9 +221,9 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
     x, u, weight = np.empty((3, n))
     for c in range(mu.size):
         weight[3 * c] = weight[3 * c + 1] = weight[3 * c + 2] = math.sqrt(scales[c])
-    gram, order = np.zeros((m, m)), np.arange(mu.size)
+    gram = np.zeros((m, m))
     x[:] = r
-    velocity(W, q, x, u)
+    _velocity(W, q, x, u)
     best = measure_at(scales, u, x, mu, q_norm)
     best_f = np.inf
     history = np.full(max_sweeps // check + 2, best)
@@ -51,7 +231,7 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
     for k in range(1, max_sweeps + 1):
         g, f = G[slot], F[slot]
         g[:] = x
-        sweep(W, q, mu, scales, order, EXACT, 1.0, 0.0, 1, g)
+        _sweep(W, q, mu, g)
         size, moved = 0.0, 0.0
         for i in range(n):
             f[i] = (g[i] - x[i]) * weight[i]
@@ -59,7 +239,7 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
             moved += square(f[i] * weight[i])
         due = k % check == 0 or k == max_sweeps or size == 0.0
         if due or math.sqrt(moved) * max(1.0, 1.0 / q_norm) <= tol:
-            velocity(W, q, g, u)
+            _velocity(W, q, g, u)
             now = measure_at(scales, u, g, mu, q_norm)
             if now < best:
                 best = now
