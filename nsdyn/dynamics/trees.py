@@ -51,9 +51,11 @@ class Tree(Linkage):
         self._zero = np.zeros(nv)  # not read-only: for a read-only array all kernels would be compiled once more
         pin.computeJointJacobians(self.model, self.data, pin.neutral(self.model))
         self.turns: Bools = (self._J[3:] != 0.0).any(axis=0)
-        self._placement = self.model.jointPlacements[1].rotation.copy()
+        base = min(1, self.model.njoints - 1)  # a file may have no joint
+        self._placement = self.model.jointPlacements[base].rotation.copy()
         self.floats = (
-            self.model.joints[1].shortname() == FREE
+            base == 1
+            and self.model.joints[1].shortname() == FREE
             and list(self.model.parents).count(0) == 2  # the world counts itself
             and all(loop.joint1 and loop.joint2 for loop in a.loops)
             and not (self.driven_at < 6).any()

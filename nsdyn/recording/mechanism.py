@@ -137,7 +137,8 @@ class Mechanism:
         self.loops = len(self._loops) + len(self._gears)
         self.bound = bool(self.loops or self.driven.size)
         self.floats = (
-            told["joints"][0]["kind"] == "JointModelFreeFlyer"
+            bool(told["joints"])
+            and told["joints"][0]["kind"] == "JointModelFreeFlyer"
             and all(joint["parent"] > 0 for joint in told["joints"][1:])
             and all(min(loop["joints"]) > 0 for loop in told["loops"])
             and not (self.driven < 6).any()

@@ -13,6 +13,10 @@ CLOSED = 1e-8
 """Gap over the radius of the smaller geom up to which a contact counts as closed: ten gap tolerances of the smallest
 body, for what a loose solution leaves."""
 
+NEAR = 0.01
+"""Distance over the radius of the smaller geom within which a closed contact goes on though an open one is nearer.
+Farther off, its velocities would change by as much as if the point had moved that far."""
+
 
 @kernel
 def match(geoms, tolerance, memory, next_key, names, points):
@@ -46,12 +50,13 @@ def match(geoms, tolerance, memory, next_key, names, points):
         q = o
         while q < old1.size and old1[q] == i and old2[q] == j:
             q += 1
-        reach = tolerance * min(radius[i], radius[j]) + slack[i] + slack[j]
+        size = min(radius[i], radius[j])
+        reach = tolerance * size + slack[i] + slack[j]
         if b - a == 1 and q - o == 1:
             reach = np.inf
-        for most in (CLOSED * min(radius[i], radius[j]), np.inf):
+        for most, far in ((CLOSED * size, NEAR * size), (np.inf, reach)):
             for _ in range(min(b - a, q - o)):
-                best, new, old = reach * reach, -1, -1
+                best, new, old = far * far, -1, -1
                 for c in range(a, b):
                     for e in range(o, q):
                         if key[c] < 0 and not used[e] and old_gap[e] <= most:
