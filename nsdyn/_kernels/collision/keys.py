@@ -23,11 +23,11 @@ def match(geoms, tolerance, memory, next_key, names, points):
     """Give contacts the keys of the contacts that they continue; new ones count up from next_key, which is returned.
 
     Both lists, (names, points) and for the old ones scalars as in `search.gather`, are sorted by pair. Within a pair
-    old contacts that were closed are matched first: where features turn flush, two contacts become one, which goes on
-    carrying. Of these, and then of the others, the closest old and new points are matched first. Their distance is the
-    smaller of those seen from geom 1 and from geom 2. It is at most `tolerance` times the radius of the smaller geom
-    plus the `slack` (ngeoms,) of both, by which they may have moved. The only contact of a pair always continues the
-    only previous one. `geoms` is (radius, R, t, slack).
+    old contacts that were closed are matched first, to new ones that are `NEAR`: where features turn flush, two
+    contacts become one, which goes on carrying. Of these, and then of the others, the closest old and new points are
+    matched first. Their distance is the smaller of those seen from geom 1 and from geom 2. It is at most `tolerance`
+    times the radius of the smaller geom plus the `slack` (ngeoms,) of both, by which they may have moved. The only
+    contact of a pair always continues the only previous one. `geoms` is (radius, R, t, slack).
     """
     radius, R, t, slack = geoms
     first, second, key, point, local1, local2 = names[0], names[1], names[4], points[0], points[2], points[3]
