@@ -82,7 +82,18 @@ class Tree(Linkage):
         """Return the end of a motion of h s with the momenta, and the centre of mass, of motion under gravity alone.
 
         Errors of the motion change them a little. The whole tree gets the differences as one rigid body: only its base
-        moves otherwise. `fallen` (3,) is the velocity that gravity adds to the centre of mass, m/s.
+        moves otherwise.
+
+        Parameters
+        ----------
+        q, v : ndarray, shapes (nq,), (nv,)
+            Where the motion begins.
+        h : float
+            s.
+        end : Flow
+            Where it ends, but for its errors.
+        fallen : ndarray, shape (3,), optional
+            Velocity that gravity adds to the centre of mass, m/s.
         """
         model, data, q1, v1 = self.model, self.data, end.q.copy(), end.v.copy()
         lacking = pin.computeCentroidalMomentum(model, data, q, v).vector

@@ -206,6 +206,16 @@ def _with_momenta(m: Mechanism, q: Array, v: Array, h: float, end: Array, new: A
 
     The base rows of M v are the momenta about its origin, in its axes; without forces they are constant in the world.
     Only the base is moved for that, by a shift and a twist.
+
+    Parameters
+    ----------
+    m : Mechanism
+    q, v : ndarray, shapes (nq,), (nv,)
+        Where the motion begins.
+    h : float
+        s.
+    end, new : ndarray, shapes (nq,), (nv,)
+        Configuration and velocity where it ends, but for its errors.
     """
 
     def base(q: Array) -> Any:

@@ -120,7 +120,22 @@ def make_body(
     inertia: ArrayLike | None = None,
     com: ArrayLike = (0, 0, 0),
 ) -> Body:
-    """Return a body; ValueError names the argument, expected and given values."""
+    """Return a body.
+
+    Parameters
+    ----------
+    name : str
+    shape : Shape
+    mass : float, optional
+        kg; None for a fixed body.
+    position, quaternion, linear_velocity, angular_velocity, material, fixed, colour, inertia, com
+        As in `Scene.add_convex`.
+
+    Raises
+    ------
+    ValueError
+        Names the argument, expected and given values.
+    """
     centre = checks.vector(com, 3, f"com of {name!r}")
     v = checks.vector(linear_velocity, 3, f"linear_velocity of {name!r}")
     w = checks.vector(angular_velocity, 3, f"angular_velocity of {name!r}")

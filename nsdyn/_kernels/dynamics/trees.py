@@ -354,11 +354,21 @@ def fastest(v, turns):
 
 @no_alloc
 def carry(lacking, way, whole, poses, q, v):
-    """Give a tree momenta, (linear, angular about the centre of mass) (6,), as one rigid body; move it by a `way` (3,).
+    """Give a tree momenta as one rigid body, and move it by a way.
 
-    That adds a twist to the first six coordinates of v, which are in the axes of its base, joint 1. It shifts the first
-    three of q, which are in the axes of that joint's `placement` (3, 3). whole = (inertia about the centre of mass, in
-    world axes, mass, centre of mass), poses = (x and R of all joints, placement).
+    Parameters
+    ----------
+    lacking : ndarray, shape (6,)
+        Momenta, N·s, and about the centre of mass, N·m·s, world axes.
+    way : ndarray, shape (3,)
+        m, world axes.
+    whole : tuple
+        Inertia about the centre of mass in world axes (3, 3), kg m², mass, kg, and centre of mass (3,), m.
+    poses : tuple
+        Positions and rotations of all joints, and the rotation of the placement of the base, joint 1.
+    q, v : ndarray, shapes (nq,), (nv,)
+        Changed in place: the first three of q, in the axes of that placement, and the first six of v, in those of the
+        base.
     """
     (inertia, mass, centre), (x, R, placement) = whole, poses
     a, b, c = row(inertia, 0), row(inertia, 1), row(inertia, 2)

@@ -170,7 +170,17 @@ def _fischer_burmeister(u, r, mu, rho, F, A, B):
 def element(kind, u, r, mu, rn, rt, F, A, B):
     """Compute F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; return |F|.
 
-    The steps are rn along the normal and rt across it; the natural map and Fischer–Burmeister's have rn alone.
+    Parameters
+    ----------
+    kind : int
+        ALART_CURNIER, JEAN_MOREAU, NATURAL or FISCHER_BURMEISTER.
+    u, r : ndarray, shape (3,)
+        Relative velocity, m/s, and impulse, N·s.
+    mu : float
+    rn, rt : float
+        Steps along the normal and across it, kg; the natural map and Fischer–Burmeister's have rn alone.
+    F, A, B : ndarray, shapes (3,), (3, 3), (3, 3)
+        Results.
     """
     A[:] = 0.0
     B[:] = 0.0
