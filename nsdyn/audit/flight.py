@@ -202,7 +202,8 @@ def _wander(poses: Poses) -> Array:
 
     Contacts are matched by key. If one contact is the only one of its pair with an impulse, it is also matched by pair:
     a contact that moves far, as around the rim of a coin, changes its key. If there are several, a new round contact
-    comes from no farther than the distance over which names are kept, because contacts on rims are then redistributed.
+    comes from no farther than the distance over which names are kept, because contacts on rims are then redistributed,
+    and a new one of corners and edges no faster than the bodies move.
     """
     c = poses.contacts
     when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
@@ -212,7 +213,13 @@ def _wander(poses: Poses) -> Array:
     alone = pushes & (np.bincount(group, pushes)[group] == 1.0)
     new = np.unique(c["key"], return_index=True)[1]
     far = NAMED * poses.bounding_radius[poses.pair].min(axis=0) / (0.5 * poses.trajectory.dt)
-    out[new] = np.where(~alone & (poses.rounding[poses.pair].sum(axis=0) > 0.0), far, 0.0)[new]
+    fast = np.zeros(poses.step.size)
+    for geom in poses.pair:
+        free = np.flatnonzero(poses.is_free(poses.frame[geom]))
+        body, radius, k = poses.frame[geom[free]], poses.bounding_radius[geom[free]], poses.step[free]
+        speed, spin = (np.linalg.norm(part, axis=2) for part in (poses.v[..., :3], poses.v[..., 3:]))
+        fast[free] += np.maximum(*(speed[row, body] + radius * spin[row, body] for row in (k, k + 1)))
+    out[new] = np.where(poses.rounding[poses.pair].sum(axis=0) > 0.0, np.where(alone, 0.0, far), fast)[new]
     for name in (c["key"], np.where(alone, pair, -1 - np.arange(pair.size))):
         order = np.lexsort((when, name))
         begin, group = together(name[order], when[order])
