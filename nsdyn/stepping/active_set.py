@@ -34,6 +34,7 @@ __all__ = [
     "surface_normal_velocities",
     "missed_impacts",
     "normal_velocities",
+    "overrun_contacts",
     "continuous_contacts",
     "update_active_set",
     "time_of_impact",
@@ -275,6 +276,21 @@ def missed_contacts(
     before, there = (s.detector.carry(missed, end, placement)[0] for placement in (begin, middle))
     touched = np.abs(before.gap) <= s.gap_tol
     return take(there, touched) if touched.any() else None
+
+
+def overrun_contacts(
+    s: System, kin: ContactKinematics, r: Array, begin: SceneState, moved: SceneState, middle: Placement
+) -> Bools | None:
+    """Mark the contacts that the motion leaves behind although they press; None if there are none.
+
+    The active contacts are those of `kin`, found in the `middle`, with normal impulses r (nc,). They press as if their
+    features reached farther: a corner that is about to land on a face slips off its edge before it does.
+    """
+    c, first, end, warm = kin.contacts, begin.placement, moved.placement, begin.warm
+    out, deep = np.empty(c.gap.size, np.bool_), (s.inscribed, OPTIONS.depth_captured)
+    ends, last = ((first.x, first.R), (end.x, end.R)), (warm.key, warm.status)
+    given = s.detector.searches[0], c[:3], middle.R, ends, moved.contacts[:3], last
+    return out if _active_set.overrun(*given, r > 0.0, deep, out) else None
 
 
 def _separating(s: System, missed: ContactSet, kin: ContactSet, end: Poses, middle: Poses) -> ContactSet:

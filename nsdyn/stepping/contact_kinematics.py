@@ -114,7 +114,7 @@ class ContactKinematics(NamedTuple):
             full.arrays,
             (begin.v, middle.v, forces.v),
             (carried, *surface_velocity, rows.joint_load),
-            (old[:3], begin.placement.x, begin.twists, (mid.reach, mid.s.gap_tol)),
+            (old[:3], begin.placement.x, begin.twists, (mid.reach, mid.s.gap_tol, mid.s.inscribed)),
             (contacts[:3], frame, there.x),
             (warm.key, warm.force, mid.h),
             mid.ahead,
@@ -203,8 +203,13 @@ class ContactKinematics(NamedTuple):
         if not self.surface_velocity.size:
             return self.local
         out = self.local.copy()
-        out[0] -= self.surface_velocity[1] - self.surface_velocity[0]
+        out[0] -= self.quicker
         return out
+
+    @property
+    def quicker(self) -> Array:
+        """How much faster moving surfaces are at the end than at the midpoint, (3 rows,), m/s; empty if none move."""
+        return self.surface_velocity[1] - self.surface_velocity[0] if self.surface_velocity.size else NOTHING
 
     def lasting(self, s: System, begin: SceneState, limits: Array, h: float, struck: bool) -> ContactKinematics:
         """Return the kinematics with its persistent rows marked, for a move of h s; no row persists if `struck`.
@@ -214,9 +219,10 @@ class ContactKinematics(NamedTuple):
         warm, geoms = begin.warm, s.inscribed.size
         nc, rows = self.contacts.gap.size, self.end_gap.size
         stays, sticks, was = np.empty(rows, np.bool_), np.empty(nc, np.bool_), np.empty(nc, np.int8)
-        last, before = (warm.key, warm.pair, warm.status), (begin.contacts[:3], s.gap_tol, h)
+        last = warm.key, warm.pair, warm.status
+        before = begin.contacts[:3], self.quicker, (s.gap_tol, h, s.theta * h)
         pressed = NEVER if self.joints is None else (warm.joints[self.joints.slot, 0] > 0.0) & (self.joints.mu == 0.0)
-        given = self.contacts.names, geoms, last, before, (limits, pressed), self.begun, self.end_gap
+        given = self.contacts.names, geoms, last, before, (limits, pressed), self.local, self.end_gap
         _persistence.persists(*given, struck, (stays, sticks, was))
         return self._replace(stays=stays, sticks=sticks, was=was, excess_speed=np.zeros(rows))
 

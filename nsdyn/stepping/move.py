@@ -21,6 +21,7 @@ from nsdyn.stepping.active_set import (
     missed_contacts,
     missed_impacts,
     normal_velocities,
+    overrun_contacts,
     time_of_impact,
     update_active_set,
 )
@@ -84,7 +85,7 @@ def try_move(
     if made is None:
         made = _by_stages(s, begin, mid or midpoint(s, begin, t, h, callbacks), located)
     if located is not None:
-        made = _with_missed(s, begin, made, located)
+        made = _updated(s, begin, made, located)
     if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
         return try_move(s, lambda _: None, begin, t, h, located, again)
     return _with_hits(s, begin, made, located)
@@ -105,22 +106,28 @@ def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | Non
     return m
 
 
-def _with_missed(s: System, begin: SceneState, m: Attempt, located: Index, label: Index | None = None) -> Attempt:
-    """Return the move with the contacts added that its motion shows to be missed.
+def _updated(s: System, begin: SceneState, m: Attempt, located: Index, label: Index | None = None) -> Attempt:
+    """Return the move with the active set that its motion shows: missed contacts added, those left behind dropped.
 
     The added contacts stay among those found as long as nothing moves.
     """
     there: SceneState | None = None
     for _ in range(UPDATES):
-        late = missed_contacts(s, m.kin, m.normal_impulses, m.moved, begin.placement, m.mid.state.placement)
-        if late is None:
+        active, middle = m.kin.contacts, m.mid.state.placement
+        late = missed_contacts(s, m.kin, m.normal_impulses, m.moved, begin.placement, middle)
+        left = overrun_contacts(s, m.kin, m.normal_impulses, begin, m.moved, middle)
+        if late is None and left is None:
             break
         if there is None:
             there, (_, joints) = _detect_at_midpoint(s, begin, m.mid, located)
-        apart = take(there.contacts, ~among(there.contacts.key, late.key))  # a late one may be found already
-        contacts, memory = united((apart, late)), there.memory.joined(m.moved.memory, late.key)
-        there, kin = there._replace(contacts=contacts, memory=memory), united((m.kin.contacts, late))
-        m = _response(s, begin, m.mid, there, (kin, joints), located, m, label=label)
+        if left is not None:
+            active = take(active, ~left)
+        if late is not None:
+            active = united((active, late))
+            apart = take(there.contacts, ~among(there.contacts.key, late.key))  # a late one may be found already
+            memory = there.memory.joined(m.moved.memory, late.key)
+            there = there._replace(contacts=united((apart, late)), memory=memory)
+        m = _response(s, begin, m.mid, there, (active, joints), located, m, label=label)
     return m
 
 
@@ -171,7 +178,7 @@ def try_islands(
         if skip.any():
             contacts = take(contacts, ~skip[s.nodes(contacts)])
         made = _response(s, begin, mid, there, (contacts, joints), NO_SLOTS, None, label)
-    made = _with_missed(s, begin, made, NO_SLOTS, label)
+    made = _updated(s, begin, made, NO_SLOTS, label)
     if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
         return try_islands(s, begin, again, None, label, skip)
     return _run_into(s, made, made.moved.limits)

@@ -15,12 +15,19 @@ def contacts(frame1, point, normal):
     return names, points, np.zeros((3, len(point)))
 
 
-@pytest.mark.parametrize(("angle", "follows"), [(0.05, True), (0.19, True), (0.21, False), (0.27, False)])
-def test_a_normal_that_jumps_is_of_another_contact(angle, follows):
-    """How fast bodies parted along the old normal counts where it turned into this one; else what does along this."""
+@pytest.mark.parametrize(
+    ("angle", "way", "follows"),
+    [(0.05, 1.0, True), (0.19, 1.0, True), (0.21, 1.0, False), (0.27, 1.0, False)]
+    + [(0.05, 0.006, True), (0.05, 0.004, False), (0.0, 0.0, True)],
+)
+def test_a_normal_that_jumps_is_of_another_contact(angle, way, follows):
+    """How fast bodies parted along the old normal counts where it turned into this one; else what does along this.
+
+    It turns no faster than by 10 rad while bodies move by their inscribed radius, which is 1 m.
+    """
     old, frame = np.array([[np.sin(angle), 0.0, np.cos(angle)]]), np.eye(3)[None, [2, 0, 1]].copy()
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
-    begin = contacts([-1], still, old), still, (np.array([[1.0, 0.0, 0.0]]), still), (np.ones(1), 0.0)
+    begin = contacts([-1], still, old), still, (np.array([[1.0, 0.0, 0.0]]), still), (np.full(1, way), 0.0, np.ones(1))
     here = contacts([-1], still, old), frame, still
     law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
     expected = (np.sin(angle), np.cos(angle), 0.0) if follows else (0.0, 1.0, 0.0)
@@ -43,7 +50,7 @@ def test_only_a_contact_that_is_alone_rolls_far(gone, others, follows):
     nc, up = 1 + len(others), np.array([[0.0, 0.0, 1.0]])
     before = contacts(np.full(nc, -1), np.tile(old, (nc, 1)), np.tile(up, (nc, 1)))
     before[2][0, 1:] = others
-    begin = before, still, (along, about), (np.ones(1), 1e-9)
+    begin = before, still, (along, about), (np.ones(1), 1e-9, np.ones(1))
     here = contacts([-1], still, up), frame, still
     law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
     np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15 * gone)

@@ -108,26 +108,32 @@ def carry(contacts, begin, end, there):
 
 
 @no_alloc
+def widest(geometry, names, c, n, R0, R1):
+    """Largest separation of the geoms of contact c, and the normal along which it is.
+
+    Three normals are tried: n as it is, and as it turns with frame 1 and with frame 2 from rotations R0 to R1.
+    """
+    most, out = -math.inf, n
+    for f in (-1, names[2, c], names[3, c]):
+        there = to_world(R1, f, to_local(R0, f, n)) if f >= 0 else n
+        gap = gap_along(geometry, names[0, c], names[1, c], there)
+        if gap > most:
+            most, out = gap, there
+    return most, out
+
+
+@no_alloc
 def turn_normals(fields, contacts, R0, end, room, out, apart):
     """Normals of contacts of poses 0 at poses 1, into out, and the separations of their geoms along them, into apart.
 
-    Three normals are tried: fixed in space, turning with frame 1, and turning with frame 2. The one with the largest
-    separation is chosen. `contacts` is (names, points, scalars), `end` has the poses (x, R) of the frames, `room` is a
-    work array for the poses (R, t) of the geoms.
+    Both are those of `widest`. `contacts` is (names, points, scalars), `end` has the poses (x, R) of the frames, `room`
+    is a work array for the poses (R, t) of the geoms.
     """
     (names, points, _), (x1, R1), (R, t) = contacts, end, room
     place(fields, x1, R1, R, t)
-    geometry = Placed(*fields, R, t)
     for c in range(apart.size):
-        apart[c] = -math.inf
-        for f in (-1, names[2, c], names[3, c]):
-            n = row(points[1], c)
-            if f >= 0:
-                n = to_world(R1, f, to_local(R0, f, n))
-            gap = gap_along(geometry, names[0, c], names[1, c], n)
-            if gap > apart[c]:
-                apart[c] = gap
-                put(out, c, n)
+        apart[c], n = widest(Placed(*fields, R, t), names, c, row(points[1], c), R0, R1)
+        put(out, c, n)
 
 
 @no_alloc

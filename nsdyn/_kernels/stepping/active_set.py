@@ -4,8 +4,12 @@ import math
 
 import numpy as np
 
+from nsdyn._kernels.collision.advancement import widest
+from nsdyn._kernels.collision.geometry import Placed, place
+from nsdyn._kernels.collision.search import fields_of, room_of
 from nsdyn._kernels.compiled import kernel, no_alloc
-from nsdyn._kernels.stepping.touching import approach_of, known, last_status, places, weight_of
+from nsdyn._kernels.stepping.touching import approach_of, known, last_status, places, pressed, weight_of
+from nsdyn._kernels.vectors import row
 
 
 @no_alloc
@@ -87,6 +91,56 @@ def captured(contacts, x, near, carried, twists, before, warm, sizes, located, o
         for b in located:
             shallow = shallow and b != pair
         out[c] = shallow and (e == 0.0 or u > -(tol + rests_of(weight, e, bounces) / e))
+
+
+@no_alloc
+def overrun(geoms, contacts, R, ends, found, last, presses, deep, out):
+    """Contacts that the motion leaves behind although they press, into out (nc,); whether there are any.
+
+    They did not press in the last move. Along their normal their geoms overlap where the move begins and where it ends,
+    by more than they do at all: a corner slips off the face on which it was to land. That face does not separate the
+    bodies.
+
+    Parameters
+    ----------
+    geoms : tuple
+        The packed arrays of the geoms, as in `search`.
+    contacts : (names, points, scalars)
+        The active set, as it is where the frames have the rotations R (frames, 3, 3).
+    ends : tuple
+        Poses (x, R) of the frames where the move begins and where it ends.
+    found : (names, points, scalars)
+        Contacts where the move ends.
+    last : tuple
+        Keys and states of the last active set.
+    presses : ndarray of bool, shape (nc,)
+    deep : tuple
+        Radii of balls inside the shapes, m, and the fraction of the smaller radius at which an overlap counts.
+    out : ndarray of bool, shape (nc,)
+    """
+    (names, points, _), (radii, least), some = contacts, deep, False
+    pressed(names[4], *last, out)
+    for c in range(out.size):
+        out[c] = presses[c] and not out[c]
+        some = some or out[c]
+    if not some:
+        return False
+    fields, room = fields_of(geoms), room_of(geoms)
+    for x, turned in ends:
+        if not some:
+            break
+        place(fields, x, turned, *room)
+        some = False
+        for c in range(out.size):
+            if out[c]:
+                i, j, gap = names[0, c], names[1, c], 0.0
+                for k in range(found[0].shape[1]):
+                    if found[0][0, k] == i and found[0][1, k] == j:
+                        gap = min(gap, found[2][0, k])
+                apart, _ = widest(Placed(*fields, *room), names, c, row(points[1], c), R, turned)
+                out[c] = apart < gap - least * min(radii[i], radii[j])
+                some = some or out[c]
+    return some
 
 
 @no_alloc

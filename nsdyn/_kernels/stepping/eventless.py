@@ -153,7 +153,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
     columns of the contacts, places, integers). Factors of W that are computed already belong to the same contacts and
     are reused.
     """
-    (num, size), _, _, _, _, masses, (free_bodies, trees), _ = s
+    (num, size), (_, _, radii), _, _, _, masses, (free_bodies, trees), _ = s
     (warm, force), (frame, block, start, H, scales, made), (names, _, scalars) = last, rows, active
     (b_old, out, a, w, own, place, head), (keys, pairs, was), nc, n = room, acted, acted[2].size, size[0]
     b, q, none, (block_of_frame, offset, m_start, m, minv) = out[col.RESULTS :], a[col.FREE * nc :], own[:0], masses
@@ -172,18 +172,20 @@ def posed(s, first, last, active, rows, acted, flags, room):
     excess_speed = col.column(own, col.EXCESS_SPEED, nc)
     sliding, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
     twists, gap_rule = (col.vectors(b_old, col.LINEAR, n), col.vectors(b_old, col.ANGULAR, n)), gap_rule_of(num)
+    reach = col.column(w, col.REACH, n), num[col.GAP_TOL], radii
     law.local_velocities(
         blocks,
         (col.velocity(b_old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
         (active[1][0][:0], none, none, none),
-        (first, col.vectors(b_old, col.X, n), twists, (col.column(w, col.REACH, n), num[col.GAP_TOL])),
+        (first, col.vectors(b_old, col.X, n), twists, reach),
         (active, frame, x),
         (warm[0], force, num[col.STEP]),
         gap_rule[2],
         (local, end_gap, place),
     )
     law.predict_sliding(blocks, scalars[1], place, warm[2], local, sliding)
-    excess_speed[:], geoms, begin = 0.0, int(num[col.GEOMS]), (first, num[col.GAP_TOL], num[col.STEP])
+    excess_speed[:], geoms = 0.0, int(num[col.GEOMS])
+    begin = first, none, (num[col.GAP_TOL], num[col.STEP], gap_rule[2])
     for c in range(nc):
         keys[c], pairs[c] = names[4, c], names[0, c] * geoms + names[1, c]
     persists(names, geoms, warm, begin, (none, sliding[:0]), local, end_gap, False, (stays, sticks, was))
@@ -243,18 +245,19 @@ def goes(s, b, w, out):
 
 
 @kernel(inline="always")
-def told(s, rows, contacts, begun, flags, status, head, room):
+def told(s, geoms, rows, contacts, begun, flags, status, head, room):
     """Store the results of a step without an event: `DONE`, `EVENT`, or `OTHERWISE` if contacts add too much energy.
 
-    contacts = (active set, contacts found at the end), begun = (old state, contacts at the beginning, Slater direction
-    of the last certificate).
+    contacts = (active set, contacts found at the end), begun = (old state, keys and states of the last active set,
+    contacts at the beginning, Slater direction of the last certificate).
     """
     scene, (_, nowhere, inscribed), inertia, _, (gravity, _), masses, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
-    (active, now), (b_old, first, direction) = contacts, begun
+    (active, now), (b_old, last, first, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
-    if not eventless(num, (inscribed, masses[0]), (active, now, first), flags, status, spins, room):
+    shapes, met = (geoms, inscribed, masses[0]), (active, now, first)
+    if not eventless(num, shapes, met, (b_old, *last), flags, status, spins, room):
         return EVENT
     book(scene, (*inertia, gravity, nowhere[:0]), rows, active, flags, direction, head, status, room)
     out[col.SUSPECT] = 0.0
@@ -365,4 +368,7 @@ def eventless_step(system, detection, old, begun, new, rooms, next_key, directio
         if not changes(s[0], (s[3][3], s[1][0]), rows, active, now, flags, head, work_room):
             break
         stage, known = DONE, AGAIN
-    return told(s, rows, (active, now), (b_old, first, direction), flags, acted[2], head, work_room) if step else DONE
+    if not step:
+        return DONE
+    before = b_old, (warm[0], warm[2]), first, direction
+    return told(s, detection[0], rows, (active, now), before, flags, acted[2], head, work_room)

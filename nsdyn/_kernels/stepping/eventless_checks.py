@@ -11,13 +11,13 @@ from nsdyn._kernels.problem.gauss import certificate_of
 from nsdyn._kernels.reductions import least
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import law, slip_reversal, touching
-from nsdyn._kernels.stepping.active_set import rests_of
+from nsdyn._kernels.stepping.active_set import overrun, rests_of
 from nsdyn._kernels.stepping.eventless_contacts import all_twists
 from nsdyn._kernels.stepping.islands import located
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.vectors import square
 
-GAIN = OPTIONS.gain
+GAIN, DEEP = OPTIONS.gain, OPTIONS.depth_captured
 
 SURELY = 0.5
 """Fraction of `GAIN` that the contacts of one connected group may add. Then those of any larger island add less than
@@ -79,14 +79,16 @@ def turns_round(solution, mu, local, was, active, first, node):
 
 
 @no_alloc
-def eventless(num, bodies, contacts, flags, was, spins, room):
+def eventless(num, bodies, contacts, last, flags, was, spins, room):
     """Whether the move has no event: no slip reversal, no deep overlap, no impact, no body in contact that turns far.
 
-    bodies = (radii of balls inside the shapes, nodes of the frames), contacts = (active set, those found at the end,
-    those at the beginning), spins: angular velocities of the bodies, (n, 3), at both ends.
+    Nor is there a contact that the move leaves behind, as in `active_set.overrun`. bodies = (geoms, radii of balls
+    inside the shapes, nodes of the frames), contacts = (active set, those found at the end, those at the beginning),
+    last = (state where the move begins, keys and states of the last active set), spins: angular velocities of the
+    bodies, (n, 3), at both ends.
     """
-    (inscribed, node), (active, now, first) = bodies, contacts
-    nc, (names, _, scalars), (_, _, own, a) = was.size, active, room
+    (geoms, inscribed, node), (active, now, first) = bodies, contacts
+    nc, n, (names, _, scalars), (f, w, own, a) = was.size, spins[0].shape[0], active, room
     local, stays = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
     r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
     deepest, deep = least(now[2][0]), min(num[col.GAP_TOL], num[col.LEAST_PENETRATION])
@@ -107,6 +109,11 @@ def eventless(num, bodies, contacts, flags, was, spins, room):
         presses[c] = r[3 * c] > 0.0
         if presses[c] and not stays[c] and end_gap[c] > num[col.THETA] * num[col.DEPTH] * radius:
             return False
+    b_old, b, R = last[0], f[col.RESULTS :], col.rotations(w, col.R_THERE, n)
+    begin = col.vectors(b_old, col.X, n), col.rotations(b_old, col.R, n)
+    ends = begin, (col.vectors(b, col.X, n), col.rotations(b, col.R, n))
+    if overrun(geoms, active, R, ends, now, last[1:], presses, (inscribed, DEEP), far):
+        return False
     most = law.TURNS / (num[col.THETA] * num[col.STEP])
     for spin in spins:
         for k in range(spin.shape[0]):

@@ -15,7 +15,11 @@ from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
-TILTS, TURNS = math.cos(OPTIONS.tilt), OPTIONS.turn
+TILT, TURNS = OPTIONS.tilt, OPTIONS.turn
+
+SWING = 10.0
+"""Largest turn of a normal, rad, over the way of the bodies in units of the smaller inscribed radius: a normal that
+turns more has jumped to another feature. Crossing edges and the rim of an ellipsoid turn it faster than bodies turn."""
 
 NO_SLIP = 1e-14
 """Slip, m/s, that is round-off: a body at rest with its impulse on the edge of the cone keeps slipping by less."""
@@ -66,7 +70,7 @@ def begin_velocities(place, begin, here, carried, surface_velocity, u):
     the midpoint, in the contact frames; both are empty without moving surfaces. `begin` and `here` are as in
     `local_velocities`.
     """
-    (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed) = begin
+    (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed, radii) = begin
     (names, points, _), frame, x = here
     for c in range(place.size):
         f1, f2, n = names[2, c], names[3, c], row(frame[c], 0)
@@ -75,8 +79,9 @@ def begin_velocities(place, begin, here, carried, surface_velocity, u):
         if k >= 0:
             d, m = minus(p, row(old_points[0], k)), row(old_points[1], k)
             far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
-            gone, far = dot(d, d), far * far
-            there = dot(m, n) > TILTS and (gone <= far or alone(k, old_names, old_scalars[0], closed))
+            size, tilt = min(radii[names[0, c]], radii[names[1, c]]), minus(n, m)
+            most, gone, far = min(TILT, SWING * far / size), dot(d, d), far * far
+            there = dot(tilt, tilt) <= most * most and (gone <= far or alone(k, old_names, old_scalars[0], closed))
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
@@ -115,7 +120,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         Each is empty for none.
     begin : tuple
         The contacts found at the beginning of the step, places and twists of the frames there, and (how far points of
-        the frames move in about half a step, the gap tolerance).
+        the frames move in about half a step, the gap tolerance, radii of balls inside the shapes).
     here : tuple
         The contacts at the midpoint, their directions, and the places of the frames.
     warm : tuple

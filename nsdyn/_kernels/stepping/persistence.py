@@ -38,20 +38,24 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
     """Persistent rows, into out = (stays, sticks, was): they do no work along (stays), across (sticks) their normals.
 
     A contact stays if it had an impulse in the last move, by `warm` as in `last_status`. It also stays if it was closed
-    where this move begins and did not approach; begin = (the contacts there, gap tolerance, h). The same holds for
-    joint limits: limits = (gaps, whether they had an impulse), (rows - nc,) each. A contact does not stay if it
-    overlaps (is squeezed), strikes or separates: an approach in h s faster than `JOLT` drifts of the rows is a motion
-    of the bodies and no error. With `struck` no row stays.
+    where this move begins and did not approach; begin = (the contacts there, how much faster moving surfaces are at the
+    end than at the midpoint, (3 rows,), empty if none move, and (gap tolerance, h, h₂)). The same holds for joint
+    limits: limits = (gaps, whether they had an impulse), (rows - nc,) each. A contact does not stay if it overlaps (is
+    squeezed), strikes or separates: an approach in h s faster than `JOLT` drifts of the rows is a motion of the bodies
+    and no error. Rows of a contact that strikes lose the drift of the bodies, which turn otherwise after the impact.
+    With `struck` no row stays.
 
     A contact that stuck sticks however it approaches, because its slip is an error. A contact that stays and did not
     slip at the beginning sticks too. Gaps within the gap tolerance of rows that do not turn are set to 0. The states of
     the last move go into was (nc,): slip for contacts that were closed without an impulse and slip now. Returns whether
     any row stays.
     """
-    ((begin_names, _, scalars), closed, h), (stays, sticks, was), key = begin, out, names[4]
+    ((begin_names, _, scalars), quicker, (closed, h, ahead)), (stays, sticks, was), key = begin, out, names[4]
     begin_gap = scalars[0]
     some = False
-    u_begin, u, u_free, jacobian_drift = local[0], local[1], local[2], local[3]
+    u_begin, u, u_free, jacobian_drift = local[0].copy(), local[1], local[2], local[3]
+    for i in range(quicker.size):
+        u_begin[i] -= quicker[i]
     before = np.empty(key.size, np.int64)
     places(begin_names[4], key, before)
     last_status(names, geoms, warm, was)
@@ -70,6 +74,12 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
         speed = math.sqrt(square(u_begin[i]) + square(u_begin[i + 1]) + square(u_begin[i + 2]))
         bent = math.sqrt(square(jacobian_drift[i]) + square(jacobian_drift[i + 1]) + square(jacobian_drift[i + 2]))
         still = STILL * (abs(u_free[i] - u[i]) + max(0.0, -jacobian_drift[i])) - LEFT * (speed + bent)
+        if c < nc and u_begin[i] < -(JOLT * bent + closed / h):
+            for j in range(i, i + 3):
+                rest = quicker[j] if quicker.size > 0 else 0.0
+                if j == i:
+                    end_gap[c] += 0.5 * ahead * (jacobian_drift[j] - rest)
+                jacobian_drift[j] = rest
         if gap < -2.0 * closed or (old == 0 and (not known or gap > closed or abs(u_begin[i]) >= still)):
             continue
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h

@@ -45,6 +45,15 @@ def known(key, old_key, old_gap, closed, out):
     return every
 
 
+@kernel
+def pressed(key, old_key, states, out):
+    """Contacts that had an impulse by the states of the old ones, into out (nc,)."""
+    place = np.empty(key.size, np.int64)
+    places(old_key, key, place)
+    for c in range(key.size):
+        out[c] = place[c] >= 0 and states[place[c]] > 0
+
+
 @no_alloc
 def unmoved(detected_at, now, arm, tol):
     """Whether no point of the frames moved by more than tol, and no reach of detection grew by more than tol.
