@@ -124,8 +124,12 @@ def _read(line: bytes) -> Any:
 
 
 def _write(value: Any) -> bytes:
+    return _text(value).encode() + b"\n"
+
+
+def _text(value: Any, sort_keys: bool = False) -> str:
     try:
-        return json.dumps(value, default=_plain).encode() + b"\n"
+        return json.dumps(value, default=_plain, sort_keys=sort_keys)
     except TypeError as error:
         raise ValueError(f"a store holds numbers, texts, lists and dicts of them: {error}; see `keep`") from None
 
@@ -137,4 +141,4 @@ def _plain(value: Any) -> Any:
 
 
 def _key(parameters: Mapping[str, Any]) -> str:
-    return json.dumps(parameters, sort_keys=True, default=_plain)
+    return _text(parameters, sort_keys=True)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
 import pickle
-import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -23,6 +20,7 @@ from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.stepping.simulation import Options, simulate
 from nsdyn.study.gathering import gather
+from nsdyn.study.identity import told
 from nsdyn.study.store import Store
 from nsdyn.tools.callbacks import called, text
 from nsdyn.tools.naming import check_known
@@ -80,9 +78,10 @@ def sweep(
     progress : bool
         Show a progress bar on stderr when it is a terminal.
     store : path, optional
-        File to which every run is added when it is done. Runs that an existing file contains are not run again; a file
-        of another scene, other options or a function whose source has changed is refused. `keep` must then return
-        values that JSON has: numbers, texts, lists and dicts.
+        File to which every run is added when it is done. Runs that an existing file contains are not run again. A file
+        of another scene, other options or other functions is refused, also where what they use has changed: values in
+        closures, attributes of objects, and all of their own module. `keep` must then return values that JSON has:
+        numbers, texts, lists and dicts.
     **options
         Options of `nsdyn.simulate` except files: dt, theta, solver, ...
 
@@ -181,27 +180,13 @@ def _opened(
     return Store(
         store,
         {
-            "scene": _told(scene),
+            "scene": told(scene),
             "checksum of the scene": zlib.crc32(source),
             "duration": duration,
-            "keep": _told(keep),
-            "options": {name: _told(value) for name, value in sorted(options.items())},
+            "keep": told(keep),
+            "options": {name: told(value) for name, value in sorted(options.items())},
         },
     )
-
-
-def _told(value: Any) -> str:
-    """Return the text of an option in a store; of a function its name and a checksum of its source and what it uses."""
-    if isinstance(value, partial):
-        return f"{_told(value.func)} of {_told((value.args, value.keywords))}"
-    if not inspect.isfunction(value):
-        return re.sub(" at 0x[0-9a-f]+", "", str(value))  # addresses differ in every process
-    try:
-        source = inspect.getsource(value)
-    except OSError:  # typed at a prompt
-        source = ""
-    used = _told((value.__defaults__, value.__kwdefaults__, inspect.getclosurevars(value).nonlocals))
-    return f"{value.__module__}.{value.__qualname__} {zlib.crc32((source + used).encode()):08x}"
 
 
 def _run(

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -333,12 +334,70 @@ def test_a_store_knows_functions_by_what_they_do(tmp_path):
     for keep in (lambda run: float(run.q[-1, 0]), component(0)):
         with pytest.raises(ValueError, match="is the store of another sweep: its keep is "):
             nd.sweep("slide", {"mu": [0.1]}, store=store, keep=keep, **options)
-    told = [ensemble._told(f) for f in (component(0), component(1), partial(component(0), 1), partial(component(0), 2))]
-    assert (
-        len({*told}) == 4
-        and told[0] == ensemble._told(component(0))
-        and told[2] == ensemble._told(partial(component(0), 1))
+
+
+GAIN = 1.0
+
+
+class Push:
+    """A force with parameters, as a class."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def __call__(self, t, q, v):
+        return {"box": [self.size * GAIN, 0.0, 0.0]}
+
+    def held(self, t, q, v):
+        return self(t, q, v)
+
+
+@dataclass(frozen=True)
+class Course:
+    values: np.ndarray
+
+    def __call__(self, t, q, v):
+        return {"box": [self.values[int(t)], 0.0, 0.0]}
+
+
+def within(size):
+    def inner():
+        return size
+
+    return lambda t, q, v: {"box": [inner(), 0.0, 0.0]}
+
+
+def steps_at(k, x):
+    """2000 numbers, all 0 but one, which NumPy does not print."""
+    return np.where(np.arange(2000) == k, x, 0.0)
+
+
+TWINS = (
+    lambda x: (Push(x), Push(x).held, within(x), component(x), partial(component(0), x), Course(steps_at(900, x))),
+    lambda x: (partial(min, steps_at(900, x)), Course(np.array([1.0 + 1e-12 * x])), partial(max, [within(x)])),
+)
+
+
+def test_a_store_knows_all_that_functions_use(monkeypatch):
+    """Arguments that differ only in what they hold are told apart; equal ones are equal, in other processes too."""
+    for make in TWINS:
+        told = [list(map(ensemble.told, make(x))) for x in (1, 2, 1)]
+        assert told[0] == told[2] and not set(told[0]) & set(told[1])
+    one, other = (lambda run: 1.0), (lambda run: 2.0)  # of one line
+    assert ensemble.told(one) != ensemble.told(other)
+    here = [ensemble.told(f) for make in TWINS for f in make(1)]
+    code = "import test_ensemble as t; print([t.ensemble.told(f) for make in t.TWINS for f in make(1)])"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])},
+        capture_output=True,
+        text=True,
+        check=True,
     )
+    assert done.stdout == f"{here}\n"
+    before = ensemble.told(Push(1))
+    monkeypatch.setitem(globals(), "GAIN", 2.0)
+    assert ensemble.told(Push(1)) != before
 
 
 def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
@@ -371,6 +430,8 @@ def test_a_stored_sweep_goes_on(tmp_path, monkeypatch):
         nd.sweep("slide", {"mu": [0.1]}, **options)
     with pytest.raises(ValueError, match="a store holds numbers, texts, lists and dicts of them: got Trajectory"):
         nd.sweep("slide", {"mu": [0.1]}, 0.02, dt=0.01, keep=lambda run: run, store=tmp_path / "other.jsonl")
+    with pytest.raises(ValueError, match="a store holds numbers, texts, lists and dicts of them: got Material"):
+        nd.sweep("slide", {"mu": [nd.Material()]}, 0.02, dt=0.01, keep=len_of, store=tmp_path / "third.jsonl")
 
 
 def test_any_function_is_a_scene():
