@@ -54,7 +54,7 @@ def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
     own, direction = _freedoms(c, trajectory.dt)
     H = _columns(trajectory, step, c, own, direction)
     out = np.ones(last - first, np.bool_)
-    for some in _islands(H, own):
+    for some in _islands(H, own) if own.size else ():
         A = H[:, some].toarray()
         A = A[np.abs(A).any(axis=1)]
         _, singular, V = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300))
@@ -122,5 +122,5 @@ def _islands(H: Any, own: Index) -> Iterator[Index]:
     pattern = abs(H)
     same = coo_array((np.ones(own.size), (own, np.arange(own.size)))).tocsc()
     count, label = connected_components(pattern.T @ pattern + same.T @ same, directed=False)
-    for k in range(count if own.size else 0):
+    for k in range(count):
         yield np.flatnonzero(label == k)

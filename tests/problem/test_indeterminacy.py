@@ -294,3 +294,11 @@ def test_what_sticks_by_little_friction_has_one_solution():
             ruled += 1
             assert found == 1
     assert ruled > 200 and several > 50
+
+
+def test_steps_in_which_nothing_touches_have_no_impulses_that_are_not_unique():
+    """A ball that leaves the ground: first a contact that opens, then none."""
+    ball = on_ground(GRIP)
+    ball.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1 + 1e-9), linear_velocity=(0, 0, 1))
+    run = nd.simulate(ball, 0.02, dt=1e-2)
+    assert all(run.contacts(k).unique.tolist() == [True] * len(run.contacts(k)) for k in (1, 2))
