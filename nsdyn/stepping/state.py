@@ -166,9 +166,11 @@ class Names:
     """Names of bodies and articulations of a scene, and the shapes and frames that belong to each."""
 
     def __init__(self, scene: Scene, geoms: Sequence[Geom]) -> None:
-        labels = [(g.body, g.link or g.name) for g in geoms]
-        names = dict.fromkeys(name for both in labels for name in both)
-        self._members = {name: np.array([name in both for both in labels]) for name in names}
+        self._shapes: dict[str, list[int]] = {}
+        for k, g in enumerate(geoms):
+            for name in dict.fromkeys((g.body, g.link or g.name)):
+                self._shapes.setdefault(name, []).append(k)
+        self._number = len(geoms)
         self._places = {body.name: (k, np.zeros(3)) for k, body in enumerate(scene.free_bodies)}
         for link in describe_links(scene):
             if link["frame"] >= 0:
@@ -176,7 +178,9 @@ class Names:
 
     def members(self, name: str) -> Bools:
         """Whether each shape belongs to a body, "articulation/body" or articulation; ValueError for an unknown name."""
-        return self._members[choice(name, self._members, "body")]
+        out = np.zeros(self._number, np.bool_)
+        out[self._shapes[choice(name, self._shapes, "body")]] = True
+        return out
 
     def place(self, name: str) -> tuple[int, Array]:
         """Frame of a free body or "articulation/body", and its origin there, m; ValueError for an unknown name."""
