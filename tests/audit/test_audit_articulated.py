@@ -416,6 +416,22 @@ def test_a_linkage_that_strikes_a_limit_passes(speed, dt, theta):
     assert audit.passed, audit
 
 
+@pytest.mark.parametrize(("force", "duration", "dt"), [(0.01, 0.1, 1e-3), (10.0, 0.5, 1e-2)], ids=["slow", "wild"])
+def test_light_links_that_carry_a_load_on_a_loop_pass(force, duration, dt):
+    """Slow, what leaves a loop open by 1e-13 m counts; wild, the equations of a step are beyond a fixed point."""
+    model, parent, place = pin.Model(), 0, at((0, 0, 0))
+    for k, mass in enumerate((0.01, 1.0, 0.01, 0.01)):
+        parent = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}")
+        place = at((0, 0, 0.1))
+        model.appendBodyToJoint(parent, pin.Inertia.FromSphere(mass, 0.01), place)
+        model.addJointFrame(parent)
+    scene = nd.Scene()
+    scene.add_model("swing", model, q=(np.pi - 0.5, 0.0, 1.0 - np.pi, 0.0))
+    scene.add_loop("swing", "closure", "j3", position=(0, 0, 0.1))
+    audit = nd.check(nd.simulate(scene, duration, dt, external_force=lambda t, q, v: {"swing/j1": (force, 0, 0)}))
+    assert audit.passed, audit
+
+
 def test_limits_and_bodies_that_strike_in_turn_with_theta_above_half():
     """A capsule falls on an arm that rests on its limit: where it strikes is in doubt in a step that is cut."""
     model, material = pin.Model(), nd.Material(mu=0.5, restitution=0.6)
