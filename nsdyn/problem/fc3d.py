@@ -32,7 +32,7 @@ def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
         raise ValueError(f"W must be square with 3 rows per contact, got shape {W.shape}")
     nc = W.shape[0] // 3
     if sp.issparse(W) and nc:
-        W = sp.bsr_array(W.tobsr((3, 3)), copy=True)
+        W = sp.bsr_array(W.tobsr((3, 3)), dtype=float, copy=True)
         W.sum_duplicates()
         out = _csr(W)
     else:

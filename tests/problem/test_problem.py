@@ -225,3 +225,10 @@ def test_blocks_of_any_size(size, rng):
     A = rng.normal(size=(6, 6))
     problem = nd.FC3D(sp.bsr_array(A @ A.T, blocksize=size), np.ones(6), np.ones(2))
     assert np.array_equal(problem.W.toarray(), A @ A.T)
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.float32, np.longdouble])
+def test_sparse_matrices_of_any_numbers(kind):
+    """Kernels take doubles: of no other type are they compiled, and of some they cannot be."""
+    problem = nd.FC3D(sp.csr_array(np.diag([2, 1, 1]).astype(kind)), [-1.0, 3.0, 0.0], [0.5])
+    assert problem.W.dtype == np.float64 and nd.solve(problem).converged
