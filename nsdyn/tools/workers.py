@@ -68,7 +68,8 @@ class Worker:
         assert self._process is not None and self._process.stdout is not None
         pipe = self._process.stdout.fileno()
         while b"\n" not in self._buffer:
-            if not select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:
+            # The system has a largest time to wait.
+            if not select.select([pipe], [], [], min(max(0.0, deadline - time.monotonic()), 1e6))[0]:
                 return None
             got = os.read(pipe, 4096)
             if not got:

@@ -21,6 +21,13 @@ sys.stdin.readline()
 print(json.dumps({"event": "start"}), flush=True)
 time.sleep(60)
 """
+ANSWERS = """
+import sys, time, json
+sys.stdin.readline()
+for words in {"event": "start"}, {"seconds": 1.0}:
+    print(json.dumps(words), flush=True)
+    time.sleep(0.2)
+"""
 DIES = "import os, sys; sys.stdin.readline(); os.abort()"
 
 
@@ -125,6 +132,12 @@ def test_first_calls_may_compile_for_a_while():
     worker = Worker([sys.executable, "-c", script], 0.5)
     assert worker.ask({}, 0.1)["failure"] == "no answer within 0.6 s"
     assert worker.ask({}, 0.1)["failure"] == "no answer within 0.1 s"
+
+
+def test_limits_may_be_longer_than_the_system_waits():
+    worker = Worker([sys.executable, "-c", ANSWERS], 0.0)
+    assert worker.ask({}, 1e30) == {"seconds": 1.0}
+    worker.close()
 
 
 @pytest.mark.parametrize(
