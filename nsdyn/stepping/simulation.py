@@ -143,8 +143,8 @@ def simulate(
         raise ValueError(
             f"duration must be fewer than {MOST_STEPS:.4g} steps of dt = {stepper.dt:g} s, got {duration:g} s"
         )
-    if not is_number(every, int) or every < 1:
-        raise ValueError(f"every must be a whole number of steps, at least 1, got {every!r}")
+    if not is_number(every, int) or not 1 <= every < MOST_STEPS:
+        raise ValueError(f"every must be a whole number of steps, at least 1 and fewer than 2⁵³, got {every!r}")
     for name, file in (("record", record), ("resume", resume)):
         if file is not None:
             as_path(file, name)
