@@ -46,6 +46,8 @@ def first_carried(scene: Mapping[str, Any]) -> dict[str, int]:
 def body(trajectory: Trajectory, name: str) -> BodyMotion:
     """Return the motion of a body, a link or a joint; see `nsdyn.Trajectory.body`."""
     scene, columns = trajectory.scene, trajectory.columns
+    if not isinstance(name, str):
+        raise ValueError(f"name must be that of a moving body, got {name!r}")
     frames, links = scene["frames"], {link["name"]: link for link in scene.get("links", ())}
     if name in frames and (k := frames.index(name)) < scene["free"]:
         pose, twist = trajectory.q[:, 7 * k : 7 * k + 7], trajectory.v[:, 6 * k : 6 * k + 6]

@@ -70,7 +70,7 @@ STDOUT = Path("-")
 
 def as_path(value: Any, what: str = "path") -> Path:
     """Return a value as a path; ValueError naming `what` if it is not a path."""
-    if not isinstance(value, (str, os.PathLike)):
+    if not isinstance(value, (str, os.PathLike)) or "\0" in str(value):
         raise ValueError(f"{what} must be a path, got {value!r}")
     return Path(value)
 

@@ -83,8 +83,7 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     >>> run = nd.simulate(nd.scenes.load("slide")(), 0.5, dt=0.01)
     >>> nd.plots.draw(run, "speed", "box").savefig("speed.pdf")  # doctest: +SKIP
     """
-    if not isinstance(trajectory, Trajectory):
-        raise ValueError(f"trajectory must be a Trajectory, as of nsdyn.simulate or load, got {trajectory!r}")
+    _check(trajectory)
     if figure is not None and not hasattr(figure, "subfigures"):
         raise ValueError(f"figure must be a Figure or SubFigure of matplotlib, got {figure!r}")
     choice(kind, KINDS, "kind")
@@ -106,12 +105,19 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
 
 def usual(trajectory: Trajectory) -> list[str]:
     """Return the kinds that are drawn by default."""
+    _check(trajectory)
     return [
         "energy",
         "speed",
         *(["force"] if trajectory.columns["contacts/offset"][-1] > 0 else []),
         *([] if "joints" in _missing(trajectory) else ["joint"]),
     ]
+
+
+def _check(trajectory: Any) -> None:
+    """Raise a ValueError for what is no recording."""
+    if not isinstance(trajectory, Trajectory):
+        raise ValueError(f"trajectory must be a Trajectory, as of nsdyn.simulate or load, got {trajectory!r}")
 
 
 def _missing(trajectory: Trajectory) -> dict[str, tuple[str, ...]]:

@@ -13,20 +13,19 @@ import importlib.util
 import warnings
 from collections.abc import Sequence
 from functools import lru_cache
+from numbers import Integral, Real
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 import numpy as np
 
+from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
 from nsdyn.tools.naming import check_known, choice
 from nsdyn.view import titles
 from nsdyn.view.contents import packed
 from nsdyn.view.stage import View
-
-if TYPE_CHECKING:
-    from nsdyn.recording.trajectory import Trajectory
 
 __all__ = ["PageOptions", "html", "write_html"]
 
@@ -104,10 +103,17 @@ def html(
     UserWarning
         If the page has more than 50 MB.
     """
+    for what, number in {"fps": fps, "at": at}.items():
+        if not isinstance(number, Real | None):
+            raise ValueError(f"{what} must be a number, got {number!r}")
+    if not isinstance(max_frames, Integral):
+        raise ValueError(f"max_frames must be a whole number, got {max_frames!r}")
     if not isinstance(forces, bool):
         choice(forces, ("pair", "point"), "forces")
     shown = [(trajectory, at)]
     for other in beside if isinstance(beside, Sequence) else [beside] if beside is not None else []:
+        if not isinstance(other, Trajectory):
+            raise ValueError(f"beside must be a Trajectory, or a list of them, got {other!r}")
         # Before its begin and after its end, a recording shows its first or last state.
         shown.append((other, None if at is None else float(np.clip(at, other.t[0], other.t[-1]))))
     trajectories = [t for t, _ in shown]

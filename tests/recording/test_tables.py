@@ -177,6 +177,11 @@ def test_tables_show_themselves(trajectory):
     assert "force_z [N]" in html and "bodies, 20 rows: 103 more rows, " in html and html.count("<tr>") == 21
     with pytest.raises(ValueError, match=r"did you mean 'speed'\? column must be one of speed, .* others; got 'sped'"):
         table["sped"]
+    for wrong in (["speed"], 1.5):
+        with pytest.raises(ValueError, match="column must be one of"):
+            table.select(wrong)
+    with pytest.raises(ValueError, match=r"name must be that of a moving body, got \['below'\]"):
+        trajectory.body(["below"])
 
 
 @pytest.mark.parametrize("name", ["arm_pushes_box", "cart_pole", "heavy_on_light"])

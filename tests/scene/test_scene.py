@@ -107,6 +107,8 @@ def test_bad_scene():
     assert not scene.pairs
     with pytest.raises(ValueError, match="name must be a text of Unicode without NUL, got None"):
         scene.set_motion(None, velocity=(0, 0, 1))
+    with pytest.raises(ValueError, match=r"path must be a path, got 'a\\x00b'"):
+        scene.add_mesh("m", "a\0b", 1.0)
     with pytest.raises(ValueError, match="path must be a path, got 3"):
         scene.add_mesh("m", 3, 1.0)
     with pytest.raises(ValueError, match="must be a file in URDF"):

@@ -204,6 +204,8 @@ def test_plots_draw_what_is_recorded(slide, arm):
     with pytest.raises(ValueError, match=r"no joints to draw phase of; what can be drawn: position, .*, penetration$"):
         plots.draw(slide, "phase")
     with pytest.raises(ValueError, match=r"trajectory must be a Trajectory, .*, got 5"):
+        plots.usual(5)
+    with pytest.raises(ValueError, match=r"trajectory must be a Trajectory, .*, got 5"):
         plots.draw(5, "speed")
     with pytest.raises(ValueError, match="figure must be a Figure or SubFigure of matplotlib, got 5"):
         plots.draw(slide, "speed", figure=5)
