@@ -8,8 +8,8 @@ docstring has its equations, its source, and where it fails;
 2. ``__call__(problem, r0=None)`` that returns ``Solution.judge(problem, r, tol, iterations, seconds)``: the measures
 are those of the problem, not of the solver, and the status reports values that are not finite;
 3. its name and its home in `HOMES`, for type checkers also among the imports above it;
-4. `tests/solvers/test_solvers.py` and `tests/literature/test_reference_solvers.py` run all of `SOLVERS`; they list the
-problems that the method cannot solve;
+4. `test_solvers.py` and `test_data.py` of `tests/solvers` and `tests/literature/test_reference_solvers.py` run all of
+`SOLVERS`; they list the problems that the method cannot solve;
 5. a line in `demos/guide/solvers.md`, and ``nsdyn profile DIR --solver NAME --solver auto`` to compare it.
 """
 
