@@ -1,4 +1,4 @@
-"""Poses of all shapes of a recording, at its states and in the middle of its steps."""
+"""Poses of all shapes of a recording, at its states and within its steps."""
 
 from __future__ import annotations
 
@@ -156,37 +156,47 @@ class Poses:
         return out
 
     @cached_property
-    def middle(self) -> tuple[Array, Array]:
-        """Positions (n, frames, 3) and quaternions of frames in the middle of every step.
-
-        Free bodies move there with their initial velocities; for other frames it is the average of both ends.
-        """
-        x, q = 0.5 * (self.x[:-1] + self.x[1:]), self.quaternion[1:]
-        before = self.quaternion[:-1]
-        q = before + np.where((before * q).sum(-1, keepdims=True) < 0.0, -q, q)
-        q /= np.linalg.norm(q, axis=-1, keepdims=True)
-        half = (1.0 - self.theta) * self.trajectory.dt
-        twist = self.v[:-1]
-        x[:, : self.free] = self.x[:-1, : self.free] + half * rotate(before[:, : self.free], twist[..., :3])
-        q[:, : self.free] = turned(before[:, : self.free], half * twist[..., 3:])
-        return x, q
-
-    @cached_property
     def uncertain(self) -> tuple[Array, Array]:
-        """Displacement and rotation by impacts within a step that its ends do not show, (n, frames) each: m and rad.
+        """Displacement and rotation within a step that its ends do not show, (n, frames) each: m and rad.
 
-        Impacts change the velocities at an unknown time within the step. For links the result is 0: nothing is known.
+        Impacts change the velocities of free bodies at an unknown time within the step. Driven bodies quicken: at half
+        a step they are up to a quarter of the change of their way beside its middle. For links the result is 0: nothing
+        is known.
         """
         t, theta = self.trajectory, self.theta
         out = np.zeros((2, t.steps, self.x.shape[1]))
         for k, part in enumerate((self.v[..., :3], self.v[..., 3:])):
             change = np.diff(rotate(self.quaternion[:, : self.free], part), axis=0)
             out[k, :, : self.free] = max(theta, 1.0 - theta) * t.dt * np.linalg.norm(change, axis=2)
+        for frame in np.flatnonzero([name in self.scene.get("motions", {}) for name in self.scene["frames"]]):
+            R = matrix(self.quaternion[:, frame])
+            turn = (R[1:] @ R[:-1].swapaxes(1, 2)).reshape(-1, 9) / np.sqrt(2.0)  # changes of it are angles
+            for k, way in enumerate((np.diff(self.x[:, frame], axis=0), turn)):
+                change = 0.25 * np.linalg.norm(np.diff(way, axis=0), axis=1)
+                out[k, :-1, frame] = change
+                out[k, 1:, frame] = np.maximum(out[k, 1:, frame], change)
         return out[0], out[1]
 
     def of(self, geom: Index, row: Index) -> tuple[Array, Array]:
         """World poses (R, x) of shapes, one by one, in the given rows of the states."""
         return self.placed(geom, *self.frames(geom, row, self.x, self.quaternion))
+
+    def during(self, geom: Index, step: Index, time: Array) -> tuple[Array, Array]:
+        """Poses (m, 3), (m, 4) of the frames of shapes at times within steps, (m,), s; 0 if there is none.
+
+        Free bodies move there with their initial velocities; other frames go evenly from one state to the next.
+        """
+        (x, begin), (ahead, end) = (self.frames(geom, step + k, self.x, self.quaternion) for k in (0, 1))
+        share = (time / self.trajectory.dt)[:, None]
+        x += share * (ahead - x)
+        turn = begin + share * (np.where((begin * end).sum(-1, keepdims=True) < 0.0, -end, end) - begin)
+        turn /= np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-300)
+        free = np.flatnonzero(self.is_free(self.frame[geom]))
+        row, body, time = step[free], self.frame[geom[free]], time[free, None]
+        twist, before = self.v[row, body], begin[free]
+        x[free] = self.x[row, body] + time * rotate(before, twist[:, :3])
+        turn[free] = turned(before, time * twist[:, 3:])
+        return x, turn
 
     def frames(self, geom: Index, row: Index, x: Array, quaternion: Array) -> tuple[Array, Array]:
         """Poses (m, 3), (m, 4) of the frames of shapes, from arrays (rows, frames, ...); 0 if there is none."""

@@ -15,6 +15,7 @@ from nsdyn.audit.findings import Found, at_play, not_audited, worst_of
 from nsdyn.audit.flight import Flight, sunk
 from nsdyn.audit.overlap import separation
 from nsdyn.audit.poses import Poses
+from nsdyn.audit.pushes import Times
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
@@ -357,8 +358,8 @@ def from_surface(a: Solid, x: Array) -> Array:
 
 
 def pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:
-    """World poses (R, x) of shapes 0 or 1 of contacts at their impulse; at mid-step if its time is unknown."""
-    x, quaternion = poses.frames(geom, step, *poses.middle)
+    """World poses (R, x) of shapes 0 or 1 of contacts at their impulse; at (1 - θ) h if its time is unknown."""
+    x, quaternion = poses.during(geom, step, Times.of(poses).time[push])
     if flight.timed:
         met = flight.met.sides[side].some(push)
         known = ~np.isnan(met.x[:, 0])

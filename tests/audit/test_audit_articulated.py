@@ -432,6 +432,26 @@ def test_light_links_that_carry_a_load_on_a_loop_pass(force, duration, dt):
     assert audit.passed, audit
 
 
+@pytest.mark.parametrize("quickens", [0.0, 20.0])
+def test_a_rod_that_falls_on_the_edge_of_a_driven_plate_passes(quickens):
+    """It strikes anywhere in a step, on an edge that moves: where the plate is then counts, not where it is halfway."""
+    model = pin.Model()
+    cart = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "cart")
+    model.appendBodyToJoint(cart, pin.Inertia.FromSphere(10.0, 0.1), at((0, 0, 0)))
+    hinge = model.addJoint(cart, pin.JointModelRY(), at((0, 0, 0.2)), "rod")
+    model.appendBodyToJoint(hinge, pin.Inertia.FromCapsule(0.3, 0.02, 0.3), at((0, 0, 0.2)))
+    model.addBodyFrame("limb", hinge, at((0, 0, 0.2)), 0)
+    scene = nd.Scene()
+    scene.add_box("plate", (0.1, 0.5, 0.1), fixed=True, position=(-0.2, 0, 0.1))
+    scene.add_model("robot", model, q=(0.0, -1.2), v=(2.0, 0.0), collisions={"limb": [shapes.capsule(0.02, 0.3)]})
+    scene.set_motion("plate", velocity=lambda t: (2.0 + quickens * t, 0, 0))
+    scene.set_motion("robot/cart", velocity=lambda t: 2.0 + quickens * t)
+    run = nd.simulate(scene, 0.3, 1e-2)
+    assert run.columns["contacts/impulse"].any(), "it strikes"
+    audit = nd.check(run)
+    assert audit.passed, audit
+
+
 def test_limits_and_bodies_that_strike_in_turn_with_theta_above_half():
     """A capsule falls on an arm that rests on its limit: where it strikes is in doubt in a step that is cut."""
     model, material = pin.Model(), nd.Material(mu=0.5, restitution=0.6)
