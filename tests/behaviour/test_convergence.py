@@ -281,6 +281,36 @@ def test_ball_rolling_down_a_ball():
     np.testing.assert_allclose(orders(error, (200, 400, 800)), 2.0, rtol=0, atol=0.15)
 
 
+def test_light_links_with_a_load_are_stable_below_a_step():
+    """The guide: below √(m d / T) on a loop, at any step without one."""
+    rods, mass, length, load, lean = 3, 1e-3, 0.1, 1.0, 0.5
+    tension = load * 9.81 / (2.0 * math.cos(lean))  # N, of either side
+
+    def gained(looped, share):
+        """Energy that numerics gave or took so far, over the largest kinetic energy, at that share of the limit."""
+        model, parent, place = pin.Model(), 0, pin.SE3.Identity()
+        for k in range(2 * rods if looped else rods):
+            parent = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}")
+            place = pin.SE3(np.eye(3), np.array([0.0, 0.0, length]))
+            body = pin.Inertia.FromSphere(load if k == rods - 1 else mass, 0.01)
+            model.appendBodyToJoint(parent, body, place)
+            model.addJointFrame(parent)
+        scene, q, dt = nd.Scene(), np.zeros(model.nq), share * math.sqrt(mass * length / tension)
+        q[0] = math.pi - lean
+        if looped:
+            q[rods] = 2.0 * lean - math.pi
+        scene.add_model("chain", model, q=q)
+        if looped:
+            scene.add_loop("chain", "end", f"j{2 * rods - 1}", position=(0.0, 0.0, length))
+        push = {f"chain/j{rods - 1}": (0.3, 0.0, 0.0)}
+        energy = nd.simulate(scene, 200 * dt, dt, external_force=lambda t, q, v: push).energy
+        return np.abs(energy.integration.cumsum()).max() / energy.kinetic.max()
+
+    assert gained(True, 0.8) < 0.05  # an error of second order: 0.036, and 0.014 at 0.5
+    assert gained(True, 1.6) > 0.5  # the links whip: nearly all of the kinetic energy is made by numerics
+    assert gained(False, 1.6) < 1e-8  # flows are followed to 1e-9 of the velocity
+
+
 @pytest.mark.slow
 def test_a_joint_at_rest_on_its_limit_is_second_order():
     """A double pendulum whose inner link rests on its limit swings as its outer one alone."""
