@@ -224,30 +224,30 @@ def update_active_set(
     s: System,
     kin: ContactKinematics,
     r: Array,
-    moved: SceneState,
+    ends: tuple[SceneState, SceneState],
     memory: ContactSet,
-    middle: Placement,
-    fast: bool,
+    mid: Midpoint,
     kept: Index,
 ) -> tuple[ContactSet, ContactSet, Index]:
-    """Update the active set to the motion of a move: drop spurious contacts, add missed ones.
+    """Update the active set to the motion of a move: drop spurious contacts and those left behind, add missed ones.
 
-    The active contacts `kin` had impulses r. Return the contacts, the memory, and the keys of contacts to keep. A
-    contact that ends deep with features that were not active is added as it was in the `middle`, where the impulses
-    act: the position projection would remove the penetration but not the velocity. The motion ends at `moved`. `fast`
-    says whether any body is so fast that it might pass through another unseen. `kept` are the keys of contacts that
-    were missed before: these stay.
+    The active contacts `kin` had impulses r, and the move has two `ends`. Return the contacts, the memory, and the keys
+    of contacts to keep. A contact that ends deep with features that were not active is added as it was at the midpoint
+    `mid`, where the impulses act: the position projection would remove the penetration but not the velocity. `kept` are
+    the keys of contacts that were missed before: these stay.
     """
+    first, moved = ends
     found = moved.contacts
+    left = overrun_contacts(s, kin, r[: 3 * kin.contacts.gap.size : 3], first, mid, moved)
     real = ~_spurious(s, kin, r, found) | among(kin.contacts.key, kept)
-    contacts = take(kin.contacts, real)
-    if not fast and _reductions.least(found.gap) >= -s.least_penetration:
+    contacts = take(kin.contacts, real if left is None else real & ~left)
+    if not mid.fast and _reductions.least(found.gap) >= -s.least_penetration:
         return contacts, memory, kept
-    begin, end = middle, moved.placement
-    missed = take(found, (found.gap < -s.penetration_tol(found)) & ~among(found.key, kin.contacts.key))
+    begin, end = mid.state.placement, moved.placement
+    missed = take(found, (found.gap < -s.penetration_tol(found)) & ~among(found.key, contacts.key))
     if missed.gap.size:
         missed, memory = _separating(s, missed, kin.contacts, end, begin), memory.joined(moved.memory, missed.key)
-    if fast:
+    if mid.fast:
         (passed, _, memory, _), codes = s.touches(begin, end, memory, kin.contacts), s.detector.codes
         passed = carry(passed, end, begin)
         missed = united((take(missed, ~among(codes(missed), codes(passed))), passed))
@@ -279,17 +279,17 @@ def missed_contacts(
 
 
 def overrun_contacts(
-    s: System, kin: ContactKinematics, r: Array, begin: SceneState, moved: SceneState, middle: Placement
+    s: System, kin: ContactKinematics, r: Array, begin: SceneState, mid: Midpoint, moved: SceneState
 ) -> Bools | None:
     """Mark the contacts that the motion leaves behind although they press; None if there are none.
 
-    The active contacts are those of `kin`, found in the `middle`, with normal impulses r (nc,). They press as if their
-    features reached farther: a corner that is about to land on a face slips off its edge before it does.
+    The active contacts are those of `kin`, found at the midpoint `mid`, with normal impulses r (nc,). They press as if
+    their features reached farther: a corner that is about to land on a face slips off its edge before it does.
     """
     c, first, end, warm = kin.contacts, begin.placement, moved.placement, begin.warm
-    out, deep = np.empty(c.gap.size, np.bool_), (s.inscribed, OPTIONS.depth_captured)
+    out, deep = np.empty(c.gap.size, np.bool_), (s.inscribed, OPTIONS.depth_captured, mid.reach)
     ends, last = ((first.x, first.R), (end.x, end.R)), (warm.key, warm.status)
-    given = s.detector.searches[0], c[:3], middle.R, ends, moved.contacts[:3], last
+    given = s.detector.searches[0], c[:3], mid.state.placement.R, ends, moved.contacts[:3], last
     return out if _active_set.overrun(*given, r > 0.0, deep, out) else None
 
 

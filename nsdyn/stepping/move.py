@@ -97,8 +97,8 @@ def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | Non
     m = _response(s, begin, mid, there, needs, located, None)
     kept = NO_SLOTS
     for update in range(1, UPDATES if located is None else 0):
-        mid, r = m.mid, m.solution.r
-        real, memory, kept = update_active_set(s, m.kin, r, m.moved, there.memory, mid.state.placement, mid.fast, kept)
+        mid, ends = m.mid, (begin, m.moved)
+        real, memory, kept = update_active_set(s, m.kin, m.solution.r, ends, there.memory, mid, kept)
         if real is m.kin.contacts and (m.solution.accepted or update > 1):
             break
         there, needs = there._replace(memory=memory), (real, needs[1])
@@ -115,7 +115,7 @@ def _updated(s: System, begin: SceneState, m: Attempt, located: Index, label: In
     for _ in range(UPDATES):
         active, middle = m.kin.contacts, m.mid.state.placement
         late = missed_contacts(s, m.kin, m.normal_impulses, m.moved, begin.placement, middle)
-        left = overrun_contacts(s, m.kin, m.normal_impulses, begin, m.moved, middle)
+        left = overrun_contacts(s, m.kin, m.normal_impulses, begin, m.mid, m.moved)
         if late is None and left is None:
             break
         if there is None:

@@ -17,8 +17,15 @@ def contacts(frame1, point, normal):
 
 @pytest.mark.parametrize(
     ("angle", "way", "follows"),
-    [(0.05, 1.0, True), (0.19, 1.0, True), (0.21, 1.0, False), (0.27, 1.0, False)]
-    + [(0.05, 0.006, True), (0.05, 0.004, False), (0.0, 0.0, True)],
+    [
+        (0.05, 1.0, True),
+        (0.19, 1.0, True),
+        (0.21, 1.0, False),
+        (0.27, 1.0, False),
+        (0.05, 0.006, True),
+        (0.05, 0.004, False),
+        (0.0, 0.0, True),
+    ],
 )
 def test_a_normal_that_jumps_is_of_another_contact(angle, way, follows):
     """How fast bodies parted along the old normal counts where it turned into this one; else what does along this.

@@ -14,11 +14,12 @@ from nsdyn.scene.materials import Material
 HALF = 0.05
 
 
-def overrun(tilt=4.0, before=4.0, presses=True, pressed=False, found=0.0):
+def overrun(tilt=4.0, before=4.0, presses=True, pressed=False, found=0.0, way=0.0):
     """Whether the lower left edge of a cube is left behind by a plate whose border it has reached.
 
     The cube is `tilt` degrees lower on its right, beyond the border, and was so by `before` degrees where the move
-    began. The contact `pressed` in the last move. The bodies are `found` apart where the move ends.
+    began. The contact `pressed` in the last move. The bodies are `found` apart where the move ends. Points of the
+    cube move by `way` in half of it.
     """
     both = shapes.box((1.0, 1.0, 0.2)), shapes.box((2.0 * HALF,) * 3)
     geoms = [Geom(str(k), str(k), shape, k, np.eye(3), np.zeros(3), Material()) for k, shape in enumerate(both)]
@@ -30,7 +31,7 @@ def overrun(tilt=4.0, before=4.0, presses=True, pressed=False, found=0.0):
     names, points, out = np.array([[0], [1], [0], [1], [7]]), np.zeros((4, 1, 3)), np.empty(1, np.bool_)
     points[1, 0] = 0.0, 0.0, 1.0
     there, last = (names, points, np.full((3, 1), found)), (names[4], np.array([pressed], np.int8))
-    deep = np.array([0.1, HALF]), 1e-3
+    deep = np.array([0.1, HALF]), 1e-3, np.array([0.0, way])
     contacts = names, points, np.zeros((3, 1))
     given = detector.searches[0], contacts, ends[1][1], tuple(ends), there, last, np.array([presses])
     some = active_set.overrun(*given, deep, out)
@@ -44,6 +45,7 @@ def test_an_edge_presses_no_longer_on_a_face_that_does_not_separate_the_bodies()
     assert not overrun(found=-7e-3)  # they do overlap: the contact is to be found where it strikes
     assert not overrun(tilt=0.02)
     assert not overrun(before=0.02)  # it slips off after it has pressed
+    assert overrun(way=6e-3) and not overrun(way=8e-3)  # the normal of crossing edges turns as far
 
 
 def test_what_pressed_before_or_does_not_press_is_not_left_behind():

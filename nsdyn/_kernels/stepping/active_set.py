@@ -98,8 +98,8 @@ def overrun(geoms, contacts, R, ends, found, last, presses, deep, out):
     """Contacts that the motion leaves behind although they press, into out (nc,); whether there are any.
 
     They did not press in the last move. Along their normal their geoms overlap where the move begins and where it ends,
-    by more than they do at all: a corner slips off the face on which it was to land. That face does not separate the
-    bodies.
+    by more than they do at all, and by more than the way of the bodies explains: a corner slips off the face on which
+    it was to land. That face does not separate the bodies.
 
     Parameters
     ----------
@@ -115,10 +115,11 @@ def overrun(geoms, contacts, R, ends, found, last, presses, deep, out):
         Keys and states of the last active set.
     presses : ndarray of bool, shape (nc,)
     deep : tuple
-        Radii of balls inside the shapes, m, and the fraction of the smaller radius at which an overlap counts.
+        Radii of balls inside the shapes, m, the fraction of the smaller radius at which an overlap counts, and how far
+        points of the frames move in about half the move, (frames,), m: normals of crossing edges turn by as much.
     out : ndarray of bool, shape (nc,)
     """
-    (names, points, _), (radii, least), some = contacts, deep, False
+    (names, points, _), (radii, least, reach), some = contacts, deep, False
     pressed(names[4], *last, out)
     for c in range(out.size):
         out[c] = presses[c] and not out[c]
@@ -138,6 +139,8 @@ def overrun(geoms, contacts, R, ends, found, last, presses, deep, out):
                     if found[0][0, k] == i and found[0][1, k] == j:
                         gap = min(gap, found[2][0, k])
                 apart, _ = widest(Placed(*fields, *room), names, c, row(points[1], c), R, turned)
+                for f in (names[2, c], names[3, c]):
+                    apart += reach[f] if f >= 0 else 0.0
                 out[c] = apart < gap - least * min(radii[i], radii[j])
                 some = some or out[c]
     return some

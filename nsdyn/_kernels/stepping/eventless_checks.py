@@ -112,7 +112,8 @@ def eventless(num, bodies, contacts, last, flags, was, spins, room):
     b_old, b, R = last[0], f[col.RESULTS :], col.rotations(w, col.R_THERE, n)
     begin = col.vectors(b_old, col.X, n), col.rotations(b_old, col.R, n)
     ends = begin, (col.vectors(b, col.X, n), col.rotations(b, col.R, n))
-    if overrun(geoms, active, R, ends, now, last[1:], presses, (inscribed, DEEP), far):
+    deep = inscribed, DEEP, col.column(w, col.REACH, n)
+    if overrun(geoms, active, R, ends, now, last[1:], presses, deep, far):
         return False
     most = law.TURNS / (num[col.THETA] * num[col.STEP])
     for spin in spins:
