@@ -3,8 +3,8 @@
 Impacts are located as long as the effort allows. Contacts that are open where a move begins, and would strike or become
 deep, are then left out of the move and found where they are hit. Otherwise all contacts are captured within the move,
 and the active set is checked after it. Pairs that penetrated deeply get the features with which they first touched.
-Spurious contacts, which the motion does not reach, are dropped. Missed contacts are added: those of pairs that would
-pass through each other, and those that end deep.
+Spurious contacts, which the motion does not reach or leaves behind, are dropped. Missed contacts are added: those of
+pairs that would pass through each other, and those that end deep.
 """
 
 from __future__ import annotations

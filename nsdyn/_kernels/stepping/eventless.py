@@ -245,15 +245,15 @@ def goes(s, b, w, out):
 
 
 @kernel(inline="always")
-def told(s, geoms, rows, contacts, begun, flags, status, head, room):
+def told(s, rows, contacts, begun, flags, status, head, room):
     """Store the results of a step without an event: `DONE`, `EVENT`, or `OTHERWISE` if contacts add too much energy.
 
-    contacts = (active set, contacts found at the end), begun = (old state, keys and states of the last active set,
-    contacts at the beginning, Slater direction of the last certificate).
+    contacts = (geoms, active set, contacts found at the end), begun = (old state, keys and states of the last active
+    set, contacts at the beginning, Slater direction of the last certificate).
     """
     scene, (_, nowhere, inscribed), inertia, _, (gravity, _), masses, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
-    (active, now), (b_old, last, first, direction) = contacts, begun
+    (geoms, active, now), (b_old, last, first, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]
     spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
     shapes, met = (geoms, inscribed, masses[0]), (active, now, first)
@@ -370,5 +370,5 @@ def eventless_step(system, detection, old, begun, new, rooms, next_key, directio
         stage, known = DONE, AGAIN
     if not step:
         return DONE
-    before = b_old, (warm[0], warm[2]), first, direction
-    return told(s, detection[0], rows, (active, now), before, flags, acted[2], head, work_room)
+    met, before = (detection[0], active, now), (b_old, (warm[0], warm[2]), first, direction)
+    return told(s, rows, met, before, flags, acted[2], head, work_room)
