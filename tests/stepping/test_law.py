@@ -22,15 +22,15 @@ def contacts(frame1, point, normal):
         (0.19, 1.0, True),
         (0.21, 1.0, False),
         (0.27, 1.0, False),
-        (0.05, 0.006, True),
-        (0.05, 0.004, False),
+        (0.05, 0.02, True),
+        (0.05, 0.015, False),
         (0.0, 0.0, True),
     ],
 )
 def test_a_normal_that_jumps_is_of_another_contact(angle, way, follows):
     """How fast bodies parted along the old normal counts where it turned into this one; else what does along this.
 
-    It turns no faster than by 10 rad while bodies move by their inscribed radius, which is 1 m.
+    It turns no faster than by 3 rad while bodies move by their inscribed radius, which is 1 m.
     """
     old, frame = np.array([[np.sin(angle), 0.0, np.cos(angle)]]), np.eye(3)[None, [2, 0, 1]].copy()
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
@@ -61,6 +61,16 @@ def test_only_a_contact_that_is_alone_rolls_far(gone, others, follows):
     here = contacts([-1], still, up), frame, still
     law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
     np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15 * gone)
+
+
+@pytest.mark.parametrize("after", [-0.04 * (1.0 + 1e-15), -0.04 * (1.0 - 1e-15), -0.02, 0.02])
+def test_what_friction_would_turn_back_has_stopped(after):
+    """A slip of 4 cm/s that a force on the edge of the cone reverses, up to round-off of either sign, or in part."""
+    u, none = np.array([0.0, 0.04, 0.0]), np.zeros(3)
+    local, b, sliding = np.array([u, u, u, none, none]), np.zeros(3), np.array([True])
+    y = np.array([0.0, after, 0.0]) - u
+    changed = law.reconsider((np.array([1.0, -0.5, 0.0]), y, b, np.array([0.5])), local, sliding, False)
+    assert changed == (after < 0.0) and sliding[0] == (not changed)
 
 
 def test_the_problem_of_a_move_is_that_of_the_slip_it_ends_with(monkeypatch):

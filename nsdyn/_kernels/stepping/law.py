@@ -17,12 +17,15 @@ from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
 TILT, TURNS = OPTIONS.tilt, OPTIONS.turn
 
-SWING = 10.0
+SWING = 3.0
 """Largest turn of a normal, rad, over the way of the bodies in units of the smaller inscribed radius: a normal that
 turns more has jumped to another feature. Crossing edges and the rim of an ellipsoid turn it faster than bodies turn."""
 
 NO_SLIP = 1e-14
 """Slip, m/s, that is round-off: a body at rest with its impulse on the edge of the cone keeps slipping by less."""
+
+REVERSED = 1e-8
+"""Mean slip over the slip at the end that is none: the tolerance of solvers."""
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of a gap that `left_open` leaves open, and the largest gap it leaves, as a fraction of the gap tolerance."""
@@ -282,8 +285,9 @@ def offsets(local, laws, stays, sliding, b):
 def reconsider(solution, local, sliding, back):
     """Correct `sliding` (nc,) by the solution (r, y, b, mu), y = W r + b; return whether any contact changed.
 
-    A contact predicted to slide through has stopped if it sticks, or if its mean slip opposes its slip at the end. A
-    contact predicted to stop slides through if it still slips in its first direction; with `back` this is not checked.
+    A contact predicted to slide through has stopped if it sticks, or if its mean slip opposes its slip at the end or is
+    round-off of it: a force on the edge of its cone would reverse the slip. A contact predicted to stop slides through
+    if it still slips in its first direction; with `back` this is not checked.
     """
     (r, y, b, mu), (u_begin, u, u_free, jacobian_drift) = solution, (local[0], local[1], local[2], local[3])
     some = False
@@ -295,7 +299,7 @@ def reconsider(solution, local, sliding, back):
         e, f = p + jacobian_drift[i + 1], q + jacobian_drift[i + 2]
         if sliding[c]:
             mean = (u[i + 1] + p) * e + (u[i + 2] + q) * f
-            if found == 1 or (found == 2 and mean <= 0.0):
+            if found == 1 or (found == 2 and mean <= REVERSED * (e * e + f * f)):
                 sliding[c] = False
                 some = True
         elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * e + u_begin[i + 2] * f > NO_SLIP * NO_SLIP:
