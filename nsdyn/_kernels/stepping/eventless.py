@@ -368,7 +368,5 @@ def eventless_step(system, detection, old, begun, new, rooms, next_key, directio
         if not changes(s[0], (s[3][3], s[1][0]), rows, active, now, flags, head, work_room):
             break
         stage, known = DONE, AGAIN
-    if not step:
-        return DONE
     met, before = (detection[0], active, now), (b_old, (warm[0], warm[2]), first, direction)
-    return told(s, rows, met, before, flags, acted[2], head, work_room)
+    return told(s, rows, met, before, flags, acted[2], head, work_room) if step else DONE

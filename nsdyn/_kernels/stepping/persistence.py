@@ -37,18 +37,34 @@ are less exact."""
 def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
     """Persistent rows, into out = (stays, sticks, was): they do no work along (stays), across (sticks) their normals.
 
-    A contact stays if it had an impulse in the last move, by `warm` as in `last_status`. It also stays if it was closed
-    where this move begins and did not approach; begin = (the contacts there, how much faster moving surfaces are at the
-    end than at the midpoint, (3 rows,), empty if none move, and (gap tolerance, h, h₂)). The same holds for joint
-    limits: limits = (gaps, whether they had an impulse), (rows - nc,) each. A contact does not stay if it overlaps (is
-    squeezed), strikes or separates: an approach in h s faster than `JOLT` drifts of the rows is a motion of the bodies
-    and no error. Rows of a contact that strikes lose the drift of the bodies, which turn otherwise after the impact.
-    With `struck` no row stays.
+    A contact stays if it had an impulse in the last move. It also stays if it was closed where this move begins and did
+    not approach. The same holds for joint limits. A contact does not stay if it overlaps (is squeezed), strikes or
+    separates: an approach in h s faster than `JOLT` drifts of the rows is a motion of the bodies and no error. Rows of
+    a contact that strikes lose the drift of the bodies, which turn otherwise after the impact.
 
     A contact that stuck sticks however it approaches, because its slip is an error. A contact that stays and did not
-    slip at the beginning sticks too. Gaps within the gap tolerance of rows that do not turn are set to 0. The states of
-    the last move go into was (nc,): slip for contacts that were closed without an impulse and slip now. Returns whether
-    any row stays.
+    slip at the beginning sticks too. Gaps within the gap tolerance of rows that do not turn are set to 0. Returns
+    whether any row stays.
+
+    Parameters
+    ----------
+    names : ndarray of int, shape (5, nc)
+    geoms : int
+        Number of shapes.
+    warm : tuple
+        As in `last_status`.
+    begin : tuple
+        Contacts where the move begins; how much faster moving surfaces are at its end than at its midpoint, (3 rows,),
+        m/s, empty if none move; and (gap tolerance, h, h₂).
+    limits : tuple
+        Gaps of joint rows, and whether they had an impulse, (rows - nc,) each.
+    local, end_gap : ndarray, shapes (5, 3 rows), (rows,)
+        Of `law.local_velocities`; changed in place.
+    struck : bool
+        Whether an impact acts in the move: then no row stays.
+    out : tuple
+        stays (rows,), sticks (nc,), and the states of the last move, was (nc,): slip for contacts that were closed
+        without an impulse and slip now.
     """
     ((begin_names, _, scalars), quicker, (closed, h, ahead)), (stays, sticks, was), key = begin, out, names[4]
     begin_gap = scalars[0]
