@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn._kernels.dynamics import trees as _trees
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.dynamics.actuators import Control, left_to_rows
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.linkages import Linkage
@@ -20,6 +21,9 @@ from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import integrate
 
 __all__ = ["Tree"]
+
+ROUND_OFF = 1e-12
+"""Of potential energy, as a share of it."""
 
 
 class Tree(Linkage):
@@ -42,6 +46,7 @@ class Tree(Linkage):
         self._weightless.gravity = pin.Motion.Zero()
         # Pinocchio's kinetic energy leaves out the armature of joints whose axes are not along a coordinate axis.
         self._bare, self._armature = self.model.copy(), a.armature
+        self._fall: float = 0.5 * pin.computeTotalMass(self.model) * float(gravity @ gravity)  # J/s²
         self._bare.armature = np.zeros(nv)
         self._laws = np.array((a.stiffness, a.damping, a.rest))
         self._springs = bool(a.stiffness.any())
@@ -283,6 +288,36 @@ class Tree(Linkage):
         projection = (last[0] - after[0]) + (last[1] - after[1])
         integration = (after[0] - before[0]) + (after[1] - before[1]) - actuation - damping - constraint - pushed
         return Works(actuation, 0.0, 0.0, damping, constraint, integration, projection), last
+
+    def strays(
+        self,
+        halfway: TreeMidpoint,
+        free: FreeMotion,
+        v: Array,
+        end: Flow,
+        before: tuple[float, float],
+        integration: float,
+    ) -> bool:
+        """Return whether numerics add more energy to a move, or take more, than `Options.stray` allows.
+
+        The parameters are those of `works`; `integration` is the energy that numerics add, J. Springs count as forces,
+        like those of a control. With θ > ½ losses are wanted and do not count.
+        """
+        if self._springs:
+            begun, ended = (_trees.strain(self.angle(q), self._laws, self._round) for q in (halfway.begin, end.q))
+            integration -= ended - begun + halfway.h * float(self.forces(halfway, free, v)[2] @ end.mean)
+        added = integration if halfway.theta > 0.5 else abs(integration)
+        # Mostly the first suffices.
+        return added > OPTIONS.stray * before[0] and added > OPTIONS.stray * self.at_play(halfway, free, before)
+
+    def at_play(self, halfway: TreeMidpoint, free: FreeMotion, before: tuple[float, float]) -> float:
+        """Return the kinetic energy with which an error of energy in a move compares, J.
+
+        It is the largest of those at the beginning, of a fall as long as the move, and of what the forces give from
+        rest; or round-off of the potential energy. `before` has the (kinetic, potential) energy at the beginning.
+        """
+        (kinetic, potential), given = before, self.energies(halfway.begin, free.foreseen - halfway.v)[0]
+        return max(kinetic, given, self._fall * halfway.h**2) + ROUND_OFF / OPTIONS.stray * abs(potential)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """(kinetic, potential) energy in J; potential energy of gravity and of joint springs."""

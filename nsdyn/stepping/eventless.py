@@ -107,7 +107,8 @@ class EventlessSteps:
                 break
             motion, callbacks = again, None
         b, size = made.floats[_col.RESULTS :], (s.dynamics.frames, s.dynamics.n)
-        if (like := motion.ended(velocity(b, _col.V, size), detected_at(b, _col.DETECTED_AT, size[0]))) is None:
+        where = detected_at(b, _col.DETECTED_AT, size[0])
+        if (like := motion.ended(velocity(b, _col.V, size), where, old.of_trees)) is None:
             return None
         return self._told(old, made, like, motion, certify)
 

@@ -287,11 +287,12 @@ class Islands:
                 opened[label[np.concatenate((kin, nodes[nodes >= 0]))]] = True
 
     def _open_gaining(self, begin: SceneState, made: StepResult, tried: Attempt, label: Index, opened: Bools) -> None:
-        """Mark in `opened` the islands whose contacts add energy in the move `made`, or whose bodies turn far.
+        """Mark in `opened` the islands that gain energy in the move `made`, or whose bodies turn far.
 
         Moved by themselves, these islands take the step in smaller pieces, as in `substepping`.
         """
         s, d, a, kin = self.whole, self.whole.dynamics, made.done[0], tried.kin
+        opened[label[d.free :][list(made.strays)]] = True
         if not a.status.size:
             return
         nc, island, count = a.status.size, label[s.nodes(a.contacts)], opened.size
@@ -306,14 +307,15 @@ class Islands:
         gained, more = (np.bincount(island, w, count) for w in (nothing, a.work_normal + a.work_friction - nothing))
         more[island[d.surfaces.carry(a.contacts) | (a.contacts.restitution > 0.0)]] = 0.0
         gained += np.maximum(more, 0.0)
-        gained[label[d.free :]] = 0.0  # trees are exempt, as in `substepping`
         if (gained > 0.0).any():
-            energies = []
+            energies, share = [], np.full(count, OPTIONS.gain)
+            share[label[d.free :]] = OPTIONS.stray
             for v in (begin.v, s.dt * made.rate):
                 linear, spin = v[: 6 * d.free].reshape(-1, 2, 3).swapaxes(0, 1)
                 of_bodies = d.mass * (linear * linear).sum(axis=1) + np.einsum("ki,kij,kj->k", spin, d.J, spin)
                 energies.append(np.bincount(label[: d.free], 0.5 * of_bodies, count))
-            opened |= refines & (gained > OPTIONS.gain * np.maximum(*energies))
+            of_trees = np.bincount(label[d.free :], tried.mid.at_play(begin.energies), count)
+            opened |= refines & (gained > share * (np.maximum(*energies) + of_trees))
 
     def _of_nodes(self, a: Attempt, left: Bools, next_key: int) -> Attempt:
         """Return the part of an attempt that concerns the nodes `left`; new contacts get keys from `next_key` on."""

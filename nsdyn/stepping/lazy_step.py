@@ -36,8 +36,6 @@ COLUMNS: dict[str, tuple[int, ...]] = {
 class LazyStep(NamedTuple):
     """Results of an eventless step, computed on demand, for one step or for many together.
 
-    Works and energies of trees are also computed only on demand: the motion does not need them.
-
     Attributes
     ----------
     flat : FlatState
@@ -96,7 +94,7 @@ class LazyStep(NamedTuple):
         own = Works(*flat.floats[_col.EXTERNAL : _col.NORM].tolist())
         if flat.motion is None:
             return own, d.no_impulses[1], d.no_push
-        return flat.motion.told(self.before.of_trees, own)
+        return flat.motion.told(own)
 
     def _wrenches(self) -> OnBodies | None:
         """External wrenches on the free bodies."""

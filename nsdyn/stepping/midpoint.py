@@ -19,7 +19,7 @@ from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.ledger import Works
-from nsdyn.dynamics.values import Forces, MidpointState, Position
+from nsdyn.dynamics.values import Energies, Forces, MidpointState, Position
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools
 
@@ -109,6 +109,11 @@ class Midpoint:
     def driven(self) -> tuple[Array, Array]:
         """Poses of driven bodies at the end, shapes (nd, 3) and (nd, 4)."""
         return self.s.dynamics.surfaces.poses(self.end, self.s.theta)
+
+    def at_play(self, before: Energies) -> list[float]:
+        """Return the energy at play in each tree, J, as `Tree.at_play`; `before` has energies at the beginning."""
+        trees = zip(self.s.dynamics.trees, self.state.trees, self.forces.trees, before, strict=True)
+        return [t.at_play(there, free, energy) for t, there, free, energy in trees]
 
     def booked(self, own: Works, v0: Array, v1: Array, left: Bools | None = None) -> Works:
         """Return `own` works plus those of loads on free bodies at the mean of v0 and v1 (n,); `left` as `wrench`."""

@@ -36,6 +36,8 @@ class StepResult(NamedTuple):
     done : list of Impulses
     path : sequence of Placement
         Placements of the frames on their way. Between two of them bodies move straight and turn at constant rates.
+    strays : sequence of bool
+        For each tree, whether numerics add too much energy to its move, as in `Tree.strays`.
     """
 
     end: SceneState
@@ -43,6 +45,7 @@ class StepResult(NamedTuple):
     clear: bool
     done: list[Impulses]
     path: Sequence[Placement] = ()
+    strays: Sequence[bool] = ()
 
 
 def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) -> StepResult:
@@ -68,14 +71,15 @@ def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) 
             impulses.joints[4, t.columns] = displacement(t.model, q, there)
         end = end._replace(v=v_end, twists=d.twists(end.placement, v_end))
     energies: Energies = ()
+    strays: Sequence[bool] = ()
     if d.trees:
-        acted = impulses.joints, impulses.links
+        struck = None if a.impact is None else _struck(s, a, a.impact)
         trees = begin.energies, mid, a.v, a.trees, a.impulse, end.position
-        own, energies = tree_works(s, *trees, acted, own, left)
-        if a.impact is not None:
-            works.append(_struck(s, a, a.impact))
+        of_trees, energies, strays = tree_works(s, *trees, (impulses.joints, impulses.links), struck, left)
+        own = Works.total([own, *of_trees])
     end = end._replace(warm=warm, energies=energies)
-    return StepResult(end, mid.rate, clear, [impulses._replace(works=Works.total([own, *works]))])
+    done = [impulses._replace(works=Works.total([own, *works]))]
+    return StepResult(end, mid.rate, clear, done, strays=strays)
 
 
 def tree_works(
@@ -87,10 +91,10 @@ def tree_works(
     impulse: Array,
     lifted: Position,
     acted: tuple[Array, Array],
-    own: Works,
+    struck: list[float] | None = None,
     left: Bools | None = None,
-) -> tuple[Works, Energies]:
-    """Return `own` works of contacts and joint rows plus those of trees, and energies of trees after the projection, J.
+) -> tuple[list[Works], Energies, tuple[bool, ...]]:
+    """Return works of trees and their energies after the projection, J, and whether numerics add too much of it.
 
     Parameters
     ----------
@@ -109,30 +113,35 @@ def tree_works(
         (joints, links), as in `Impulses`. The impulses of actuation, of external wrenches and the most that actuators
         may give go into rows 0, 3 and 5 of the joints, the change of velocity of driven joints into row 6, the wrenches
         into the links.
-    own : Works
+    struck : list of float, optional
+        As `_struck` returns it, where impacts act before the other impulses.
     left : ndarray of bool, optional
         Nodes to book; trees that are not among them are passed over.
     """
-    works, energies, (joints, links), link = [own], [], acted, 0
+    works, energies, strays, (joints, links), link = [], [], [], acted, 0
     of_trees = zip(s.dynamics.trees, mid.state.trees, mid.forces.trees, ends, lifted.trees, before, strict=True)
     for node, (t, there, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
         k, first = t.coordinates, link
         link += t.model.njoints - 1
         if left is not None and not left[node]:
             energies.append(energy)
+            strays.append(False)
             continue
-        work, energy = t.works(there, free, v[k], end, q, impulse[k], energy, joints)
+        work, after = t.works(there, free, v[k], end, q, impulse[k], energy, joints)
         if free.loads.wrenches is not None:
             links[first:link] = mid.h * free.loads.wrenches
         if t.driven:
             joints[6, t.columns] = t.speeding(there.begin_v, free.loads.rates)
-        energies.append(energy)
+        if struck is not None:
+            work = work._replace(integration=work.integration + struck[node - s.dynamics.free])
+        strays.append(t.strays(there, free, v[k], end, energy, work.integration))
+        energies.append(after)
         works.append(work)
-    return Works.total(works), tuple(energies)
+    return works, tuple(energies), tuple(strays)
 
 
-def _struck(s: System, a: Attempt, impact: Impact) -> Works:
-    """Return the work of rows on trees beyond the booked works, if impacts and other impulses act one after the other.
+def _struck(s: System, a: Attempt, impact: Impact) -> list[float]:
+    """Return the work of rows on each tree beyond the booked works, if impacts act before other impulses, J.
 
     The two parts are booked at two mean velocities, not at the mean velocity of the forces.
     """
@@ -140,4 +149,4 @@ def _struck(s: System, a: Attempt, impact: Impact) -> Works:
     first, second = full.momentum(impact.r), full.momentum(a.solution.r)
     booked = 0.5 * (first * (v + struck) + second * (struck + a.v))
     own = zip((t.coordinates for t in s.dynamics.trees), a.trees, strict=True)
-    return Works(integration=sum(float(a.impulse[k] @ end.mean - booked[k].sum()) for k, end in own))
+    return [float(a.impulse[k] @ end.mean - booked[k].sum()) for k, end in own]

@@ -319,7 +319,7 @@ class Stepper:
             return step
         s = self._now = self.get_state()
         begun = None if self._eventless is None else self._eventless.begun(s)
-        now, rate, clear, done, _ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
+        now, rate, clear, done, *_ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.position, now.position, now.placement, (s.t, s.t + s.dt))
             clear = clear and depth <= self.gap_tol

@@ -14,7 +14,7 @@ from nsdyn.stepping.active_set import normal_velocities, surface_normal_velociti
 from nsdyn.stepping.attempt import Attempt, Known
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.midpoint import Loads
+from nsdyn.stepping.midpoint import Loads, Midpoint
 from nsdyn.stepping.move import try_move
 from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.stepping.slip_reversal import reversal
@@ -139,9 +139,9 @@ def _substep(
     m, moved = finish(s, now, tried), tried.moved
     path = [tried.mid.state.placement, moved.placement, m.end.placement]
     m = m._replace(done=done + m.done, path=path)
-    rejected = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position)
+    rejected = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position) or any(m.strays)
     if length > LEAST * s.dt and not any(_jammed(acted.solved[1]) for acted in m.done):
-        return m, length, rejected or (_refines(s, begin) and _gains_energy(s, begin, m, length))
+        return m, length, rejected or (_refines(s, begin) and _gains_energy(s, begin, m, tried.mid))
     return m, length, False
 
 
@@ -154,12 +154,12 @@ def _refines(s: System, begin: SceneState) -> bool:
     return OPTIONS.event * _contacts(begin) <= OPTIONS.work or not s.detector.of_balls(begin.contacts).all()
 
 
-def _gains_energy(s: System, begin: SceneState, m: StepResult, h: float) -> bool:
-    """Return whether a move of h s adds energy, or bodies in contact turn far in it.
+def _gains_energy(s: System, begin: SceneState, m: StepResult, mid: Midpoint) -> bool:
+    """Return whether a move with the first half `mid` adds energy, or bodies in contact turn far in it.
 
     The energy is that of persistent contacts, of the projection, and of contacts that could only take energy.
     """
-    d, works = s.dynamics, [a.works for a in m.done]
+    d, h, works = s.dynamics, mid.h, [a.works for a in m.done]
     if any(turns_far(s, h, a, begin, m.end).any() for a in m.done):
         return True
     gained = sum(w.integration for w in works)
@@ -167,10 +167,11 @@ def _gains_energy(s: System, begin: SceneState, m: StepResult, h: float) -> bool
         gained += sum(w.projection for w in works)
         if not any((a.contacts.restitution > 0.0).any() for a in m.done):  # contacts then only take energy
             gained += sum(max(0.0, w.normal + w.friction) for w in works)
-    if gained <= 0.0 or d.trees:  # trees keep their own errors small
+    if gained <= 0.0:
         return False
     # For bodies at rest, the scale is the energy that gravity gives in a move.
-    return gained > OPTIONS.gain * max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
+    scale = max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
+    return gained > (OPTIONS.stray if d.trees else OPTIONS.gain) * (scale + sum(mid.at_play(begin.energies)))
 
 
 def turns_far(s: System, h: float, acted: Impulses, begin: SceneState, end: SceneState) -> Bools:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +38,8 @@ class TreeMotion:
         Velocity after forces and impulses at the midpoint, and H r of the impulses.
     ends : tuple of Flow
         Motion of the trees to the state of the last `end`.
+    energies : tuple of (float, float)
+        Energies of the trees at the end, J, once `ended`.
     """
 
     def __init__(self, begin: SceneState, mid: Midpoint) -> None:
@@ -47,6 +48,10 @@ class TreeMotion:
         self.v = self.impulse = np.empty(0)
         self.ends: tuple[Flow, ...] = ()
         self.position, self.placement = begin.position, begin.placement
+        d = self._s.dynamics
+        self.energies: Energies = ()
+        self._works: list[Works] = []
+        self._joints, self._links = np.zeros((7, d.n - 6 * d.free)), np.zeros((d.links, 6))
 
     def meets_nothing(self) -> bool:
         """Whether no joint is at its limits or has dry friction, and no actuator is at its limit."""
@@ -80,10 +85,11 @@ class TreeMotion:
         again = corrected(self._s, self._begin, self.mid, self.v, callbacks)
         return None if again is self.mid else TreeMotion(self._begin, again)
 
-    def ended(self, v: Array, where: DetectionPose) -> SceneState | None:
-        """Return the state of the trees at the end with velocity v (n,); None if a joint is beyond its limits.
+    def ended(self, v: Array, where: DetectionPose, before: Energies) -> SceneState | None:
+        """Return the state of the trees at the end with velocity v (n,).
 
-        `where` are the poses at which contacts were detected.
+        None if a joint is beyond its limits, or if numerics add too much energy. `where` are the poses at which
+        contacts were detected, `before` the energies of the trees at the beginning.
         """
         d, begin = self._s.dynamics, self._begin
         if not d.trees:
@@ -91,27 +97,17 @@ class TreeMotion:
         limits = d.limits(self.placement)
         if limits.size and _reductions.least(limits) < -self._s.gap_tol:
             return None
+        acted = self.v, self.ends, self.impulse, self.position
+        self._works, self.energies, strays = tree_works(self._s, before, self.mid, *acted, (self._joints, self._links))
+        if any(strays):
+            return None
         warm = begin.warm
         if warm.joints is not d.joints.no_impulses:
             warm = warm._replace(joints=d.joints.no_impulses)
         found = begin.contacts, limits, begin.memory, where
         return SceneState(self.position, v, self.placement, *found, warm, begin.twists, ())
 
-    def told(self, before: Energies, own: Works) -> tuple[Works, Array, Array]:
-        """Return the works of the trees, of the loads and `own`, J, and `joints` and `links` as in `Impulses`.
-
-        `before` are the energies of the trees at the beginning.
-        """
-        s, d, own = self._s, self._s.dynamics, self.mid.booked(own, self.mid.state.v, self.v)
-        if not d.trees:
-            return own, d.no_impulses[1], d.no_push
-        joints, links = np.zeros((7, d.n - 6 * d.free)), np.zeros((d.links, 6))
-        acted = self.v, self.ends, self.impulse
-        own, self.energies = tree_works(s, before, self.mid, *acted, self.position, (joints, links), own)
-        return own, joints, links
-
-    @cached_property
-    def energies(self) -> Energies:
-        """Energies of the trees at the end, J."""
-        at = zip(self._s.dynamics.trees, self.ends, strict=True)
-        return tuple([t.energies(end.q, end.v) for t, end in at])
+    def told(self, own: Works) -> tuple[Works, Array, Array]:
+        """Return the works of the trees, of the loads and `own`, J, and `joints` and `links` as in `Impulses`."""
+        own = self.mid.booked(own, self.mid.state.v, self.v)
+        return Works.total([own, *self._works]), self._joints, self._links

@@ -50,6 +50,11 @@ class Options:
     gain: float = 1e-5
     """Largest energy that persistent contacts and projections may add in a move, over the kinetic energy."""
 
+    stray: float = 3e-3
+    """Largest energy, of either sign, that numerics may add to an articulated tree in a move, over the kinetic energy.
+    The energy that free fall gives in the move counts, too, so that trees at rest have a scale. Forces act at one
+    configuration of a move: beyond dt = √(m d / T) light links that carry a load whip."""
+
     turn: float = 0.5
     """Largest turn of a body in half a move, rad, for which the contact law extrapolates how its contacts turn. Beyond
     it the law is of first order and never adds energy: needles that spin made all the energy they had."""
