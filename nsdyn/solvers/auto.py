@@ -37,7 +37,7 @@ class Tuning:
     """Factorisations of one smoothing path in a round, from the second round on. Beginning a new path is better than
     following one for longer."""
 
-    smoothing: tuple[float, float] = (1e6, 1e2)
+    smoothing: tuple[float, float] = (1e10, 1e2)
     """Initial smoothing of the first path, see `Following`, and its growth factor from each path to the next.
     From the best impulse most paths are short, and some are short only if they begin farther off, with more
     smoothing."""
