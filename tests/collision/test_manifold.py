@@ -240,6 +240,23 @@ def test_cylinders_side_by_side_touch_where_both_are(rng):
     assert closed > 150
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_an_edge_crosses_the_side_of_a_cylinder_near_its_corner(swapped, rng):
+    """Coal's normal, whose error is that of a distance, does not tell there whether the edge or its corner touches."""
+    radius, gap, order = 0.3, 1e-3, [1, 0] if swapped else [0, 1]
+    for near in 10.0 ** rng.uniform(-5.0, -3.0, 60):
+        tent, centre = shapes.convex([(0, 0, 0), (0.7, 0, 0), (0.1, 0.3, -0.3), (-0.1, -0.3, -0.3), (0.7, 0.2, -0.4)])
+        turn, world = about((0, 0, 1), rng.uniform(0.2, 1.5)), random_rotation(rng)
+        foot = np.array([0.4 * rng.uniform(-1, 1), 0.0, -radius - gap])
+        x = np.array([np.zeros(3), foot + turn @ (centre - (0.7 * near, 0.0, 0.0))]) @ world.T
+        R = world @ np.array([about((0, 1, 0), np.pi / 2), turn])
+        both = [(shapes.cylinder(radius, 1.2), tent)[k] for k in order]
+        c = detector(*both).find(x[order], R[order], np.full(2, 0.5 * gap), ContactSet.empty())
+        k = c.gap.argmin()
+        np.testing.assert_allclose(c.gap[k], gap, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(c.point[k], world @ (foot + (0.0, 0.0, 0.5 * gap)), rtol=0, atol=2e-3)
+
+
 @pytest.mark.parametrize(("inset", "on_face"), [(0.005, False), (0.1, True)])
 def test_a_corner_that_may_leave_a_face_meets_its_edge(inset, on_face):
     """An edge dips beyond the border, askew: the face stops its corner only far from there."""

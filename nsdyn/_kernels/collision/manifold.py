@@ -110,10 +110,11 @@ def closest_features(geometry, i, j, n, face, out, at):
                 return 1
     if geometry.kind[i] == POLYTOPE and geometry.kind[j] == POLYTOPE:
         return 1 if crossing(geometry, i, j, n, lines, out, at) else 0
-    if geometry.kind[i] == POLYTOPE and is_round(geometry, j):
-        return beside(geometry, i, j, i, n, face, out, at)
-    if geometry.kind[j] == POLYTOPE and is_round(geometry, i):
-        return beside(geometry, i, j, j, n, face, out, at)
+    for g, h, line in ((i, j, lines[1][3]), (j, i, lines[0][3])):
+        if geometry.kind[g] == POLYTOPE and line:
+            count = beside(geometry, i, j, g, n, face, out, at)
+            if count > 0 or is_round(geometry, h):
+                return count
     smooth(geometry, i, j, n, lines, out, at)
     if lines[0][3] and lines[1][3] and has_rim(geometry, i) and has_rim(geometry, j):
         # The rim of either may touch the side of the other.
@@ -129,9 +130,9 @@ def closest_features(geometry, i, j, n, face, out, at):
 
 @no_alloc
 def beside(geometry, i, j, g, n, face, out, at):
-    """Contacts of a round geom and the edge of polytope g that is closest to it; returns their number.
+    """Contacts of the line of a geom and the edge of polytope g that is closest to it; returns their number.
 
-    The edges are those of the given face, counted within g. If `face` is -1, they are those of all faces around the
+    The line is that of a round geom or of the side of a cylinder. The edges are those of the given face, counted within g. If `face` is -1, they are those of all faces around the
     corner outermost along n.
     """
     out_of = n if g == i else times(-1.0, n)
