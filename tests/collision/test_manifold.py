@@ -254,7 +254,26 @@ def test_an_edge_crosses_the_side_of_a_cylinder_near_its_corner(swapped, rng):
         c = detector(*both).find(x[order], R[order], np.full(2, 0.5 * gap), ContactSet.empty())
         k = c.gap.argmin()
         np.testing.assert_allclose(c.gap[k], gap, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(c.point[k], world @ (foot + (0.0, 0.0, 0.5 * gap)), rtol=0, atol=2e-3)
+        np.testing.assert_allclose(c.point[k], world @ (foot + [0.0, 0.0, 0.5 * gap]), rtol=0, atol=2e-3)
+
+
+def test_rims_touch_where_both_are(rng):
+    """The rim of a tilted cylinder beside, or over, the rim of another, to within round-off or not."""
+    for _ in range(80):
+        radius, height = rng.uniform(0.5, 1.0, 2), 10.0 ** rng.uniform(-1.3, 0.0, 2)
+        a, b = (shapes.cylinder(r, h) for r, h in zip(radius, height, strict=True))
+        tilt = about((0, 0, 1), rng.uniform(0, 2 * np.pi)) @ about((1, 0, 0), 10.0 ** rng.uniform(-2.0, -0.5))
+        down = np.array([0.0, 0.0, -1.0]) - tilt[:, 2] * -tilt[2, 2]
+        lowest = radius[1] * down / np.linalg.norm(down) - 0.5 * height[1] * tilt[:, 2]
+        out, depth = 10.0 ** rng.uniform(-6.0, -1.5, 2) * rng.choice((-1.0, 1.0), 2)
+        foot = about((0, 0, 1), rng.uniform(0, 2 * np.pi)) @ (radius[0] + out, 0.0, 0.5 * height[0] - 0.3 * depth)
+        world = random_rotation(rng)
+        x, R = np.array([np.zeros(3), foot - lowest]) @ world.T, world @ np.array([np.eye(3), tilt])
+        c = detector(a, b).find(x, R, np.full(2, 0.02), ContactSet.empty())
+        k = c.gap.argmin()
+        for shape, there, turn in zip((a, b), x, R, strict=True):
+            off = from_surface(solid(shape), ((c.point[k] - there) @ turn)[None])[0]
+            assert off <= abs(c.gap[k]) + 1e-3 * 0.5 * min(height), (radius, height, out, depth)
 
 
 @pytest.mark.parametrize(("inset", "on_face"), [(0.005, False), (0.1, True)])

@@ -3,10 +3,11 @@
 import math
 
 from nsdyn._kernels.collision.geometry import smaller
-from nsdyn._kernels.collision.kinds import curvature, has_rim
-from nsdyn._kernels.collision.separation import INSIDE, separation
+from nsdyn._kernels.collision.kinds import curvature, disk_radius, has_rim, opposite
+from nsdyn._kernels.collision.segments import ANGLE
+from nsdyn._kernels.collision.separation import INSIDE, SHARP, separation
 from nsdyn._kernels.compiled import no_alloc
-from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, times, unit
+from nsdyn._kernels.vectors import along, axis, cross, dot, minus, perpendicular, put, row, times, unit
 
 
 @no_alloc
@@ -41,6 +42,21 @@ def newton(geometry, i, j, m, axes, start, valid):
 
 
 @no_alloc
+def off_axis(geometry, i, j, n):
+    """Return n, or beside it the axis of a disk, tilted a little towards the other geom.
+
+    The outermost point of the disk jumps to its far side as n passes the axis, and no step leads across such a kink.
+    """
+    _, a, b = separation(geometry, i, j, n)
+    for g, p, sign in ((i, b, 1.0), (j, a, -1.0)):
+        z, d = axis(geometry.R, g), minus(p, row(geometry.t, g))
+        if disk_radius(geometry, g) > 0.0 and 1.0 - abs(dot(n, z)) < 0.5 * ANGLE * ANGLE:
+            away, _ = unit(along(d, -dot(d, z), z))
+            n, _ = unit(along(times(math.copysign(1.0, dot(n, z)), z), sign * SHARP, away))
+    return n
+
+
+@no_alloc
 def smooth(geometry, i, j, n, lines, out, at):
     """Write the contact of two geoms, at least one of which is an ellipsoid or touches with the rim of a cylinder.
 
@@ -57,7 +73,7 @@ def smooth(geometry, i, j, n, lines, out, at):
     d, length = unit(minus(end, start))
     if not (valid1 or valid2):
         length = 0.0
-    m = n
+    m = off_axis(geometry, i, j, n)
     for _ in range(20):
         best, a, b = separation(geometry, i, j, m)
         if length > 0.0:
@@ -101,6 +117,8 @@ def smooth(geometry, i, j, n, lines, out, at):
         s = min(max(dot(d, minus(b if valid1 else a, start)), 0.0), length)
         foot = along(along(start, s, d), side * radius, m)
         a, b = (foot, b) if valid1 else (a, foot)
+    a = opposite(geometry, i, m, a, b, SHARP)
+    b = opposite(geometry, j, times(-1.0, m), b, a, SHARP)
     put(out.normal, at, m)
     put(out.point, at, times(0.5, along(a, 1.0, b)))
     out.gap[at] = value

@@ -97,6 +97,24 @@ def disk_radius(geometry, g):
 
 
 @no_alloc
+def opposite(geometry, g, n, q, p, angle):
+    """The point of geom g nearest to p among those as far along n as q, its `support`; q if there is no other.
+
+    These are a disk or a line of the geom, if it is across n to within `angle`.
+    """
+    m, x, s = to_local(geometry.R, g, n), to_local(geometry.R, g, minus(p, row(geometry.t, g))), row(geometry.size, g)
+    side = np.hypot(m[0], m[1])
+    if disk_radius(geometry, g) > 0.0 and side < angle:
+        inwards = min(1.0, disk_radius(geometry, g) / max(np.hypot(x[0], x[1]), 1e-300))
+        x = inwards * x[0], inwards * x[1], math.copysign(s[1], m[2])
+    elif has_ends(geometry, g) and abs(m[2]) < angle:
+        x = s[0] / side * m[0], s[0] / side * m[1], min(max(x[2], -s[1]), s[1])
+    else:
+        return q
+    return along(row(geometry.t, g), 1.0, to_world(geometry.R, g, x))
+
+
+@no_alloc
 def face_count(geometry, g):
     """Number of faces: those of a polytope, two disks."""
     return 2 if disk_radius(geometry, g) > 0.0 else geometry.face_ptr[g + 1] - geometry.face_ptr[g]

@@ -132,8 +132,8 @@ def closest_features(geometry, i, j, n, face, out, at):
 def beside(geometry, i, j, g, n, face, out, at):
     """Contacts of the line of a geom and the edge of polytope g that is closest to it; returns their number.
 
-    The line is that of a round geom or of the side of a cylinder. The edges are those of the given face, counted within g. If `face` is -1, they are those of all faces around the
-    corner outermost along n.
+    The line is that of a round geom or of the side of a cylinder. The edges are those of the given face, counted within
+    g. If `face` is -1, they are those of all faces around the corner outermost along n.
     """
     out_of = n if g == i else times(-1.0, n)
     q, end, radius, _ = segment(geometry, i + j - g, times(-1.0, out_of), ANGLE)
