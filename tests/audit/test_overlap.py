@@ -154,6 +154,17 @@ def test_random_search_finds_no_larger_separation(first, second):
     assert (found >= searched(a, b, back @ R2, (back @ (x2 - x1)[:, :, None])[..., 0], rng) - 1e-8 * size).all()
 
 
+def test_an_edge_of_a_cone_that_meets_an_ellipsoid():
+    """Of the many edges of a cone some are nearer to any direction than the one that separates best."""
+    around = 2.0 * np.pi * np.arange(16) / 16
+    rim = np.column_stack((np.cos(around), np.sin(around))) * 0.038936
+    cone = np.vstack((np.column_stack((rim, np.full(16, -0.024418))), (0.0, 0.0, 0.073253)))
+    turn = Rotation.from_rotvec((0.7552277, 0.0048823, -1.2620026)).as_matrix()
+    egg, there = shapes.ellipsoid((0.05592727, 0.05652615, 0.04533726)), np.array((-0.00446565, -0.07078881, 0.04788774))
+    out = depth(egg, shapes.convex(cone)[0], there, turn)
+    assert out < 1e-6  # 9e-6 along the edges that are nearest to it
+
+
 def test_poses_in_one_call():
     """Pairs one by one, one pose against many."""
     rng = np.random.default_rng(0)

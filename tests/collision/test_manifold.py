@@ -254,7 +254,7 @@ def test_an_edge_crosses_the_side_of_a_cylinder_near_its_corner(swapped, rng):
         c = detector(*both).find(x[order], R[order], np.full(2, 0.5 * gap), ContactSet.empty())
         k = c.gap.argmin()
         np.testing.assert_allclose(c.gap[k], gap, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(c.point[k], world @ (foot + [0.0, 0.0, 0.5 * gap]), rtol=0, atol=2e-3)
+        np.testing.assert_allclose(c.point[k], world @ (foot + np.array((0.0, 0.0, 0.5 * gap))), rtol=0, atol=2e-3)
 
 
 def test_rims_touch_where_both_are(rng):
