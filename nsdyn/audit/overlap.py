@@ -36,7 +36,7 @@ NEWTON_STEPS = 30
 """Newton steps from each start."""
 
 CIRCLES = 6
-"""Number of great circles of kinks that are searched."""
+"""Least number of great circles of kinks that are searched; no fewer than the edges that meet in a corner."""
 
 ANGLES = np.sort(
     np.concatenate([np.linspace(-np.pi, np.pi, 33), 0.1 * 0.4 ** np.arange(8), -0.1 * 0.4 ** np.arange(8)])
@@ -278,18 +278,14 @@ def _climb(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Arr
 
 
 def _around(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Array]:
-    """Maximise the separation on great circles of kinks; return value and place as `_best_along`.
-
-    The circles are those with the largest separations where they pass n: of the many edges of a cone most pass near.
-    """
+    """Maximise the separation on the great circles of kinks nearest to n; return value and place as `_best_along`."""
     m, rows = len(x), np.arange(len(x))
     kinks = np.concatenate([np.broadcast_to(a.edges, (m, *a.edges.shape)), b.edges @ np.swapaxes(R, 1, 2)], axis=1)
     if not kinks.shape[1]:
         return np.full(m, -np.inf), n
-    feet = _across(np.broadcast_to(n[:, None], kinks.shape), kinks)
-    there = _each_along(a, b, R, x, feet / np.linalg.norm(feet, axis=2, keepdims=True))
+    lean = np.abs((kinks @ n[:, :, None])[..., 0])
     found = []
-    for k in np.argsort(-there, axis=1)[:, :CIRCLES].T:
+    for k in np.argsort(lean, axis=1)[:, : max(CIRCLES, a.meeting, b.meeting)].T:
         axis = kinks[rows, k]
         first = _across(n, axis)
         first = np.where(np.linalg.norm(first, axis=1)[:, None] > 1e-6, first, _tangents(axis)[:, :, 0])

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, cross
 
 __all__ = ["SIZES", "Solid"]
 
@@ -92,6 +92,13 @@ class Solid:
         """Smallest and largest coordinate of the corners along each normal, shape (nf,) each, m."""
         along = self.corners @ self.normals.T
         return along.min(axis=0), along.max(axis=0)
+
+    @cached_property
+    def meeting(self) -> int:
+        """Most edges that meet in one corner."""
+        start, line = self.feet[:, :3], self.feet[:, 3:]
+        off = np.linalg.norm(cross(self.corners[:, None] - start, line), axis=2)
+        return int((off < 1e-9 * self.bounding_radius).sum(axis=1).max(initial=0))
 
     @property
     def smooth(self) -> bool:
