@@ -348,6 +348,18 @@ def test_deep_overlap_leaves_by_the_nearest_face(depth):
     np.testing.assert_allclose(c.gap, -depth, rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize("length", [0.05, 0.3])
+def test_a_capsule_is_found_however_deep_its_axis_is_in_a_box(length, rng):
+    """Its depth is the least along normals of faces and of an edge and the axis, also past an edge."""
+    rod = shapes.capsule(0.05, length)
+    for _ in range(100):
+        R, x = random_rotation(rng), rng.uniform(-0.5, 0.5, 3) * BOX.size
+        normals = np.vstack((UPRIGHT, np.cross(UPRIGHT, R[:, 2])))
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        apart = [n @ (x + support(rod, R, -n) - support(BOX, UPRIGHT, n)) for n in np.vstack((normals, -normals))]
+        assert contacts_of((BOX, np.zeros(3), UPRIGHT), (rod, x, R)).gap.min() == pytest.approx(max(apart), abs=1e-9)
+
+
 def test_pairs_that_are_never_tested():
     """Both fixed, half-spaces among themselves (C9), on one frame, excluded."""
     cube = shapes.box((1, 1, 1))

@@ -152,7 +152,14 @@ def beside(geometry, i, j, g, n, face, out, at):
             if dot(away, away) < least:
                 least, best = dot(away, away), (p, tip, 0.0, True)
     lines = (best, round_line) if g == i else (round_line, best)
-    return segments(geometry, i, j, lines, n, out, at)
+    count = segments(geometry, i, j, lines, n, out, at)
+    m, inward = row(out.normal, at), times(-1.0, row(out.normal, at))
+    if separation(geometry, i, j, m)[0] < out.gap[at] - SAME * smaller(geometry, i, j):
+        # The axis is inside the polytope, past this edge: the distance of both is a penetration.
+        own, given = separation(geometry, i, j, inward)[0], separation(geometry, i, j, n)[0]
+        put(out.normal, at, inward if own > given else n)
+        out.gap[at] = max(own, given)
+    return count
 
 
 @no_alloc
