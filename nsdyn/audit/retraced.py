@@ -131,8 +131,8 @@ def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
     # If the weights of a hanging body cancel, the round-off of each remains.
     rounded = 4.0 * np.finfo(float).eps * h * m.falling
     span = h * speed + SMALL * float(np.sqrt(np.trace(M)))
-    # Remaining gaps of loops have a finding of their own.
-    off = size(displacement(m.model, way.q, close(m, q)))
+    # Remaining gaps of loops have a finding of their own. What rests keeps the gaps that it has.
+    off = size(displacement(m.model, close(m, way.q), close(m, q)))
     for pair, amount, scale in (
         (out.momentum, size(way.v - v) - doubt[1] - rounded, speed),
         (out.motion, off - doubt[0] - h * doubt[1], span),

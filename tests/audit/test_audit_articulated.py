@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import DATA, write_stl
-from mechanisms import at, pendulum
+from mechanisms import add, at, four_bars, pendulum
 
 import nsdyn as nd
 from nsdyn.audit.findings import TOLERANCES
@@ -390,14 +390,14 @@ def test_limits_and_contacts_that_rebound_in_turn():
     before, after = (0.5 * v @ m.mass(kick.q) @ v for v in (kick.before, kick.after))
     assert after - before == pytest.approx(impulse @ speed, abs=1e-13)  # J, of 11 J
     assert kick.pushed @ speed > 0.05 and c["contacts/work_normal"][row] < -0.03  # it has struck more than once
-    for names, add, where in (
+    for names, more, where in (
         (["energy/normal", "energy/integration"], 1e-6, "works"),  # with 2e-9 J that the step's move leaves open
         (["contacts/work_normal"], 10.0, "contact_works"),  # no speed there gives as much
     ):
         off = dict(c)
         for name, sign in zip(names, (1.0, -1.0), strict=False):
             off[name] = c[name].copy()
-            off[name][63 if name.startswith("energy") else row] += sign * add
+            off[name][63 if name.startswith("energy") else row] += sign * more
         audit = nd.check(replace(run, columns=off))
         assert not audit[where].passed and audit["balance"].passed
 
@@ -449,6 +449,15 @@ def test_a_rod_that_falls_on_the_edge_of_a_driven_plate_passes(quickens):
     run = nd.simulate(scene, 0.3, 1e-2)
     assert run.columns["contacts/impulse"].any(), "it strikes"
     audit = nd.check(run)
+    assert audit.passed, audit
+
+
+def test_a_linkage_at_rest_passes():
+    """It keeps its loop as open as the last step of its motion left it, which may be all that the step allows."""
+    model, loops, v = four_bars(1)
+    scene = nd.Scene(gravity=(0, 0, 0))
+    add(scene, "bars", model, loops, q=(5e-13, 0, 0), v=0 * v)
+    audit = nd.check(nd.simulate(scene, 2e-3, 1e-3))
     assert audit.passed, audit
 
 
