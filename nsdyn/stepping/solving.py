@@ -53,7 +53,10 @@ def solve(
         return kin, *once(kin, last, off)
     rows = kin.rows
     pushed, free = rows.ball_axes(kin.r_last), rows.ball_axes(kin.u_free)
-    kin = kin.sharing(angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free)), kin.r_last)
+    split = angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free))
+    if last is not None:  # islands that are not solved again keep their split, also where a part sticks
+        split = np.arctan2(kin.r_last[3 * rows.balls + 3], kin.r_last[3 * rows.balls])
+    kin = kin.sharing(split, kin.r_last)
     problem, solution = once(kin, last, off)
     search = Search()
     for _ in range(SHARES if shares else 0):
