@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 __all__ = ["GapRule", "ContactKinematics", "predict_sliding"]
 
+SLIPS = 1.0 - 1e-9
+"""Share of its largest friction from which on a dry joint counts as sliding."""
+
 STOPPED = 1e-13
 """Share of a velocity change by impacts that is round-off after some hundred impacts."""
 
@@ -79,6 +82,8 @@ class ContactKinematics(NamedTuple):
     stays, sticks, was : ndarrays of bool, bool and int8, shapes (rows,), (nc,), (nc,)
         Rows that persist along their normals, contacts that persist across them, and the status of contacts in the last
         move: `nsdyn._kernels.stepping.persistence.persists`.
+    slid : ndarray of bool, shape (joint rows,)
+        Dry joints that slide where the move begins, by their last impulses; new rows are taken to slide.
     excess_speed : ndarray, shape (rows,)
         How much faster than predicted rows separate where the move ends, m/s, as far as that is known.
     """
@@ -97,6 +102,7 @@ class ContactKinematics(NamedTuple):
     sticks: Bools = NEVER
     was: NDArray[np.int8] = UNKNOWN
     excess_speed: Array = NOTHING
+    slid: Bools = NEVER
 
     @classmethod
     def of(
@@ -120,11 +126,13 @@ class ContactKinematics(NamedTuple):
             mid.ahead,
             (local, end_gap, where),
         )
-        mu, restitution = contacts.mu, contacts.restitution
+        mu, restitution, slid = contacts.mu, contacts.restitution, NEVER
         if joints is not None:
             _of_joints(mid, joints, warm, local[:, 3 * nc :], end_gap[nc:])
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
-        return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, surface_velocity)
+            last = local[4, 3 * nc :].reshape(-1, 3)
+            slid = (joints.mu > 0.0) & ~joints.actuated & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
+        return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, surface_velocity, slid=slid)
 
     def changed(self, dv: Array, struck: Bools) -> ContactKinematics:
         """Return the kinematics after impacts that change v by dv (n,): the rows they affect lose their drift c."""
@@ -165,6 +173,7 @@ class ContactKinematics(NamedTuple):
             sticks=self.sticks[kept[:nc]],
             was=self.was[kept[:nc]],
             excess_speed=self.excess_speed[kept],
+            slid=self.slid[kept[nc:]],
         )
 
     @property

@@ -20,11 +20,6 @@ from nsdyn.stepping.contact_kinematics import ContactKinematics
 
 __all__ = ["endings", "reversal"]
 
-NONE = np.empty(0, np.bool_)
-
-SLIPS = 1.0 - 1e-9
-"""Share of its largest friction from which on a dry joint counts as sliding."""
-
 
 def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution, cut: bool = False) -> float:
     """Return the fraction of a move after which the first slip reverses, 1 if none does.
@@ -71,12 +66,6 @@ def endings(kin: ContactKinematics, problem: FC3D, solution: Solution) -> NDArra
 
     0 if the slip goes on, 1 if it stops, 2 if it reverses, or is stopped by friction along the slip.
     """
-    local, slid = kin.begun, NONE
-    if kin.joints is not None:
-        last = kin.r_last.reshape(-1, 3)[kin.frame.shape[0] :]
-        dry = (kin.joints.mu > 0.0) & ~kin.joints.actuated
-        # New rows are taken to slide as they move.
-        slid = dry & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
     out = np.empty(kin.mu.size, np.int8)
     shown = solution.r, solution.u, problem.q
-    return out if _slip_reversal.ending(*shown, kin.mu, local, kin.was, slid, out) else None
+    return out if _slip_reversal.ending(*shown, kin.mu, kin.begun, kin.was, kin.slid, out) else None
