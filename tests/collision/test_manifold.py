@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import brentq
 from test_contacts import BOX, CYLINDER, PRISM, ROCK, about, detector, random_rotation, solid, support
 
+from nsdyn.audit import overlap
 from nsdyn.audit.touching import from_surface
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene import shapes
@@ -274,6 +275,22 @@ def test_rims_touch_where_both_are(rng):
         for shape, there, turn in zip((a, b), x, R, strict=True):
             off = from_surface(solid(shape), ((c.point[k] - there) @ turn)[None])[0]
             assert off <= abs(c.gap[k]) + 1e-3 * 0.5 * min(height), (radius, height, out, depth)
+
+
+def test_a_tilted_cap_touches_an_edge_where_both_are(rng):
+    """The lowest point of its rim jumps along the edge as the normal turns: at the wrong one an end seems to touch."""
+    size, radius, height = np.array((0.083, 0.127, 0.109)), 0.074, 0.15
+    box, cap = shapes.box(size), shapes.cylinder(radius, height)
+    for tilt in 10.0 ** rng.uniform(-3.5, -2.5, 40):
+        x, R = np.zeros((2, 3)), np.array([np.eye(3), about((0.98, -0.19, 0.0), tilt)])
+        x[1] = 0.01 + rng.uniform(-0.005, 0.005), 0.003 + rng.uniform(-0.005, 0.005), 0.5 * (size[2] + height) + 0.001
+        for _ in range(3):
+            x[1, 2] -= overlap.separation(solid(box), R[:1], x[:1], solid(cap), R[1:], x[1:], exact=True)[0]
+        c = detector(box, cap).find(x, R, np.full(2, 1e-6), ContactSet.empty())
+        k = c.gap.argmin()
+        assert abs(c.gap[k]) < 1e-6
+        for shape, there, turn in zip((box, cap), x, R, strict=True):
+            assert from_surface(solid(shape), ((c.point[k] - there) @ turn)[None])[0] <= abs(c.gap[k]) + 1e-6
 
 
 @pytest.mark.parametrize(("inset", "on_face"), [(0.005, False), (0.1, True)])

@@ -73,18 +73,18 @@ def smooth(geometry, i, j, n, lines, out, at):
     d, length = unit(minus(end, start))
     if not (valid1 or valid2):
         length = 0.0
-    m = off_axis(geometry, i, j, n)
-    for _ in range(20):
+    m, settled = off_axis(geometry, i, j, n), False
+    for k in range(40):
         best, a, b = separation(geometry, i, j, m)
-        if length > 0.0:
+        # On the way the lowest point of a rim may jump along an edge. What is round may begin far from its middle.
+        if settled or (k == 0 and radius > 0.0):
             s = dot(d, minus(b if valid1 else a, start))
-            if not (s > 0.0 and s < length):  # the other geom is opposite an end of the segment
-                if s > 0.0:
-                    start = end
-                length = 0.0
+            if length > 0.0 and not (s > 0.0 and s < length):  # the other geom is opposite an end of the segment
+                start, length = end if s > 0.0 else start, 0.0
                 # A segment whose ends are no balls touches with its rim.
-                valid1 = valid1 and not has_rim(geometry, i)
-                valid2 = valid2 and not has_rim(geometry, j)
+                valid1, valid2 = valid1 and not has_rim(geometry, i), valid2 and not has_rim(geometry, j)
+            elif settled:
+                break
         if length > 0.0:  # rotate m about the line only
             m, _ = unit(along(m, -dot(m, d), d))
             e1, e2 = cross(d, m), (0.0, 0.0, 0.0)
@@ -93,20 +93,16 @@ def smooth(geometry, i, j, n, lines, out, at):
             e2 = cross(m, e1)
         best, _, _ = separation(geometry, i, j, m)
         turn = newton(geometry, i, j, m, (e1, e2), start, (valid1, valid2))
-        step = math.sqrt(dot(turn, turn))
-        if step < 1e-15:
-            break
-        scale = min(1.0, 0.2 / step)
-        for _ in range(10):
+        step, settled = math.sqrt(dot(turn, turn)), True
+        scale = min(1.0, 0.2 / max(step, 1e-15))
+        for _ in range(10 if step >= 1e-15 else 0):
             trial, _ = unit(along(m, scale, turn))
             value, _, _ = separation(geometry, i, j, trial)
             # Close to the maximum, round-off determines which value is larger.
             if step < 1e-7 or value > best:
+                m, settled = trial, False
                 break
             scale *= 0.5
-        else:
-            break
-        m = trial
     value, a, b = separation(geometry, i, j, m)
     given, _, _ = separation(geometry, i, j, n)
     if value < given - INSIDE * size:
