@@ -35,6 +35,17 @@ def modules() -> list[str]:
     return ["nsdyn", *sorted((named | set(VALUES)) - found_with_the_package)]
 
 
+def show_inherited(documented: list[str]) -> None:
+    """Let classes show the members of bases that have no page, as their own: pdoc leaves them out."""
+    own = pdoc.doc.Class.own_members.func
+
+    def members(self: pdoc.doc.Class) -> list[pdoc.doc.Doc]:
+        bases = [b for b in self.inherited_members if b[0].startswith("nsdyn.") and b[0] not in documented]
+        return [*own(self), *(member for base in bases for member in self.inherited_members[base])]
+
+    pdoc.doc.Class.own_members = property(members)
+
+
 def main() -> None:
     """Write the pages; a name that does not resolve is an error."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -46,6 +57,7 @@ def main() -> None:
             setattr(module, name, getattr(module, name))  # these are imported at their first use; pdoc looks once
     for name in names:
         importlib.import_module(name)
+    show_inherited(names)
     pdoc.render.configure(docformat="numpy", footer_text=f"nsdyn {nd.__version__}")
     with warnings.catch_warnings():
         # Annotations of named tuples are those of their modules, where pdoc does not look: it shows them as text.

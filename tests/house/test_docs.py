@@ -54,7 +54,8 @@ def documented():
         out += [(name, value), *members]
     for owner, value in list(out):
         if inspect.isclass(value):
-            methods = {k: v for k, v in vars(value).items() if not k.startswith("_")}
+            ours = [vars(base) for base in reversed(value.__mro__) if base.__module__.startswith("nsdyn.")]
+            methods = {k: v for members in ours for k, v in members.items() if not k.startswith("_")}
             out += [(f"{owner}.{k}", function_of(v)) for k, v in methods.items() if function_of(v)]
     return [(n, v) for n, v in out if isinstance(v, ModuleType) or inspect.isclass(v) or inspect.isfunction(v)]
 
