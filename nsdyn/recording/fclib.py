@@ -8,8 +8,7 @@ or ``fclib_global``,
 
     M v = H r + G λ + f,   u = Hᵀ v + w,   Gᵀ v + b = 0,
 
-with an optional bilateral part (V, R, s or G, b), and optional ``guesses`` and a ``solution``. Files are written in the
-layout of the C library: integers int32, reals float64, scalars of shape (1,), strings of fixed length that end in NUL.
+with an optional bilateral part (V, R, s or G, b), and optional ``guesses`` and a ``solution``.
 
 References
 ----------
@@ -31,10 +30,11 @@ import scipy.sparse as sp
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.recording.condensation import condensed, embedded, factors, is_symmetric, planar, solver_of
+from nsdyn.recording.fclib_fields import array, matrix, put, put_matrix, put_text
 from nsdyn.scene.checks import text
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array, numbers
-from nsdyn.tools.datasets import check_heaps, created, dataset
+from nsdyn.tools.datasets import check_heaps, created
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
 
@@ -73,13 +73,13 @@ def read(path: str | Path) -> FC3D:
     """
     with _open(path) as file:
         group, dim = _group(file)
-        mu = _array(group, "vectors/mu")
+        mu = array(group, "vectors/mu")
         if group.name == "/fclib_local":
             W, q = _local(group, dim * mu.size)
         else:
-            M, H = _matrix(group, "M"), _matrix(group, "H")
+            M, H = matrix(group, "M"), matrix(group, "H")
             K, B, c = _system(group, M, H)
-            w = _array(group, "vectors/w", size=H.shape[1])
+            w = array(group, "vectors/w", size=H.shape[1])
             if H.shape[1] != dim * mu.size:
                 raise ValueError(f"fclib_global/H must have {dim} columns per contact, got {H.shape[1]} for {mu.size}")
             solve = solver_of(K, "fclib_global/M")
@@ -102,7 +102,7 @@ def read_guesses(path: str | Path) -> list[Stored]:
     with _open(path) as file:
         if "guesses" not in file:
             return []
-        count = int(_array(file, "guesses/number_of_guesses", np.int64, 1)[0])
+        count = int(array(file, "guesses/number_of_guesses", np.int64, 1)[0])
         return [_stored(file, f"guesses/{k + 1}") for k in range(count)]
 
 
@@ -125,64 +125,16 @@ def _group(file: Any) -> tuple[Any, int]:
     """Return (group of the problem, its dimension 2 or 3)."""
     for name in ("fclib_local", "fclib_global"):
         if isinstance(file.get(name), h5py.Group):
-            dim = int(_array(file, f"{name}/spacedim", np.int64, 1)[0])
+            dim = int(array(file, f"{name}/spacedim", np.int64, 1)[0])
             if dim not in (2, 3):
                 raise ValueError(f"{name}/spacedim must be 2 or 3, got {dim}")
             return file[name], dim
     raise ValueError(f"neither fclib_local nor fclib_global in it, only {sorted(file) or 'nothing'}")
 
 
-def _array(group: Any, name: str, kind: Any = np.float64, size: int | None = None) -> Any:
-    """Return a dataset as a vector of numbers, after checks of its type, length and finiteness."""
-    where = f"{group.name}/{name}".lstrip("/")
-    if name not in group:
-        raise ValueError(f"{where} is missing")
-    item = dataset(group, name)
-    if item.ndim > 1 or item.dtype.kind not in ("iuf" if kind is np.float64 else "iu"):
-        raise ValueError(f"{where} must be a vector of numbers, got {item.dtype} of shape {item.shape}")
-    out = np.atleast_1d(item[()]).astype(kind)
-    if size is not None and out.size != size:
-        raise ValueError(f"{where} must have length {size}, got {out.size}")
-    if not np.isfinite(out).all():
-        raise ValueError(f"{where} must be finite, got NaN or infinity")
-    return out
-
-
-def _matrix(group: Any, name: str) -> Any:
-    """Return a sparse matrix as CSR; nz = -1 means compressed columns, -2 compressed rows, else nz triplets."""
-    where = f"{group.name}/{name}".lstrip("/")
-    m, n, nz = (int(_array(group, f"{name}/{key}", np.int64, 1)[0]) for key in ("m", "n", "nz"))
-    p, i = (_array(group, f"{name}/{key}", np.int64) for key in ("p", "i"))
-    x = _array(group, f"{name}/x")
-    if max(m, n) > group.file.id.get_filesize():  # each row and column has a number in some vector
-        raise ValueError(f"{where} must have the size of a problem, got {m} x {n}")
-    if min(m, n) < 0 or nz < -2 or i.size != x.size:
-        raise ValueError(
-            f"{where} must have m, n ≥ 0, nz ≥ -2 and as many i as x, got {m}, {n}, {nz}, {i.size} and {x.size}"
-        )
-    if nz >= 0:
-        if min(p.size, x.size) < nz:
-            raise ValueError(f"{where} must have nz = {nz} triplets, got {p.size} p and {x.size} x")
-        row, column, x = i[:nz], p[:nz], x[:nz]
-        # The library's header calls p the rows, but the files have rows in i. The shape decides where it can.
-        if row.max(initial=-1) >= m or column.max(initial=-1) >= n:
-            row, column = column, row
-        if not all((0 <= index).all() and (index < size).all() for index, size in ((row, m), (column, n))):
-            raise ValueError(f"{where} must have its triplets inside {m} x {n}")
-        return sp.coo_array((x, (row, column)), shape=(m, n)).tocsr()
-    major, minor = (m, n) if nz == -2 else (n, m)
-    if p.size != major + 1 or p[0] != 0 or (np.diff(p) < 0).any() or p[-1] > x.size:
-        raise ValueError(f"{where}/p must have {major + 1} ascending entries from 0 to at most {x.size}, like x")
-    i, x = i[: p[-1]], x[: p[-1]]
-    if i.min(initial=0) < 0 or i.max(initial=-1) >= minor:
-        raise ValueError(f"{where}/i must lie between 0 and {minor - 1}")
-    kind = sp.csr_array if nz == -2 else sp.csc_array
-    return kind((x, i, p), shape=(m, n)).tocsr()
-
-
 def _local(group: Any, rows: int) -> tuple[Any, Array]:
     """Return (W, q) of a local problem; bilateral impulses are eliminated: W - V R⁻¹ Vᵀ and q - V R⁻¹ s."""
-    W, q = _matrix(group, "W"), _array(group, "vectors/q", size=rows)
+    W, q = matrix(group, "W"), array(group, "vectors/q", size=rows)
     if W.shape != (rows, rows):
         raise ValueError(f"fclib_local/W must have shape {(rows, rows)} like q and mu, got {W.shape}")
     if "V" in group or "R" in group:
@@ -194,35 +146,35 @@ def _local(group: Any, rows: int) -> tuple[Any, Array]:
 
 def _bilateral(group: Any, rows: int) -> tuple[Any, Any, Array]:
     """Return (V, R, s) of a local problem."""
-    V, R = _matrix(group, "V"), _matrix(group, "R")
+    V, R = matrix(group, "V"), matrix(group, "R")
     if V.shape != (rows, R.shape[0]):
         raise ValueError(f"fclib_local/V must have shape {(rows, R.shape[0])} like W and R, got {V.shape}")
-    return V, R, _array(group, "vectors/s", size=V.shape[1])
+    return V, R, array(group, "vectors/s", size=V.shape[1])
 
 
 def _system(group: Any, M: Any, H: Any) -> tuple[Any, Any, Array]:
     """Return (K, B, c) of a global problem: K x = B r + c, u = Bᵀ x + w with x = (v, λ)."""
     if M.shape[0] != M.shape[1] or H.shape[0] != M.shape[0]:
         raise ValueError(f"fclib_global/M must be square with the rows of H, got shapes {M.shape} and {H.shape}")
-    f = _array(group, "vectors/f", size=M.shape[0])
+    f = array(group, "vectors/f", size=M.shape[0])
     if "G" not in group:
         return M, H, f
-    G = _matrix(group, "G")
+    G = matrix(group, "G")
     if G.shape[0] != M.shape[0]:
         raise ValueError(f"fclib_global/G must have {M.shape[0]} rows like M, got {G.shape[0]}")
     K = sp.block_array([[M, -G], [G.T, None]], format="csr")
     B = sp.vstack([H, sp.csr_array((G.shape[1], H.shape[1]))], format="csr")
-    return K, B, np.concatenate((f, -_array(group, "vectors/b", size=G.shape[1])))
+    return K, B, np.concatenate((f, -array(group, "vectors/b", size=G.shape[1])))
 
 
 def _stored(file: Any, name: str) -> Stored:
     group, dim = _group(file)
-    nc = _array(group, "vectors/mu").size
+    nc = array(group, "vectors/mu").size
     u, r = np.zeros(3 * nc), np.zeros(3 * nc)
     rows = slice(None) if dim == 3 else planar(nc)
-    u[rows] = _array(file, f"{name}/u", size=dim * nc)
-    r[rows] = _array(file, f"{name}/r", size=dim * nc)
-    v, l = (_array(file, f"{name}/{key}") if f"{name}/{key}" in file else None for key in ("v", "l"))
+    u[rows] = array(file, f"{name}/u", size=dim * nc)
+    r[rows] = array(file, f"{name}/r", size=dim * nc)
+    v, l = (array(file, f"{name}/{key}") if f"{name}/{key}" in file else None for key in ("v", "l"))
     return Stored(u, r, v, l)
 
 
@@ -288,33 +240,30 @@ def write(
     if v_free is not None:
         if blocks is None:
             raise ValueError("v_free must be None for a problem without factors")
-        v_free = numbers(v_free, f"{blocks.n} numbers", "v_free")
-        if v_free.shape != (blocks.n,) or not np.isfinite(v_free).all():
-            got = "NaN or infinity" if v_free.shape == (blocks.n,) else f"shape {v_free.shape}"
-            raise ValueError(f"v_free must be {blocks.n} finite numbers, got {got}")
+        v_free = _finite(v_free, blocks.n, "", "v_free")
     with _created(path, overwrite) as file:
         group = file.create_group("fclib_local" if blocks is None else "fclib_global")
-        _put(group, "spacedim", spacedim)
-        _put(group, "vectors/mu", problem.mu)
+        put(group, "spacedim", spacedim)
+        put(group, "vectors/mu", problem.mu)
         if blocks is None:
-            _put_matrix(group, "W", problem.W.tocsr()[rows][:, rows])
-            _put(group, "vectors/q", problem.q[rows])
+            put_matrix(group, "W", problem.W.tocsr()[rows][:, rows])
+            put(group, "vectors/q", problem.q[rows])
             mathematics = "u = W r + q, normal first"
         else:
             v = np.zeros(blocks.n) if v_free is None else v_free
             M, H = blocks.mass(), sp.csr_array(blocks.jacobian().T)
             M.eliminate_zeros()
             H.eliminate_zeros()
-            _put_matrix(group, "M", M)
-            _put_matrix(group, "H", H)
-            _put(group, "vectors/f", M @ v)
-            _put(group, "vectors/w", problem.q - blocks.relative_velocity(v))
+            put_matrix(group, "M", M)
+            put_matrix(group, "H", H)
+            put(group, "vectors/f", M @ v)
+            put(group, "vectors/w", problem.q - blocks.relative_velocity(v))
             mathematics = "M v = H r + f, u = H^T v + w, normal first"
-        _put_text(group, "info/title", title or Path(path).stem)
-        _put_text(group, "info/description", description or "Written by nsdyn.")
-        _put_text(group, "info/math_info", mathematics)
+        put_text(group, "info/title", title or Path(path).stem)
+        put_text(group, "info/description", description or "Written by nsdyn.")
+        put_text(group, "info/math_info", mathematics)
         if guesses:
-            _put(file, "guesses/number_of_guesses", len(guesses))
+            put(file, "guesses/number_of_guesses", len(guesses))
         for k, guess in enumerate(guesses):
             _put_answer(file, f"guesses/{k + 1}", guess, problem.velocity(guess))
         if solution is not None:
@@ -346,32 +295,6 @@ def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
         yield file
 
 
-def _put(group: Any, name: str, value: Any) -> None:
-    """Write a vector, or a scalar of shape (1,), in the library's types."""
-    value = np.atleast_1d(value)
-    group[name] = value.astype(np.float64 if value.dtype.kind == "f" else np.int32)
-
-
-def _put_matrix(group: Any, name: str, A: Any) -> None:
-    """Write a sparse matrix in compressed rows."""
-    A = sp.csr_array(A)
-    A.sort_indices()
-    for key, value in {"nzmax": A.nnz, "m": A.shape[0], "n": A.shape[1], "nz": -2}.items():
-        _put(group, f"{name}/{key}", value)
-    for key, values in {"p": A.indptr, "i": A.indices, "x": A.data}.items():
-        _put(group, f"{name}/{key}", values)
-
-
-def _put_text(group: Any, name: str, text: str) -> None:
-    """Write a fixed-length string that ends in NUL, like H5LTmake_dataset_string; strings of h5py may lack the NUL."""
-    data = text.encode()
-    kind = h5py.h5t.C_S1.copy()
-    kind.set_size(len(data) + 1)
-    parent = group.require_group(name.rpartition("/")[0])
-    item = h5py.h5d.create(parent.id, name.rpartition("/")[2].encode(), kind, h5py.h5s.create(h5py.h5s.SCALAR))
-    item.write(h5py.h5s.ALL, h5py.h5s.ALL, np.array(data, f"S{len(data) + 1}"))
-
-
 def _put_solution(file: Any, solution: Solution) -> None:
     if not isinstance(solution, Solution | Stored):
         raise ValueError(f"solution must be a nsdyn.Solution, got {type(solution).__name__}")
@@ -381,25 +304,30 @@ def _put_solution(file: Any, solution: Solution) -> None:
 def _put_answer(file: Any, name: str, r: Array, u: Array) -> None:
     """Write a solution or guess of the problem already in the file, with its v and λ; ValueError for a wrong length."""
     group, dim = _group(file)
-    nc = _array(group, "vectors/mu").size
+    nc = array(group, "vectors/mu").size
     rows = slice(None) if dim == 3 else planar(nc)
-    for letter, value in {"r": r, "u": u}.items():
-        if np.shape(value) != (3 * nc,) or not np.isfinite(value).all():
-            got = "NaN or infinity" if np.shape(value) == (3 * nc,) else f"shape {np.shape(value)}"
-            raise ValueError(f"{letter} of {name} must be {3 * nc} finite numbers, 3 per contact, got {got}")
-    r, u = r[rows], u[rows]
-    _put(file, f"{name}/u", u)
-    _put(file, f"{name}/r", r)
+    r, u = (_finite(x, 3 * nc, ", 3 per contact", f"{what} of {name}")[rows] for what, x in (("r", r), ("u", u)))
+    put(file, f"{name}/u", u)
+    put(file, f"{name}/r", r)
     if group.name == "/fclib_global":
-        M = _matrix(group, "M")
-        K, B, c = _system(group, M, _matrix(group, "H"))
+        M = matrix(group, "M")
+        K, B, c = _system(group, M, matrix(group, "H"))
         x = solver_of(K, "fclib_global/M")(B @ r + c)
-        _put(file, f"{name}/v", x[: M.shape[0]])
+        put(file, f"{name}/v", x[: M.shape[0]])
         if K is not M:
-            _put(file, f"{name}/l", x[M.shape[0] :])
+            put(file, f"{name}/l", x[M.shape[0] :])
     elif "R" in group:
         V, R, s = _bilateral(group, r.size)
-        _put(file, f"{name}/l", solver_of(R, "fclib_local/R")(-(V.T @ r) - s))
+        put(file, f"{name}/l", solver_of(R, "fclib_local/R")(-(V.T @ r) - s))
+
+
+def _finite(value: Any, size: int, words: str, what: str) -> Array:
+    """Return the value as finite numbers."""
+    out = numbers(value, words := f"{size} finite numbers{words}", what)
+    if out.shape != (size,) or not np.isfinite(out).all():
+        got = "NaN or infinity" if out.shape == (size,) else f"shape {out.shape}"
+        raise ValueError(f"{what} must be {words}, got {got}")
+    return out
 
 
 def _check_planar(problem: FC3D, spacedim: int) -> None:
