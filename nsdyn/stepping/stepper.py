@@ -33,12 +33,12 @@ from nsdyn.stepping.failures import Failures, worst
 from nsdyn.stepping.flat_state import FlatState
 from nsdyn.stepping.functions import Callback, Functions
 from nsdyn.stepping.impacts import Law, as_law
-from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.lazy_step import LazyStep
-from nsdyn.stepping.state import Names, OnBodies, Pieces, State, Step
+from nsdyn.stepping.recorded_step import recorded
+from nsdyn.stepping.state import Names, State, Step
 from nsdyn.stepping.system import check_options, system_of
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
@@ -345,7 +345,9 @@ class Stepper:
         ledger = Ledger.of(s.energies, energies, total)
         if solution.accepted and not clear:
             solution = solution._replace(status=Status.OVERLAP)
-        step = self._record(done, ledger, certificate, problem, solution)
+        problem.kept.clear()  # as large as the problem, and of no use after the step
+        certified = {"ledger": ledger, "gauss": certificate, "problem": problem, "solution": solution}
+        step = recorded(self.system, self._names, self._now, done, **certified)
         if self.functions.take_last:
             self._now = self._now._replace(last=step)
         return step
@@ -384,52 +386,3 @@ class Stepper:
             c, slater = self._certificate(problem, solution.r, solution.u, slater)
             gap, shift, bound, coulomb = gap + c.gap, max(shift, c.shift), max(bound, c.bound), max(c.coulomb, coulomb)
         return gauss.Certificate(gap, shift, bound, coulomb), slater
-
-    def _record(
-        self, done: list[Impulses], ledger: Ledger, certificate: gauss.Certificate, problem: FC3D, solution: Solution
-    ) -> Step:
-        """Return the results of the moves and impacts of a step."""
-        d, end = self.dynamics, self.get_state().instant
-        problem.kept.clear()  # as large as the problem, and of no use after the step
-        acted = done[0] if len(done) == 1 else Impulses.joined(done)
-        q, v = d.pinocchio_state(end.position, end.v)
-        x, quaternion = d.poses(end.position, end.placement)
-        gap, sizes = acted.contacts.gap, [a.status.size for a in done]
-        times = [a.begin + (1.0 - self.theta) * a.duration for a in done]
-        if acted.contacts is not end.contacts:
-            gap = self.detector.gaps(acted.contacts, end.contacts, end.placement)
-        joints = pieces = None
-        if d.trees:
-            joints = acted.joints
-            pieces = Pieces.of(done) if len(done) > 1 else None
-        return Step(
-            t=self.t,
-            q=q,
-            v=v,
-            frames_x=x,
-            frames_quat=quaternion,
-            contacts=acted.contacts,
-            gap=gap,
-            frame=acted.frame,
-            u=acted.u,
-            r=acted.r,
-            couple=acted.couple,
-            contact_status=acted.status,
-            contact_time=np.repeat(times, sizes),
-            contact_duration=np.repeat([a.duration for a in done], sizes),
-            work_normal=acted.work_normal,
-            work_friction=acted.work_friction,
-            joints=joints,
-            links=acted.links,
-            pieces=pieces,
-            wrenches=OnBodies.of([(t, a.duration, a.wrench) for t, a in zip(times, done, strict=True)]),
-            lifts=OnBodies.of([(t, a.duration, a.lift) for t, a in zip(times, done, strict=True)]),
-            created=acted.created,
-            ledger=ledger,
-            gauss=certificate,
-            problem=problem,
-            solution=solution,
-            twists=end.twists,
-            dt=self.dt,
-            names=self._names,
-        )
