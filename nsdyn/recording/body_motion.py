@@ -17,7 +17,7 @@ from nsdyn.tools.naming import unknown
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["Carried", "body", "carried", "energies", "first_carried", "moving", "twists"]
+__all__ = ["Carried", "body", "carried", "energies", "first_carried", "moving", "of_frame", "twists"]
 
 
 class Carried(NamedTuple):
@@ -49,14 +49,9 @@ def body(trajectory: Trajectory, name: str) -> BodyMotion:
     if not isinstance(name, str):
         raise ValueError(f"name must be that of a moving body, got {name!r}")
     frames, links = scene["frames"], {link["name"]: link for link in scene.get("links", ())}
-    if name in frames and (k := frames.index(name)) < scene["free"]:
-        pose, twist = trajectory.q[:, 7 * k : 7 * k + 7], trajectory.v[:, 6 * k : 6 * k + 6]
-        quaternion = pose[:, 3:]
-        turned = rotate(quaternion, twist[:, :3]), rotate(quaternion, twist[:, 3:])
-        return BodyMotion(name, pose[:, :3], quaternion, partial(tuple, turned))
     if name in frames:
-        frame, position, quaternion = k, columns["frames/x"][:, k], columns["frames/quat"][:, k]
-    elif name in links:
+        return of_frame(trajectory, frames.index(name))
+    if name in links:
         frame, placement = links[name]["frame"], np.array(links[name]["placement"])
         turn, one = Rotation.from_matrix(placement[:3, :3]), np.ones((trajectory.t.size, 1))
         if frame < 0:
@@ -65,9 +60,24 @@ def body(trajectory: Trajectory, name: str) -> BodyMotion:
         carrier = columns["frames/quat"][:, frame]
         position = columns["frames/x"][:, frame] + rotate(carrier, placement[:3, 3])
         quaternion = (Rotation.from_quat(carrier) * turn).as_quat()
-    else:
-        raise ValueError(unknown(name, [*frames, *links], "moving body"))
-    return BodyMotion(name, position, quaternion, partial(_velocities, trajectory, frame, position, quaternion))
+        return BodyMotion(name, position, quaternion, partial(_velocities, trajectory, frame, position, quaternion))
+    raise ValueError(unknown(name, [*frames, *links], "moving body"))
+
+
+def of_frame(trajectory: Trajectory, k: int) -> BodyMotion:
+    """Return the motion of a moving frame by its number, without a search for its name."""
+    scene, columns = trajectory.scene, trajectory.columns
+    if k < scene["free"]:
+        pose, twist = trajectory.q[:, 7 * k : 7 * k + 7], trajectory.v[:, 6 * k : 6 * k + 6]
+        return BodyMotion(scene["frames"][k], pose[:, :3], pose[:, 3:], partial(_turned, pose[:, 3:], twist))
+    position, quaternion = columns["frames/x"][:, k], columns["frames/quat"][:, k]
+    velocities = partial(_velocities, trajectory, k, position, quaternion)
+    return BodyMotion(scene["frames"][k], position, quaternion, velocities)
+
+
+def _turned(quaternion: Array, twist: Array) -> tuple[Array, Array]:
+    """Return linear and angular velocity in world axes from those in body axes."""
+    return rotate(quaternion, twist[:, :3]), rotate(quaternion, twist[:, 3:])
 
 
 def _velocities(trajectory: Trajectory, frame: int, position: Array, quaternion: Array) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from nsdyn.recording.body_motion import of_frame
 from nsdyn.recording.shares import distinct
 from nsdyn.recording.tables import body_names, contact_columns, contact_steps, impulses
 from nsdyn.tools.arrays import Array, Index
@@ -71,7 +72,7 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     for on in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1 if order.size else []):
         if not on.size:
             continue
-        motion = trajectory.body(trajectory.scene["frames"][frame[on[0]]])
+        motion = of_frame(trajectory, int(frame[on[0]]))
         turn = Rotation.from_quat(motion.quaternion[step[on]]).inv()
         point[on] = turn.apply(point[on] - motion.position[step[on]])
         push[on] = turn.apply(push[on])

@@ -57,25 +57,6 @@ def packed(
 
     A recording shown beside another has a `label` and the common `view`.
     """
-    usual = _packed(trajectory, FPS if fps is None else fps, forces, max_frames, at, label, view)
-    states = trajectory.t.size
-    contacts = int(trajectory.columns["contacts/offset"][-1]) if trajectory.has_contacts else 0
-    if fps is not None or at is not None or 28 * states * len(trajectory.scene["frames"]) + 57 * contacts > UNPACKED:
-        return usual
-    whole = _packed(trajectory, math.inf, forces, states, at, label, view)
-    return whole if len(whole) - len(usual) < CHEAP else usual
-
-
-def _packed(
-    trajectory: Trajectory,
-    fps: float,
-    forces: bool | str,
-    max_frames: int,
-    at: float | None,
-    label: str,
-    view: View | None,
-) -> str:
-    """Return the contents with `fps` states per second, or with all states if `fps` is infinite."""
     t = trajectory.t
     finite = np.isfinite(trajectory.q).all(axis=1)
     if not finite.all():
@@ -84,40 +65,55 @@ def _packed(
     strongest = np.argsort(-hits.impulse * hits.speed, kind="stable")[:MAX_IMPACTS]
     # Keep the states before and after each impact: interpolation between other states would lower the speeds.
     around = [row for step in hits.step[strongest].tolist() for row in (step, step - 1)]
-    rows = _chosen(t, fps, max_frames, at, around)
+    rows = _chosen(t, FPS if fps is None else fps, max_frames, at, around)
     view = view or View([trajectory])
-    values, arrays = _scene(trajectory, view)
-    arrays["t"] = t[rows]
-    commands = stage_commands(view) + shape_commands(trajectory.scene, view)
-    commands += visual_commands(trajectory.scene)
-    arrays |= mesh_arrays(trajectory.scene)
-    parts = [umsgpack.packb(command) for command in commands + paths.start_commands(trajectory, int(rows[0]))]
-    arrays["commands"] = np.frombuffer(b"".join(parts), np.uint8)
-    arrays["command_ends"] = np.cumsum([len(part) for part in parts], dtype=np.uint32)
-    arrays |= {
-        f"ledger/{name}": x.astype("<f8" if name == "t" else "<f4")
-        for name, x in curves.ledger(trajectory, rows if rows.size == t.size else None).items()
-    }
-    arrays |= {
-        f"motion/{name}": x.astype("<f4" if x.ndim > 1 else "<u4")
-        for name, x in paths.keys(trajectory, rows, view.radius).items()
-    }
-    arrays |= {f"bodies/{name}": payload.rounded(x) for name, x in curves.bodies(trajectory, rows).items()}
-    if _joints(trajectory.scene):
-        arrays |= {f"joints/{name}": payload.rounded(x) for name, x in curves.joints(trajectory, rows).items()}
+    values, outline = _scene(trajectory, view)
+    drawn = mesh_arrays(trajectory.scene) | _commands(trajectory, view, int(rows[0]))
     ticks = np.sort(strongest)
-    arrays |= {
+    impacts = {
         "impacts/t": t[hits.step[ticks]],
         "impacts/speed": hits.speed[ticks].astype("<f4"),
         "impacts/impulse": hits.impulse[ticks].astype("<f4"),
         "impacts/geoms": hits.geoms[ticks].astype("<u4"),
     }
-    notes = _notes(trajectory, rows.size, arrays["ledger/t"].size, int(hits.step.size))
-    if trajectory.has_contacts:
-        more, shown, told = _contacts_of(trajectory, rows, forces, view)
-        arrays, values, notes = arrays | more, values | shown, notes + told
-    values |= {"label": label or values["name"], "picture": at is not None, "notes": [] if at is not None else notes}
-    return payload.pack(values, arrays)
+
+    def made(rows: Index) -> str:
+        arrays = {**outline, "t": t[rows], **drawn, **_states(trajectory, rows, view.radius), **impacts}
+        notes = _notes(trajectory, rows.size, arrays["ledger/t"].size, int(hits.step.size))
+        shown: Json = {}
+        if trajectory.has_contacts:
+            more, shown, told = _contacts_of(trajectory, rows, forces, view)
+            arrays, notes = arrays | more, notes + told
+        still = {"label": label or values["name"], "picture": at is not None, "notes": [] if at is not None else notes}
+        return payload.pack(values | shown | still, arrays)
+
+    usual = made(rows)
+    contacts = int(trajectory.columns["contacts/offset"][-1]) if trajectory.has_contacts else 0
+    size = 28 * t.size * len(trajectory.scene["frames"]) + 57 * contacts
+    if fps is not None or at is not None or rows.size == t.size or size > UNPACKED:
+        return usual
+    whole = made(np.arange(t.size))
+    return whole if len(whole) - len(usual) < CHEAP else usual
+
+
+def _commands(trajectory: Trajectory, view: View, row: int) -> Arrays:
+    """Return the commands that build the scene, with the bodies as in a row of the recording."""
+    commands = stage_commands(view) + shape_commands(trajectory.scene, view) + visual_commands(trajectory.scene)
+    parts = [umsgpack.packb(command) for command in commands + paths.start_commands(trajectory, row)]
+    ends = np.cumsum([len(part) for part in parts], dtype=np.uint32)
+    return {"commands": np.frombuffer(b"".join(parts), np.uint8), "command_ends": ends}
+
+
+def _states(trajectory: Trajectory, rows: Index, radius: float) -> Arrays:
+    """Return curves, and the motion of bodies and joints, at the states `rows`."""
+    ledger = curves.ledger(trajectory, rows if rows.size == trajectory.t.size else None)
+    motion = paths.keys(trajectory, rows, radius)
+    out = {f"ledger/{name}": x.astype("<f8" if name == "t" else "<f4") for name, x in ledger.items()}
+    out |= {f"motion/{name}": x.astype("<f4" if x.ndim > 1 else "<u4") for name, x in motion.items()}
+    out |= {f"bodies/{name}": payload.rounded(x) for name, x in curves.bodies(trajectory, rows).items()}
+    if _joints(trajectory.scene):
+        out |= {f"joints/{name}": payload.rounded(x) for name, x in curves.joints(trajectory, rows).items()}
+    return out
 
 
 def _contacts_of(trajectory: Trajectory, rows: Index, forces: bool | str, view: View) -> tuple[Arrays, Json, list[str]]:
@@ -153,10 +149,12 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
     looks = scene.get("visuals", [])
     drawn = [*scene["geoms"], *looks]
     carriers = [*labels, *(look["link"] for look in looks)]
-    names = list(dict.fromkeys(carriers))
+    firsts: dict[str, Json] = {}
+    for name, geom in zip(carriers, drawn, strict=True):
+        firsts.setdefault(name, geom)
+    number = {name: k for k, name in enumerate(firsts)}
     bodies, joints, carried = [], _joints(scene), body_motion.carried(scene)
-    for name in names:
-        geom = drawn[carriers.index(name)]
+    for name, geom in firsts.items():
         frame = geom["frame"]
         mass, centre, _ = carried.get(frame, (None, np.zeros(3), None))
         joint = joints.get(scene["frames"][frame]) if frame >= scene["free"] else None
@@ -184,14 +182,14 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         "geoms": [
             {
                 "path": geom_path(scene, geom),
-                "body": names.index(label),
+                "body": number[label],
                 "solid": geom["shape"] != "halfspace",
                 "veiled": behind,
             }
             for geom, label, behind in zip(scene["geoms"], labels, veiled(scene), strict=True)
         ],
         "looks": [
-            {"path": look_path(scene, k), "body": names.index(look["link"]), "mesh": look.get("mesh")}
+            {"path": look_path(scene, k), "body": number[look["link"]], "mesh": look.get("mesh")}
             for k, look in enumerate(looks)
         ],
         "view": {

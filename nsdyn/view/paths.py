@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nsdyn.recording.body_motion import of_frame
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view.commands import Json, set_property
 from nsdyn.view.solids import body_path
@@ -22,8 +23,8 @@ INVISIBLE = 1e-6
 def start_commands(trajectory: Trajectory, row: int) -> list[Json]:
     """Return commands that set the poses of all moving frames to those of a row of the recording."""
     commands = []
-    for name in trajectory.scene["frames"]:
-        motion, path = trajectory.body(name), body_path(name)
+    for k, name in enumerate(trajectory.scene["frames"]):
+        motion, path = of_frame(trajectory, k), body_path(name)
         commands.append(set_property(path, "position", motion.position[row].tolist()))
         commands.append(set_property(path, "quaternion", motion.quaternion[row].tolist()))
     return commands
@@ -39,7 +40,7 @@ def keys(trajectory: Trajectory, rows: Index, radius: float) -> dict[str, Array]
         changes, rounded to visible digits; moving (k,) and turning (m,), the indices of the frames.
     """
     out: dict[str, Array] = {}
-    motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
+    motions = [of_frame(trajectory, k) for k in range(len(trajectory.scene["frames"]))]
     for name, which, scale in (("position", "moving", radius), ("quaternion", "turning", 1.0)):
         grid = 2.0 ** np.floor(np.log2(INVISIBLE * scale))  # a power of 2: its multiples compress well
         values = [grid * np.round(getattr(motion, name)[rows] / grid) for motion in motions]

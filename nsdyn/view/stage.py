@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nsdyn.recording.body_motion import of_frame
 from nsdyn.recording.series import rotate
 from nsdyn.tools.array_text import from_text
 from nsdyn.tools.arrays import Array, Bools
@@ -64,7 +65,7 @@ class View:
         fixed: list[Bools] = []
         for trajectory in trajectories:
             every = 1 + trajectory.steps // 1000  # enough to cover the path of a body
-            motions = [trajectory.body(name) for name in trajectory.scene["frames"]]
+            motions = [of_frame(trajectory, k) for k in range(len(trajectory.scene["frames"]))]
             for geom in (*trajectory.scene["geoms"], *_visuals(trajectory.scene)):
                 if geom["shape"] == "halfspace":
                     continue

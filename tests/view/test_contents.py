@@ -284,6 +284,16 @@ def test_all_states_are_kept_where_they_are_cheap(bouncing, monkeypatch):
     assert packed(bouncing, None, False, 3000, None) == usual
 
 
+def test_the_scene_is_built_once(bouncing, monkeypatch):
+    """Also where two selections of states are tried."""
+    built, packs = [], []
+    shapes, pack = packing.shape_commands, payload.pack
+    monkeypatch.setattr(packing, "shape_commands", lambda *given: built.append(1) or shapes(*given))
+    monkeypatch.setattr(payload, "pack", lambda *given: packs.append(1) or pack(*given))
+    packed(bouncing, None, False, 3000, None)
+    assert (len(built), len(packs)) == (1, 2)
+
+
 def test_forces_push_the_moving_body(sliding):
     """They carry and brake the box: the mean since the state before."""
     values, arrays = payload.unpack(packed(sliding, 10, "pair", 3000, None))
