@@ -74,9 +74,10 @@ def _parts(value: Any, home: str, above: tuple[int, ...]) -> str:
     if is_dataclass(value):
         state = {field.name: getattr(value, field.name, None) for field in fields(value)}
     elif " at 0x" in (words := repr(value)):  # the words of Python, that say nothing of the object
-        attributes = getattr(value, "__dict__", {})
-        cached = {name for name in attributes if isinstance(getattr(type(value), name, None), cached_property)}
-        state = {name: attributes[name] for name in attributes if name not in cached}
+        found: Any = object.__getstate__(value)  # None, the attributes, or a pair of these and of those in slots
+        own, slots = found if isinstance(found, tuple) else (found, {})
+        held = (own or {}) | slots
+        state = {k: x for k, x in held.items() if not isinstance(getattr(type(value), k, None), cached_property)}
     else:
         return words
     return inside((type(value), state))

@@ -352,6 +352,16 @@ class Push:
         return self(t, q, v)
 
 
+class Slotted(Push):
+    """A class whose own value is in a slot."""
+
+    __slots__ = ("other",)
+
+    def __init__(self, other):
+        super().__init__(1)
+        self.other = other
+
+
 @dataclass(frozen=True)
 class Course:
     values: np.ndarray
@@ -375,6 +385,7 @@ def steps_at(k, x):
 TWINS = (
     lambda x: (Push(x), Push(x).held, within(x), component(x), partial(component(0), x), Course(steps_at(900, x))),
     lambda x: (partial(min, steps_at(900, x)), Course(np.array([1.0 + 1e-12 * x])), partial(max, [within(x)])),
+    lambda x: (Slotted(x),),
 )
 
 
