@@ -87,7 +87,7 @@ class GaussSeidel(Options):
         rng, order = np.random.default_rng(0), np.arange(problem.nc)
         if self.order == "shuffled":
             order = rng.permutation(order)
-        x, ones = run.r * scaled.root, np.ones(problem.nc)
+        x = run.r * scaled.root
         goal = 0.0
         for k in range(1, self.max_iter + 1):
             if self.order == "reshuffled":
@@ -97,18 +97,8 @@ class GaussSeidel(Options):
             if k % CHECK == 1:
                 goal = share * defect(scaled, x) if self.local_tol is None else self.local_tol * size
                 goal = max(goal, 1e-16 * size)  # round-off of numbers of size q
-            _kernels.sweep(
-                *scaled.csr,
-                scaled.q,
-                scaled.mu,
-                ones,
-                order,
-                kind,
-                self.omega,
-                goal,
-                LOCAL_ITERATIONS,
-                x,
-            )
+            until = goal, LOCAL_ITERATIONS
+            _kernels.sweep(scaled.csr, scaled.q, scaled.mu, order, kind, self.omega, until, x)
             if (k % CHECK == 0 or k == self.max_iter) and run.done(x / scaled.root):
                 break
         return run.finish(k)

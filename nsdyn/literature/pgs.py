@@ -49,17 +49,8 @@ class PGS(Options):
         if not run.over:
             blocks = problem.blocks
             W = _kernels.matrix(*problem.csr) if blocks is None else _kernels.factors(blocks.arrays)
-            sweeps, _ = _kernels.accelerated(
-                W,
-                problem.q,
-                problem.mu,
-                problem.scales,
-                run.r,
-                self.tol,
-                float(np.linalg.norm(problem.q)) or 1.0,
-                self.max_iter,
-                min(5, self.max_iter),
-                min(self.memory, problem.nc + 1),
-                self.patience,
-            )
+            plan = self.max_iter, min(5, self.max_iter), min(self.memory, problem.nc + 1), self.patience
+            size = float(np.linalg.norm(problem.q)) or 1.0
+            given = W, problem.q, problem.mu, problem.scales
+            sweeps, _ = _kernels.accelerated(*given, run.r, self.tol, size, plan)
         return run.finish(sweeps, Status.STALLED if sweeps < self.max_iter else Status.MAX_ITERATIONS)

@@ -243,9 +243,8 @@ def test_fixed_point_of_the_relaxed_sweep_is_the_solution():
     scaled = Equilibrated(problem)
     x = nd.solve(problem, tol=1e-13).r * scaled.root
     for omega in (0.4, 1.0, 1.9):
-        y, order, ones = x.copy(), np.arange(problem.nc), np.ones(problem.nc)
-        args = *scaled.csr, scaled.q, scaled.mu, ones, order, one_contact.EXACT, omega, 1e-14, 50
-        one_contact.sweep(*args, y)
+        y, order = x.copy(), np.arange(problem.nc)
+        one_contact.sweep(scaled.csr, scaled.q, scaled.mu, order, one_contact.EXACT, omega, (1e-14, 50), y)
         np.testing.assert_allclose(y, x, rtol=0, atol=1e-11)
 
 

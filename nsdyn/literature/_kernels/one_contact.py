@@ -62,11 +62,12 @@ def iterate(W, q, mu, rho, goal, most, r):
 
 
 @no_alloc
-def _disk(predicted, u, r, mu, rn, rt, F, A, B):
+def _disk(predicted, u, r, mu, rho, F, A, B):
     """Alart–Curnier (predicted) and Jean–Moreau with steps of their own along the normal and across it.
 
     F, A = ∂F/∂u, B = ∂F/∂r; A and B must be zero at entry.
     """
+    rn, rt = rho
     a = r[0] - rn * u[0]
     y1, y2 = r[1] - rt * u[1], r[2] - rt * u[2]
     F[0] = r[0] - max(a, 0.0)
@@ -167,7 +168,7 @@ def _fischer_burmeister(u, r, mu, rho, F, A, B):
 
 
 @no_alloc
-def element(kind, u, r, mu, rn, rt, F, A, B):
+def element(kind, u, r, mu, rho, F, A, B):
     """Compute F(u, r), A = ∂F/∂u and B = ∂F/∂r of one of the four maps; return |F|.
 
     Parameters
@@ -177,19 +178,19 @@ def element(kind, u, r, mu, rn, rt, F, A, B):
     u, r : ndarray, shape (3,)
         Relative velocity, m/s, and impulse, N·s.
     mu : float
-    rn, rt : float
-        Steps along the normal and across it, kg; the natural map and Fischer–Burmeister's have rn alone.
+    rho : (float, float)
+        Steps along the normal and across it, kg; the natural map and Fischer–Burmeister's have the first alone.
     F, A, B : ndarray, shapes (3,), (3, 3), (3, 3)
         Results.
     """
     A[:] = 0.0
     B[:] = 0.0
     if kind == NATURAL:
-        _natural(u, r, mu, rn, F, A, B)
+        _natural(u, r, mu, rho[0], F, A, B)
     elif kind == FISCHER_BURMEISTER:
-        _fischer_burmeister(u, r, mu, rn, F, A, B)
+        _fischer_burmeister(u, r, mu, rho[0], F, A, B)
     else:
-        _disk(kind == ALART_CURNIER, u, r, mu, rn, rt, F, A, B)
+        _disk(kind == ALART_CURNIER, u, r, mu, rho, F, A, B)
     return math.sqrt(F[0] * F[0] + F[1] * F[1] + F[2] * F[2])
 
 
@@ -197,7 +198,7 @@ def element(kind, u, r, mu, rn, rt, F, A, B):
 def elements(kind, u, r, mu, rho, F, A, B):
     """Compute `element` of every contact, with steps rho (nc, 2), into F (nc, 3), A and B (nc, 3, 3)."""
     for c in range(mu.size):
-        element(kind, u[c], r[c], mu[c], rho[c, 0], rho[c, 1], F[c], A[c], B[c])
+        element(kind, u[c], r[c], mu[c], (rho[c, 0], rho[c, 1]), F[c], A[c], B[c])
 
 
 @kernel
@@ -235,12 +236,12 @@ def newton(kind, W, q, mu, rho, goal, most, r):
     """
     u, F, A, B = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     _product(W, q, r, u)
-    size = element(kind, u, r, mu, rho, rho, F, A, B)
+    size = element(kind, u, r, mu, (rho, rho), F, A, B)
     for k in range(most):
         if (k > 0 and not size > goal) or size == 0.0 or not _newton_step(W, A, B, F, r):
             return size, k
         _product(W, q, r, u)
-        size = element(kind, u, r, mu, rho, rho, F, A, B)
+        size = element(kind, u, r, mu, (rho, rho), F, A, B)
     return size, most
 
 
@@ -269,27 +270,26 @@ def solve(kind, W, q, mu, rho, goal, most, r):
 
 
 @kernel
-def sweep(indptr, indices, data, q, mu, scales, order, kind, omega, goal, most, r):
+def sweep(given, q, mu, order, kind, omega, until, r):
     """One sweep of block successive over-relaxation in the given order, in place of r; return the local iterations.
 
     Each contact solves FC(W_cc/ω, ·): W = (L + D/ω) + (U + (1 - 1/ω) D), so that r stays in the cones for every ω.
 
     Parameters
     ----------
-    indptr, indices, data : ndarray
-        W in 3 x 3 blocks.
+    given : (indptr, indices, data)
+        W in 3 x 3 blocks, of which those of the diagonal have norm 1.
     q, r : ndarray, shape (3 nc,)
-    mu, scales : ndarray, shape (nc,)
+    mu : ndarray, shape (nc,)
     order : ndarray of int
         Order in which the contacts are swept.
     kind : int
         Local solver, as in `solve`.
     omega : float
-    goal : float
-        Change of r, or residual of Newton's equations, at which a local solve ends.
-    most : int
-        Largest number of iterations of a local solve.
+    until : (float, int)
+        Change of r, or residual of Newton's equations, at which a local solve ends, and its most iterations.
     """
+    (indptr, indices, data), (goal, most) = given, until
     W, b, x, count = np.empty((3, 3)), np.empty(3), np.empty(3), 0
     for c in order:
         i = 3 * c
@@ -298,10 +298,10 @@ def sweep(indptr, indices, data, q, mu, scales, order, kind, omega, goal, most, 
                 for j in range(3):
                     for k in range(3):
                         W[j, k] = data[p, j, k] / omega
-        b[0], b[1], b[2] = velocity_of((indptr, indices, data), q, r, c)
+        b[0], b[1], b[2] = velocity_of(given, q, r, c)
         for j in range(3):
             x[j] = r[i + j]
             b[j] -= W[j, 0] * r[i] + W[j, 1] * r[i + 1] + W[j, 2] * r[i + 2]
-        count += solve(kind, W, b, mu[c], omega / scales[c], goal, most, x)
+        count += solve(kind, W, b, mu[c], omega, goal, most, x)
         r[i], r[i + 1], r[i + 2] = x[0], x[1], x[2]
     return count

@@ -194,7 +194,7 @@ def _velocity_of(W, q, r, u):
 
 
 @kernel(rounds=1000)
-def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, patience):
+def accelerated(W, q, mu, scales, r, tol, q_norm, plan):
     """Repeat Anderson-accelerated sweeps (type II) in place of r; memory 0 is plain Gauss–Seidel.
 
     The fixed point is r = sweep(r). Differences f = sweep(r) - r are scaled by sqrt(lambda_max(W_cc)). The new iterate
@@ -214,8 +214,9 @@ def accelerated(W, q, mu, scales, r, tol, q_norm, max_sweeps, check, memory, pat
         Tolerance of both measures.
     q_norm : float
         ‖q‖.
-    max_sweeps, check, memory, patience : int
+    plan : (max_sweeps, check, memory, patience), int
     """
+    max_sweeps, check, memory, patience = plan
     n, m = r.size, max(memory, 1)
     F, G = np.empty((2, m, n))
     x, u, weight = np.empty((3, n))
