@@ -18,9 +18,9 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.actuators import Control
 from nsdyn.dynamics.joints import NO_CLUTCHES, ContactJacobian, JointRows
 from nsdyn.dynamics.kinematics import Kinematics
-from nsdyn.dynamics.layout import rotation
 from nsdyn.dynamics.values import Energies, Forces, FreeMotion, MidpointState, Placement, Position
 from nsdyn.problem.blocks import DelassusFactors
+from nsdyn.scene.checks import rotation
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import turns
 from nsdyn.tools.naming import choice, unknown

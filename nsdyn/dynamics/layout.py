@@ -11,7 +11,6 @@ from copy import copy
 from typing import Self
 
 import numpy as np
-import pinocchio as pin
 
 from nsdyn._kernels.dynamics.rotation import principal
 from nsdyn.dynamics.actuators import Actuators
@@ -20,18 +19,14 @@ from nsdyn.dynamics.joints import JointLaws
 from nsdyn.dynamics.surfaces import Surfaces
 from nsdyn.dynamics.trees import Tree
 from nsdyn.dynamics.values import Position
+from nsdyn.scene.checks import rotation
 from nsdyn.scene.control import Axes
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Layout", "rotation"]
+__all__ = ["Layout"]
 
 NO_VECTORS = np.empty((0, 3))
-
-
-def rotation(quaternion: Array) -> Array:
-    """Rotation matrix of a unit quaternion xyzw."""
-    return np.array(pin.Quaternion(quaternion).toRotationMatrix())
 
 
 class Layout:

@@ -58,10 +58,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     of_joints = partial(_of_joints, name, free)
     _check_choices(name, limits, o["clip"], o["self_collisions"])
     links, bodies = _collisions(name, description, o["collisions"])
-    at = pin.SE3(
-        checks.rotation(checks.quaternion(o["quaternion"], f"quaternion of {name!r}")),
-        checks.vector(o["position"], 3, f"position of {name!r}"),
-    )
+    at = checks.placement(o["position"], o["quaternion"], repr(name))
     q0 = _normalized(name, model, of_joints(o["q"], "q", description.q, 7))
     if o["clip"]:
         _clip(model, q0)

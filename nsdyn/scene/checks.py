@@ -21,6 +21,7 @@ __all__ = [
     "lengths",
     "name",
     "number",
+    "placement",
     "pose",
     "positive",
     "quaternion",
@@ -116,6 +117,11 @@ def rotation(quaternion: Array) -> Array:
     """Return the rotation matrix of a unit quaternion x y z w, shape (3, 3)."""
     out: Array = np.array(pin.Quaternion(quaternion).toRotationMatrix())
     return out
+
+
+def placement(position: Any, turn: Any, what: str) -> Any:
+    """Return the SE3 of a position and a unit quaternion x y z w, those of `what`."""
+    return pin.SE3(rotation(quaternion(turn, f"quaternion of {what}")), vector(position, 3, f"position of {what}"))
 
 
 def positive(value: Any, what: str) -> float:

@@ -35,10 +35,7 @@ def close_loop(
     for what, frame in (("frame1", frame1), ("frame2", frame2)):
         choice(frame, known, f"{what} of {name!r}, a frame of {articulation.name!r},")
     first, second = known[frame1], known[frame2]
-    placement1 = first.placement * pin.SE3(
-        checks.rotation(checks.quaternion(quaternion, f"quaternion of {name!r}")),
-        checks.vector(position, 3, f"position of {name!r}"),
-    )
+    placement1 = first.placement * checks.placement(position, quaternion, repr(name))
     data = model.createData()
     pin.forwardKinematics(model, data, articulation.q)
     joint1, joint2 = int(first.parentJoint), int(second.parentJoint)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import umsgpack
-from numpy.typing import ArrayLike
 
 from nsdyn.tools.arrays import Array
 
@@ -19,7 +18,6 @@ __all__ = [
     "as_hex",
     "as_three",
     "by_columns",
-    "float_list",
     "set_object",
     "set_property",
     "shaded",
@@ -64,17 +62,12 @@ def uuid_of(name: str) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"nsdyn:{name}"))
 
 
-def float_list(values: ArrayLike) -> umsgpack.Ext:
-    """Return a Float32Array in the viewer's MessagePack dialect."""
-    return umsgpack.Ext(0x17, np.ascontiguousarray(values, dtype="<f4").tobytes())
-
-
 def as_buffer(**attributes: Array) -> Json:
     """Return a BufferGeometry with attributes of three components."""
-    data = {
-        name: {"itemSize": 3, "type": "Float32Array", "array": float_list(values), "normalized": False}
-        for name, values in attributes.items()
-    }
+    data = {}
+    for name, values in attributes.items():
+        array = umsgpack.Ext(0x17, np.ascontiguousarray(values, dtype="<f4").tobytes())  # the viewer's Float32Array
+        data[name] = {"itemSize": 3, "type": "Float32Array", "array": array, "normalized": False}
     return {"type": "BufferGeometry", "data": {"attributes": data}}
 
 
