@@ -156,19 +156,9 @@ def make_body(
         if inertia is None and centre.any():
             raise ValueError(f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous")
         J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
-    return Body(
-        name,
-        shape,
-        m,
-        J,
-        checks.vector(position, 3, f"position of {name!r}"),
-        checks.quaternion(quaternion, f"quaternion of {name!r}"),
-        v,
-        w,
-        _material(material, name),
-        _colour(colour, name),
-        centre,
-    )
+    x = checks.vector(position, 3, f"position of {name!r}")
+    turn = checks.quaternion(quaternion, f"quaternion of {name!r}")
+    return Body(name, shape, m, J, x, turn, v, w, _material(material, name), _colour(colour, name), centre)
 
 
 def _material(material: Material | None, name: str) -> Material:

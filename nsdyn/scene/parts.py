@@ -45,8 +45,7 @@ class Parts:
         colour: ArrayLike | None = None,
     ) -> None:
         """Add the fixed solid {x : normal·x ≤ offset}; `normal` points outwards, `offset` is in m along `normal`."""
-        shape = shapes.halfspace(normal, offset)
-        self.add_shape(name, shape, material=material, fixed=True, colour=colour)
+        self.add_shape(name, shapes.halfspace(normal, offset), material=material, fixed=True, colour=colour)
 
     def add_box(self, name: str, size: ArrayLike, mass: float | None = None, **keywords: Unpack[BodyOptions]) -> None:
         """Add a box with full edge lengths `size` [m]; see `add_convex` for the other keywords."""
@@ -102,8 +101,7 @@ class Parts:
             Centre of mass relative to the centroid of the shape, body axes, m; 0 by default. If it is not 0, `inertia`
             is required.
         """
-        shape, centroid = shapes.convex(vertices)
-        self._add_hull(name, shape, centroid, mass, keywords)
+        self._add_hull(name, *shapes.convex(vertices), mass, keywords)
 
     def add_mesh(
         self,
@@ -117,8 +115,7 @@ class Parts:
 
         Keywords as in `add_convex`; `scale` multiplies the lengths in the file.
         """
-        shape, centroid = shapes.mesh(path, scale)
-        self._add_hull(name, shape, centroid, mass, keywords)
+        self._add_hull(name, *shapes.mesh(path, scale), mass, keywords)
 
     def _add_hull(self, name: str, shape: Shape, centroid: Array, mass: float | None, keywords: BodyOptions) -> None:
         if keywords.get("position") is None:

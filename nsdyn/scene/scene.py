@@ -156,9 +156,7 @@ class Scene(Parts):
         Raise ValueError for unknown bodies, without a coefficient, and for the same body twice, since a body never
         touches itself.
         """
-        links = [
-            f"{robot.name}/{body}" for robot in self.articulations.values() for body in dict.fromkeys(robot.bodies)
-        ]
+        links = [f"{r.name}/{body}" for r in self.articulations.values() for body in dict.fromkeys(r.bodies)]
         known = [*self.bodies, *self.articulations, *links]
         for name in (a, b):
             choice(name, known, "body")
@@ -196,10 +194,7 @@ class Scene(Parts):
             frame_of[key] = len(frame_of)
         out = []
         for b in self.bodies.values():
-            if b.name in frame_of:
-                R, t = np.eye(3), -b.com
-            else:
-                R, t = checks.rotation(b.quaternion), b.position
+            R, t = (np.eye(3), -b.com) if b.name in frame_of else (checks.rotation(b.quaternion), b.position)
             out.append(Geom(b.name, b.name, b.shape, frame_of.get(b.name, -1), R, t, b.material, b.colour, b.name))
         for a in self.articulations.values():
             for (name, joint, placement, shape), body, material in zip(a.links, a.bodies, a.materials, strict=True):
