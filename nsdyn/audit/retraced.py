@@ -47,7 +47,8 @@ class Retraced:
     met_doubt : ndarray, shape (contacts,)
         Uncertainty of the works of contacts, J.
     met_parted : ndarray of bool, shape (contacts,)
-        Contacts that strike alternately with limits, in an instant or in a move.
+        Contacts that strike alternately with limits, in an instant or in a move, or strike before the forces of a move
+        that damp their rebound.
     met_twice : ndarray, shape (contacts,)
         Upper bound of the work of rebound impulses within moves, J; 0 for other contacts. Other impulses within these
         moves are booked as numerics.
@@ -148,6 +149,7 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
     end, alone = out.trees.state(i, k + 1)[0], len(way.kicks) == 1
     for kick, first, last in zip(way.kicks, way.flows[::2], way.flows[1::2], strict=True):
         mean = along = 0.5 * (kick.before + kick.after)
+        damped = 0.5 * (kick.struck + kick.after)
         late = late + first.doubted[1]
         each.append(late)
         doubted = late
@@ -158,13 +160,13 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
         works["external"] += float((kick.given[0] + kick.given[3]) @ along)
         works["normal"] += float(kick.given[1] @ mean)
         works["friction"] += float(kick.given[2] @ mean)
-        works["damping"] += float(kick.stiff[0] @ along)
+        works["damping"] += float(kick.stiff[0] @ damped)
         works["constraint"] += first.work + last.work
         if m.driven.size:  # the work of drives in a flow is its change of energy, as uncertain as its velocities
             doubt += sum(float(np.abs(m.mass(flow.q) @ flow.v) @ flow.doubted[1]) for flow in (first, last))
         if kick.mean is None:
             works["constraint"] += float(kick.reaction @ mean)
-        change = np.abs(kick.after - kick.before)
+        change = np.abs(kick.struck - kick.before) + np.abs(kick.after - kick.struck)
         # Rebounds in a piece, or several in one instant, have parts of work that are not recorded. If only limits
         # strike in an instant, their parts form one work.
         on_joints = np.abs(kick.given[1]) + np.abs(kick.given[2])
@@ -211,6 +213,7 @@ def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[
         return
     c = out.trees.trajectory.columns
     point, restitution = c["contacts/point"], c["contacts/restitution"]
+    struck = bool((kick.struck != kick.before).any())
     m.place(begin[0])
     first = {joint: m.pose(joint) for _, _, joint in kick.touches}
     m.place(kick.q)
@@ -228,8 +231,9 @@ def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[
             speed, rubs = float(np.linalg.norm(_fastest(m, kick, rows))), 1.0 + c["contacts/mu"][row]
             out.met_parted[row] = True
             out.met_doubt[row] += 2.0 * rubs * speed * float(np.linalg.norm(out.trees.impulses[row]))
+        out.met_parted[row] |= struck
         if kick.h and (restitution[row] > 0.0 or parted):
-            out.met_twice[row] += max(abs(float(push @ v)) for v in (kick.before, kick.after))
+            out.met_twice[row] += max(abs(float(push @ v)) for v in (kick.before, kick.struck, kick.after))
     m.place(begin[0])
     for row, side, joint in kick.touches:
         there = first[joint].act(poses[joint].actInv(point[row]))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
-from nsdyn.dynamics.values import TreeLoads, TreeMidpoint
+from nsdyn.dynamics.values import TreeLoads
 from nsdyn.scene.actuation import Actuation, Actuator
 from nsdyn.scene.control import PD, Axes
 from nsdyn.tools.arrays import Array, Bools
@@ -106,17 +106,17 @@ class Actuators:
 
 
 def left_to_rows(
-    halfway: TreeMidpoint, loads: TreeLoads, limit: Array, mobility: Array, v: Array, over: Bools
+    h: float, loads: TreeLoads, limit: Array, mobility: Array, v0: Array, v: Array, over: Bools
 ) -> TreeLoads:
     """Return the loads of a step without the control of the actuators `over` (nv,) their limits, which rows replace.
 
     The law τ = clip(τ₀ - b v', ±L) is the law of a clutch that slips at L, between the joint and a rotor. The rotor has
     the mass h b and turns at τ₀/b without the clutch. The row of the clutch is in `nsdyn.dynamics.joints`. If b is
     negligible beside the mobility of the joint, 1/mass (see `UNMOVED`), the actuator gets no row. Then τ is a constant:
-    its value at v, the velocity after the forces by which the limits L (nv,), N m or N, are exceeded.
+    its value at v, the velocity after the forces by which the limits L (nv,), N m or N, are exceeded. v0 is that before
+    the forces.
     """
     kp, kd, alpha, beta, force = loads.laws[1]
-    h, v0 = halfway.h, halfway.v
     slope = beta * kd + h * alpha**2 * kp
     start = force - ((1.0 - beta) * kd - h * (1.0 - alpha) ** 2 * kp) * v0
     held = np.where(over, np.clip(start - slope * v, -limit, limit), 0.0)

@@ -75,18 +75,40 @@ class Dynamics(Kinematics):
             motions.append(tree.free_motion(middle.trees[k], t, control.get(k), applied.get(k), before))
         return self._with_trees(out, load, motions)
 
-    def within_limits(self, middle: MidpointState, forces: Forces, v: Array) -> Forces:
+    def within_limits(self, middle: MidpointState, forces: Forces, v: Array, kick: Array | None = None) -> Forces:
         """Return the forces with rows for actuators that the velocity v (n,) after the forces brings beyond limits.
 
-        Return `forces` itself if no actuator is beyond its limit.
+        Impacts at the midpoint change the velocity before the forces by `kick` (n,). Return `forces` itself if no
+        actuator is beyond its limit.
         """
+        before = middle.v if kick is None else middle.v + kick
         motions = [
-            free if free.loads.limit is None else tree.within_limits(half, free, v[tree.coordinates])
+            free
+            if free.loads.limit is None
+            else tree.within_limits(half, free, before[tree.coordinates], v[tree.coordinates])
             for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True)
         ]
         if all(map(is_, motions, forces.trees)):
             return forces
         return self._with_trees(forces.v.copy(), forces.load, motions)
+
+    def struck(self, middle: MidpointState, forces: Forces, kick: Array) -> tuple[Forces, Array]:
+        """Return the forces of a step after impacts at the midpoint that change v by `kick` (n,), and their drag.
+
+        Impacts take no time: damping, springs and control give no impulse in them, and see the velocity that they
+        leave. The drag (2, n) is the part of the change of v by these forces that is due to this velocity, and to the
+        kick alone; it is empty without such forces.
+        """
+        if not any(free.loads.implicit for free in forces.trees):
+            return forces._replace(v=forces.v + kick), np.empty((2, 0))
+        before, drag, motions = middle.v + kick, np.zeros((2, self.n)), []
+        for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
+            k = tree.coordinates
+            if free.loads.implicit:
+                drag[:, k] = tree.drag(half, free, before[k]), tree.drag(half, free, kick[k])
+                free = free._replace(before=before[k])
+            motions.append(free)
+        return forces._replace(v=forces.v + kick + drag[1], trees=tuple(motions)), drag
 
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position where no forces act, as the law of impact needs them."""

@@ -178,8 +178,8 @@ class JointLaws:
         return out
 
     def impulses(self, rows: JointRows | None, r: Array, nv: int) -> tuple[Array, Array]:
-        """Impulses r (nj, 3) by slot, (slots, 3); and (7, nv): actuators, limits and friction in rows 0, 1 and 2."""
-        on_coordinates = np.zeros((7, nv))
+        """Impulses r (nj, 3) by slot, (slots, 3); and (8, nv): actuators, limits and friction in rows 0, 1 and 2."""
+        on_coordinates = np.zeros((8, nv))
         if rows is None:
             return self.no_impulses, on_coordinates
         by_slot, j = np.zeros((self.size, 3)), self.coordinate[rows.slot] - self._first

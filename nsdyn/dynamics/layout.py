@@ -150,7 +150,7 @@ class Layout:
         self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radii
-        self.no_impulses = NO_VECTORS, np.zeros((7, self.n - 6 * self.free))
+        self.no_impulses = NO_VECTORS, np.zeros((8, self.n - 6 * self.free))
         self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
         self.joints = JointLaws(self.trees, self.free)
         self._slots = [self.joints.actuators(t.coordinates) for t in self.trees]

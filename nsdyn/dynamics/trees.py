@@ -177,21 +177,24 @@ class Tree(Linkage):
         limit = law[-1] if limited else None
         loads = TreeLoads(laws, push, wrenches, weight, rates, limit, None, self._zero, implicit or self._implicit)
         free = self._respond(halfway, loads)
-        return self.within_limits(halfway, free, free.v, last)
+        return self.within_limits(halfway, free, halfway.v, free.v, last)
 
-    def within_limits(self, halfway: TreeMidpoint, free: FreeMotion, v: Array, last: Array | None = None) -> FreeMotion:
+    def within_limits(
+        self, halfway: TreeMidpoint, free: FreeMotion, before: Array, v: Array, last: Array | None = None
+    ) -> FreeMotion:
         """Return the motion with rows for actuators that the velocity v after the forces brings beyond their limits.
 
-        Actuators at their limits in the `last` impulses of their rows, (nv, 3), have rows too. Return `free` itself if
-        no actuator needs a row.
+        `before` (nv,) is the velocity before the forces, after impacts captured at the midpoint. Actuators at their
+        limits in the `last` impulses of their rows, (nv, 3), have rows too. Return `free` itself if no actuator needs a
+        row.
         """
         limit = free.loads.limit
         if limit is None:
             return free
         over, last = np.empty(v.size, np.bool_), self._no_impulses if last is None else last
-        if not _trees.strained(free.loads.laws, limit, last, halfway.v, v, halfway.h, over):
+        if not _trees.strained(free.loads.laws, limit, last, before, v, halfway.h, over):
             return free
-        loads = left_to_rows(halfway, free.loads, limit, np.diag(free.minv), v, over)
+        loads = left_to_rows(halfway.h, free.loads, limit, np.diag(free.minv), before, v, over)
         out = self._respond(halfway, loads)
         return out._replace(foreseen=out.v + halfway.h * (out.minv @ loads.held))
 
@@ -207,7 +210,14 @@ class Tree(Linkage):
             minv, b = Z @ Z.T, np.zeros(len(B))
             b[b.size - len(self.driven) :] = loads.rates
             _trees.respond(minv @ (m @ v0) + P @ b, minv, acting, v0, h, v)
-        return FreeMotion(v, v, loads, m, minv, constraints)
+        return FreeMotion(v, v, loads, v0, m, minv, constraints)
+
+    def drag(self, halfway: TreeMidpoint, free: FreeMotion, v: Array) -> Array:
+        """Part of the change of velocity by the forces that is due to the velocity v (nv,) before them."""
+        h = halfway.h
+        k, d, alpha, _, _ = free.loads.laws.swapaxes(0, 1)
+        out: Array = -h * free.minv @ ((d + h * (2.0 * alpha - 1.0) * k).sum(axis=0) * v)
+        return out
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """Motion without loads, for impacts: mass matrix at a configuration, with its loops and driven joints."""
@@ -217,7 +227,7 @@ class Tree(Linkage):
             minv = constraints.Z @ constraints.Z.T
         rates = np.zeros(len(self.driven))
         loads = TreeLoads(np.zeros((2, 5, v.size)), zero, None, zero, rates, None, None, zero, False)
-        return FreeMotion(v, v, loads, M, minv, constraints)
+        return FreeMotion(v, v, loads, v, M, minv, constraints)
 
     def end(self, halfway: TreeMidpoint, free: FreeMotion, v: Array, pushed: bool) -> Flow:
         """End of a step whose forces leave the velocity v.
@@ -246,7 +256,7 @@ class Tree(Linkage):
     def forces(self, halfway: TreeMidpoint, free: FreeMotion, v: Array) -> Array:
         """Actuation, damping and springs of a step whose forces leave the velocity v, shape (3, nv), N m or N."""
         out = np.empty((3, v.size))
-        _trees.forces(free.loads.laws, free.loads.push, halfway.v, v, halfway.h, out)
+        _trees.forces(free.loads.laws, free.loads.push, free.before, v, halfway.h, out)
         return out
 
     def works(
@@ -270,7 +280,7 @@ class Tree(Linkage):
         """
         h, loads = halfway.h, free.loads
         limit = self._no_control.law[-1] if loads.limit is None else loads.limit
-        acting, velocities, start = (loads.laws, loads.push, limit), (halfway.v, v), self.columns.start
+        acting, velocities, start = (loads.laws, loads.push, limit), (free.before, v), self.columns.start
         actuation, damping, pushed = _trees.works(acting, velocities, end.mean, impulse, h, start, joints)
         constraint = 0.0
         if free.constraints is not None:

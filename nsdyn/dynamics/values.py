@@ -161,6 +161,8 @@ class FreeMotion(NamedTuple):
     foreseen : ndarray, shape (nv,)
         The same, with the predicted forces of actuators that have rows.
     loads : TreeLoads
+    before : ndarray, shape (nv,)
+        Velocity before the forces, which they see: that of the midpoint, after impacts captured there.
     m, minv : ndarray, shape (nv, nv)
         Effective mass matrix M̃ and its inverse; the inverse is Z Zᵀ for a constrained tree.
     constraints : Constraints or None
@@ -169,6 +171,7 @@ class FreeMotion(NamedTuple):
     v: Array
     foreseen: Array
     loads: TreeLoads
+    before: Array
     m: Array
     minv: Array
     constraints: Constraints | None

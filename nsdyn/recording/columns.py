@@ -46,13 +46,16 @@ Layout of the file (n steps; row 0 of states is the initial state; SI units; qua
                                                    forces or without all contacts; since version 7
     /joints/drive                                  (n, nv)  change of velocity of driven joints, rad/s or m/s; since
                                                    version 7
+    /joints/struck                                 (n, nv)  change of velocity by impacts captured in a move, before its
+                                                   forces, where damping, springs or a control see it, rad/s or m/s;
+                                                   since version 12
     /pieces/offset                                 (n+1,)  moves and impacts of step k are rows offset[k-1] to
                                                    offset[k] of the datasets of /pieces; no rows for a step made in
                                                    one move; only in scenes with articulations; since version 7
     /pieces/begin, duration, contacts              (.,)  s after the beginning of the step; s, 0 for impacts in no time;
                                                    number of the step's contacts, in their order, that belong to it
     /pieces/moves                                  (., nv)  1 for the coordinates of its island, 0 for all others
-    /pieces/actuation, limit, friction, external, shift, strength, drive
+    /pieces/actuation, limit, friction, external, shift, strength, drive, struck
                                                    (., nv)  as in /joints
     /wrenches/offset                               (n+1,)  nonzero external wrenches on free bodies in the moves of
                                                    step k are rows offset[k-1] to offset[k] of the datasets of
@@ -131,7 +134,7 @@ __all__ = [
 
 Columns = dict[str, NDArray[Any]]
 
-FORMAT_VERSION = 11
+FORMAT_VERSION = 12
 CONTACT_STATES = "open", "stick", "slip", "jam"
 """Words for `contacts/status`."""
 
@@ -212,7 +215,7 @@ ON_JOINTS = {
     **dict.fromkeys(("actuation", "limit", "friction", "external"), Column("f8", "N m s or N s", _EACH)),
     "shift": Column("f8", "rad or m", _EACH),
     "strength": Column("f8", "N m s or N s", _EACH),
-    "drive": Column("f8", "rad/s or m/s", _EACH),
+    **dict.fromkeys(("drive", "struck"), Column("f8", "rad/s or m/s", _EACH)),
 }
 """Values read for each coordinate of the articulations, in the order of `joints` of a step and of its pieces."""
 PIECES = {
@@ -274,6 +277,8 @@ ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
     (8, "contacts/couple", (), math.nan),
     (9, "gauss/coulomb", (), math.nan),
     (10, "contacts/duration", (), math.nan),
+    (12, "joints/struck", (), 0.0),
+    (12, "pieces/struck", (), 0.0),
 ]
 # Attributes of /meta that older files lack.
 ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": "", "polish": False}

@@ -198,6 +198,8 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     if meta["format_version"] > FORMAT_VERSION:
         raise ValueError(f"{path} has format_version {meta['format_version']}, this nsdyn reads up to {FORMAT_VERSION}")
     added = [row for row in ADDED if meta["format_version"] < row[0]]
+    # Scenes without articulations have no columns of joints.
+    added = [row for row in added if row[1].partition("/")[0] not in ("joints", "pieces") or "joints/drive" in file]
     parts = [part for _, _, parts, _ in added for part in parts]
     absent = {column for _, column, _, _ in added}
     needed = [*STATES, "contacts/offset", *STEPS, *parts, *(f"contacts/{name}" for name in CONTACT)]
@@ -218,8 +220,10 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
     for name, size in _row_counts(names, states, ends).items():
         told = LAYOUT.get(name, Column("f8", "J"))  # works of older files are in no layout
         columns[name] = schema.column(file, name, size, told.kind, told.row)
+    coordinates = columns["joints/drive"].shape[1:] if "joints/drive" in columns else (0,)
+    widths = WIDTHS | {"joint_coordinate": coordinates[0]}
     for name, size in _row_counts(absent, states, ends).items():
-        columns[name] = np.empty((size, *(WIDTHS[axis] for axis in LAYOUT[name].axes)))
+        columns[name] = np.empty((size, *(widths[axis] for axis in LAYOUT[name].axes)))
     for _, column, summed, value in added:
         columns[column] = sum((columns.pop(part) for part in summed), np.full(columns[column].shape, value))
     described = dataset(file, "meta/scene")

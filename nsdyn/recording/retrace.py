@@ -4,7 +4,9 @@ A step, or each of its pieces (substeps), is a motion without forces for the fra
 configuration, then a motion without forces for the rest. The recorded impulses are used unchanged. With the length h of
 the piece, mass matrix M, gravity terms g, damping D, springs K stretched by s, and B of loops and driven joints,
 
-    M (v⁺ - v⁻) = impulses - h g - h D (θ v⁺ + (1 - θ) v⁻) - h K (s + h θ² v⁺ - h (1 - θ)² v⁻) + Bᵀ λ,    B v⁺ = b.
+    M (v⁺ - v⁻) = impulses - h g - h D (θ v⁺ + (1 - θ) v°) - h K (s + h θ² v⁺ - h (1 - θ)² v°) + Bᵀ λ,    B v⁺ = b,
+
+where v° is v⁻ after the impacts that a move captures before its forces.
 
 If only gravity and constant joint forces act on a tree, they may also act throughout the piece.
 """
@@ -47,8 +49,8 @@ class Kick(NamedTuple):
     ----------
     h : float
         Length of the piece, s; 0 for impacts in no time.
-    q, before, after : ndarray
-        Configuration, and velocities before and after.
+    q, before, struck, after : ndarray
+        Configuration, and velocities: before, after captured impacts, as far as forces see them, and after.
     given : ndarray, shape (4, nv)
         Impulses of actuation, limits, dry friction and external wrenches.
     shift : ndarray, shape (nv,)
@@ -70,6 +72,7 @@ class Kick(NamedTuple):
     h: float
     q: Array
     before: Array
+    struck: Array
     after: Array
     given: Array
     shift: Array
@@ -231,11 +234,11 @@ class Trees:
         m.place(at.q)
         for row, side, joint in touches:
             pushed += m.push(joint, c["contacts/point"][row], (2 * side - 1) * self.impulses[row])
-        M, v, bend = m.mass(at.q), at.v, m.stretch(at.q)
+        M, v, bend, struck = m.mass(at.q), at.v, m.stretch(at.q), at.v + given[7]
         begin = (1.0 - theta) * np.diag(m.damping) - h * (1.0 - theta) ** 2 * np.diag(m.stiffness)
         end = theta * np.diag(m.damping) + h * theta**2 * np.diag(m.stiffness)
         known = given[:4].sum(axis=0) + pushed - h * m.weight(at.q)
-        momentum = M @ v + known - h * (begin @ v + m.stiffness * bend)
+        momentum = M @ v + known - h * (begin @ struck + m.stiffness * bend)
         B = m.constraints(at.q)[1] if m.bound else np.empty((0, m.nv))
         # Forces remove the velocity error of loops that the free motion leaves; an impact in no time keeps this error.
         goal = np.zeros(len(B)) if h else B @ v
@@ -249,10 +252,10 @@ class Trees:
         after = left_by(momentum)
         reaction = (M + h * end) @ after - momentum if m.bound else np.zeros(m.nv)
         rate = (left_by(momentum - given[1] - given[2] - pushed) - v) / h if h else np.zeros(m.nv)
-        damping = -h * m.damping * (theta * after + (1.0 - theta) * v)
-        springs = -h * m.stiffness * (bend + h * (theta**2 * after - (1.0 - theta) ** 2 * v))
+        damping = -h * m.damping * (theta * after + (1.0 - theta) * struck)
+        springs = -h * m.stiffness * (bend + h * (theta**2 * after - (1.0 - theta) ** 2 * struck))
         stiff = np.array([damping, springs])
-        return Kick(h, at.q, v, after, given[:4], given[4], pushed, touches, stiff, reaction, rate)
+        return Kick(h, at.q, v, struck, after, given[:4], given[4], pushed, touches, stiff, reaction, rate)
 
 
 def _grown(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn.dynamics.values import Flow
+from nsdyn.dynamics.values import Flow, Forces
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
+from nsdyn.stepping.collisions import Captured
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.persistence import Couple
-from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.scene_state import SceneState
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -28,8 +28,8 @@ class Attempt(NamedTuple):
     ----------
     mid : Midpoint
     kin : ContactKinematics
-    impact : Impact or None
-        Captured impacts, which act before the other impulses.
+    captured : Captured or None
+        Captured impacts, which act before the forces and the other impulses.
     sliding : ndarray of bool, shape (nc,)
         Contacts that slide through the whole move.
     problem : FC3D
@@ -56,7 +56,7 @@ class Attempt(NamedTuple):
 
     mid: Midpoint
     kin: ContactKinematics
-    impact: Impact | None
+    captured: Captured | None
     sliding: Bools
     problem: FC3D
     solution: Solution
@@ -70,9 +70,9 @@ class Attempt(NamedTuple):
     touch_time: float = np.inf
 
     @property
-    def kick(self) -> Array | float:
-        """Change of v by the captured impacts, (n,), 0 without any."""
-        return 0.0 if self.impact is None else self.kin.rows.velocity_change(self.impact.r)
+    def forces(self) -> Forces:
+        """The forces of the move, after captured impacts."""
+        return self.mid.forces if self.captured is None else self.captured.forces
 
     @property
     def normal_impulses(self) -> Array:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, ordered, take
-from nsdyn.dynamics.values import MidpointState
+from nsdyn.dynamics.values import Forces, MidpointState, Placement
 from nsdyn.stepping.active_set import normal_velocities
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.impacts import Round
@@ -18,13 +20,32 @@ from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["captured_impacts", "collide", "limits_struck", "striking"]
+__all__ = ["Captured", "captured_impacts", "collide", "limits_struck", "striking"]
 
 NO_SLOTS = np.empty(0, np.int64)
 
 
-def captured_impacts(s: System, kin: ContactKinematics, mid: Midpoint) -> tuple[ContactKinematics, Impact | None]:
-    """Apply impacts in no time, at the midpoint, of contacts that close within the move.
+class Captured(NamedTuple):
+    """Impacts in no time at the midpoint of a move, before its forces.
+
+    Attributes
+    ----------
+    impact : Impact
+    kick : ndarray, shape (n,)
+        Change of v by the impacts.
+    forces : Forces
+        The forces of the move, which see the velocity after the impacts.
+    """
+
+    impact: Impact
+    kick: Array
+    forces: Forces
+
+
+def captured_impacts(
+    s: System, kin: ContactKinematics, mid: Midpoint, there: Placement
+) -> tuple[ContactKinematics, Captured | None]:
+    """Apply impacts in no time, at the midpoint, of contacts that close within the move; their frames are `there`.
 
     Return the kinematics for the other impulses, and the impacts, if there are any.
     """
@@ -34,14 +55,19 @@ def captured_impacts(s: System, kin: ContactKinematics, mid: Midpoint) -> tuple[
     # The drift of rows that turn with their bodies is no approach.
     resting = s.resting(kin, mid.state, mid.rate, mid.surface_acceleration)
     resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.jacobian_drift[0::3]))
-    closed = struck | (kin.end_gap <= s.gap_tol)
+    closed, d, rows = struck | (kin.end_gap <= s.gap_tol), s.dynamics, kin.rows
+    if any(free.loads.implicit for free in mid.forces.trees):
+        # Damping, springs and controls take time: they add no mass to what strikes.
+        rows, _ = d.rows(kin.contacts, there, d.inertia(mid.state.position, mid.state.v), kin.joints)
     while True:
-        impact = _strike(s, kin, closed, resting, resting)
-        after = kin.changed(kin.rows.velocity_change(impact.r), struck)
+        impact = _strike(s, kin._replace(rows=rows), closed, resting, resting)
+        kick = rows.velocity_change(impact.r)
+        forces, drag = d.struck(mid.state, mid.forces, kick)
+        after = kin.changed(kick, drag, struck)
         # Contacts that these impacts make approach and close strike, too.
         driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, mid.h)
         if not driven.any():
-            return after, impact
+            return after, Captured(impact, kick, forces)
         closed, struck = closed | driven, struck | driven
 
 

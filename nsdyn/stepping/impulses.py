@@ -36,10 +36,11 @@ class Impulses(NamedTuple):
         On body 2, world axes, N·m·s: `nsdyn.stepping.persistence`.
     work_normal, work_friction : ndarray, shape (nc,)
         Works, J; that of the couple is included in the normal one.
-    joints : ndarray, shape (7, nv)
+    joints : ndarray, shape (8, nv)
         On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
         wrenches, N m s or N s; displacement by the position projection, rad or m; the most that actuators may give,
-        N m s or N s, infinite where they have no limit; and the change of velocity of driven joints, rad/s or m/s.
+        N m s or N s, infinite where they have no limit; the change of velocity of driven joints, and that by captured
+        impacts which damping, springs and control see, rad/s or m/s.
     links : ndarray, shape (links, 6)
         Impulses of external wrenches on the links of trees, one by joint: force and moment about the world's origin,
         N·s, N m s.

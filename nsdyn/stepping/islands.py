@@ -345,7 +345,7 @@ class Islands:
         return a._replace(
             couple=turned,
             kin=a.kin.take(kept),
-            impact=None,
+            captured=None,
             problem=problem,
             solution=solution,
             moved=a.moved._replace(contacts=contacts, limits=limits, memory=a.moved.memory._replace(next_key=next_key)),

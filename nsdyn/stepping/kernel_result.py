@@ -115,7 +115,7 @@ class KernelResult(NamedTuple):
             couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
         return {
             "kin": kinematics,
-            "impact": None,
+            "captured": None,
             "sliding": sliding,
             "problem": problem,
             "solution": solution,

@@ -108,7 +108,7 @@ class LazyStep(NamedTuple):
 
     @staticmethod
     def steps(some: Sequence[LazyStep]) -> Step:
-        """Results of m steps of a scene without their contacts; arrays have a leading axis of m, `joints` (7, m)."""
+        """Results of m steps of a scene without their contacts; arrays have a leading axis of m, `joints` (8, m)."""
         first, d, m, nothing = some[0].flat, some[0].system.dynamics, len(some), np.zeros(len(some))
         x = quaternion = joints = links = pieces = None
         booked = [one._booked() for one in some]

@@ -12,7 +12,7 @@ from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.solving import PASSES
 from nsdyn.collision.contacts import ContactSet, DetectionPose, take, united
 from nsdyn.dynamics.joints import JointRows
-from nsdyn.dynamics.values import Flow, Placement
+from nsdyn.dynamics.values import Flow, Forces, Placement
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.active_set import (
     captured,
@@ -26,12 +26,11 @@ from nsdyn.stepping.active_set import (
     update_active_set,
 )
 from nsdyn.stepping.attempt import Attempt, Known, parted
-from nsdyn.stepping.collisions import captured_impacts
+from nsdyn.stepping.collisions import Captured, captured_impacts
 from nsdyn.stepping.contact_kinematics import ContactKinematics, predict_sliding
 from nsdyn.stepping.midpoint import Callbacks, Loads, Midpoint, corrected, midpoint
 from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
-from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.stepping.solving import solve, update_sliding
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -238,9 +237,9 @@ def _response(
         The last attempt, with other contacts or a rough solution.
     label : ndarray of int, shape (nodes,), optional
     """
-    d, forces = s.dynamics, mid.forces
-    kin, impact = _kinematics(s, begin, mid, there.detected_at, needs, label)
-    kick = None if impact is None else kin.rows.velocity_change(impact.r)
+    d = s.dynamics
+    kin, captured = _kinematics(s, begin, mid, there.detected_at, needs, label)
+    forces, kick = (mid.forces, None) if captured is None else (captured.forces, captured.kick)
     sliding = predict_sliding(kin, begin.warm)
     if last is not None:
         _start_from(kin, sliding, last)
@@ -254,12 +253,11 @@ def _response(
     while True:
         kin, problem, solution = solve(kin, s.solver, known, sliding, gap_rule, effort, label is None, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
-        v = v if kick is None else v + kick
         impulse, v = kin.rows.response(solution.r, v)
-        if label is None and (limited := d.within_limits(mid.state, forces, v)) is not forces:
+        if label is None and (limited := d.within_limits(mid.state, mid.forces, v, kick)) is not mid.forces:
             return _response(s, begin, replace(mid, forces=limited), there, needs, located, last)
-        if impact is not None:
-            impulse = kin.rows.full.momentum(solution.r + impact.r)
+        if captured is not None:
+            impulse = kin.rows.full.momentum(solution.r + captured.impact.r)
         passes = passes if solution.accepted else 0
         slips = np.zeros(sliding.size, np.bool_)
         if passes:
@@ -267,7 +265,7 @@ def _response(
         turn = turned(s, kin, mid, solution, v, sliding, couple, left) if passes and lasts else None
         off = np.zeros(alone.end_gap.size, np.bool_)
         if located is not None or not passes or (turn is None and not slips.any()):
-            trees, moved = _second_half(s, mid, there, v, impulse, near)
+            trees, moved = _second_half(s, mid, forces, there, v, impulse, near)
             if passes and lasts and located is not None:
                 alone, off = _end_gaps(s, mid, alone, solution, moved)
         if turn is not None:
@@ -280,19 +278,19 @@ def _response(
         kin, known, passes, back = alone.turned(couple.dv, solution.r), solution, passes - 1, True
     couple = worked(s, kin, mid, v, couple)
     solved = sliding, problem, solution, couple
-    return Attempt(mid, kin, impact, *solved, v, impulse, trees, moved)
+    return Attempt(mid, kin, captured, *solved, v, impulse, trees, moved)
 
 
 def _second_half(
-    s: System, mid: Midpoint, at: SceneState, v: Array, impulse: Array, near: Array
+    s: System, mid: Midpoint, forces: Forces, at: SceneState, v: Array, impulse: Array, near: Array
 ) -> tuple[tuple[Flow, ...], SceneState]:
     """Compute the second half of a move: the flows of the trees, and the end with the contacts found there.
 
-    The impulses H r (n,) lead to the velocity v (n,). Detection goes on from the state `at`, and searches as far as
-    `near` (frames,) from each frame, m.
+    The `forces` and the impulses H r (n,) lead to the velocity v (n,). Detection goes on from the state `at`, and
+    searches as far as `near` (frames,) from each frame, m.
     """
     d = s.dynamics
-    position, v_end, there, trees = d.end(mid.state, mid.forces, v, impulse, mid.ahead, mid.driven)
+    position, v_end, there, trees = d.end(mid.state, forces, v, impulse, mid.ahead, mid.driven)
     moved = at._replace(
         position=position, v=v_end, placement=there, limits=NOTHING, twists=d.twists(there, v_end), energies=()
     )
@@ -303,16 +301,16 @@ def _second_half(
 
 def _kinematics(
     s: System, begin: SceneState, mid: Midpoint, detected_at: DetectionPose, needs: Needs, label: Index | None
-) -> tuple[ContactKinematics, Impact | None]:
+) -> tuple[ContactKinematics, Captured | None]:
     """Return the contacts and joint rows of the second half of a move, and the impacts captured at its midpoint."""
     d, (contacts, joints) = s.dynamics, needs
-    there, every = mid.state.placement, d.with_actuators(joints, mid.forces)
-    kin = ContactKinematics.of(mid, there._replace(x=detected_at.x, R=detected_at.R), contacts, every, begin)
-    impact: Impact | None = None
+    there = mid.state.placement._replace(x=detected_at.x, R=detected_at.R)
+    kin = ContactKinematics.of(mid, there, contacts, d.with_actuators(joints, mid.forces), begin)
+    captured: Captured | None = None
     if label is None:
-        kin, impact = captured_impacts(s, kin, mid)
+        kin, captured = captured_impacts(s, kin, mid, there)
     limits = _limits(s, kin.joints, begin.placement)
-    return kin.lasting(s, begin, limits, mid.h, impact is not None), impact
+    return kin.lasting(s, begin, limits, mid.h, captured is not None), captured
 
 
 def _end_gaps(

@@ -88,7 +88,7 @@ class Pieces(NamedTuple):
         Number of contacts of the step that belong to each move or impact.
     moves : ndarray of int8, shape (m, nv)
         1 for the coordinates of articulations of its island, 0 for all other coordinates.
-    joints : ndarray, shape (7, m, nv)
+    joints : ndarray, shape (8, m, nv)
         As in `Step`.
     """
 
@@ -217,10 +217,11 @@ class Step:
         substep, 0 for an impact.
     work_normal, work_friction : ndarray, shape (nc,)
         Works, J; the work of the couple is in the normal one.
-    joints : ndarray, shape (7, nv), or None
+    joints : ndarray, shape (8, nv), or None
         Per coordinate of the articulations: impulses of actuation, of limits, of dry friction and of external
         wrenches, N m s or N s; displacement by position projections, rad or m; the largest impulse of actuators,
-        N m s or N s, infinite without a limit; and the change of velocity of prescribed joints, rad/s or m/s.
+        N m s or N s, infinite without a limit; the change of velocity of prescribed joints, rad/s or m/s, and that by
+        impacts captured in a move, 0 for joints that no damping, spring or control of their articulation sees.
         None in scenes without articulations.
     links : ndarray, shape (links, 6)
         Impulses of external wrenches on the links of articulations, one per joint, in the order of joints: force and

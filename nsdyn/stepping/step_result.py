@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn.dynamics.ledger import Works
-from nsdyn.dynamics.values import Energies, Flow, Placement, Position
+from nsdyn.dynamics.values import Energies, Flow, Forces, Placement, Position
 from nsdyn.stepping.attempt import Attempt
+from nsdyn.stepping.collisions import Captured
 from nsdyn.stepping.impulses import Impulses, book
 from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.projection import project
-from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement
@@ -53,9 +53,10 @@ def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) 
     d, mid = s.dynamics, a.mid
     end, clear = project(s, a.moved, mid.forces)
     v = mid.state.v
-    velocities = v, v if a.impact is None else v + a.kick, a.v
+    impact, struck = (None, v) if a.captured is None else (a.captured.impact, v + a.captured.kick)
+    velocities = v, struck, a.v
     mass = d.mass if left is None else np.where(left[: d.free], d.mass, 0.0)
-    impulses, warm = book(s, a.kin, velocities, (a.problem, a.solution), mid.h, a.impact, a.couple, mass)
+    impulses, warm = book(s, a.kin, velocities, (a.problem, a.solution), mid.h, impact, a.couple, mass)
     impulses, own = impulses._replace(wrench=mid.wrench(left)), mid.booked(impulses.works, *velocities[1:], left)
     # A contact that has just closed its gap approaches. If it would become deep in the next move, it strikes first.
     sinks = s.dt / mid.ahead * a.kin.end_gap[: warm.status.size] > s.penetration_tol(a.kin.contacts)
@@ -73,9 +74,9 @@ def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) 
     energies: Energies = ()
     strays: Sequence[bool] = ()
     if d.trees:
-        struck = None if a.impact is None else _struck(s, a, a.impact)
-        trees = begin.energies, mid, a.v, a.trees, a.impulse, end.position
-        of_trees, energies, strays = tree_works(s, *trees, (impulses.joints, impulses.links), struck, left)
+        beyond = None if a.captured is None else _beyond(s, a, a.captured)
+        trees = begin.energies, mid, a.forces, a.v, a.trees, a.impulse, end.position
+        of_trees, energies, strays = tree_works(s, *trees, (impulses.joints, impulses.links), beyond, left)
         own = Works.total([own, *of_trees])
     end = end._replace(warm=warm, energies=energies)
     done = [impulses._replace(works=Works.total([own, *works]))]
@@ -86,12 +87,13 @@ def tree_works(
     s: System,
     before: Energies,
     mid: Midpoint,
+    forces: Forces,
     v: Array,
     ends: tuple[Flow, ...],
     impulse: Array,
     lifted: Position,
     acted: tuple[Array, Array],
-    struck: list[float] | None = None,
+    beyond: list[float] | None = None,
     left: Bools | None = None,
 ) -> tuple[list[Works], Energies, tuple[bool, ...]]:
     """Return works of trees and their energies after the projection, J, and whether numerics add too much of it.
@@ -102,6 +104,8 @@ def tree_works(
     before : tuple of (float, float)
         Energies of the trees where the move begins.
     mid : Midpoint
+    forces : Forces
+        The forces of the move, after captured impacts.
     v : ndarray, shape (n,)
         Velocity after the forces and the impulses.
     ends : tuple of Flow
@@ -111,15 +115,15 @@ def tree_works(
         Position after the projection.
     acted : (ndarray, ndarray)
         (joints, links), as in `Impulses`. The impulses of actuation, of external wrenches and the most that actuators
-        may give go into rows 0, 3 and 5 of the joints, the change of velocity of driven joints into row 6, the wrenches
-        into the links.
-    struck : list of float, optional
-        As `_struck` returns it, where impacts act before the other impulses.
+        may give go into rows 0, 3 and 5 of the joints, the change of velocity of driven joints into row 6, that by
+        captured impacts which forces see into row 7, the wrenches into the links.
+    beyond : list of float, optional
+        As `_beyond` returns it, where impacts act before the other impulses.
     left : ndarray of bool, optional
         Nodes to book; trees that are not among them are passed over.
     """
     works, energies, strays, (joints, links), link = [], [], [], acted, 0
-    of_trees = zip(s.dynamics.trees, mid.state.trees, mid.forces.trees, ends, lifted.trees, before, strict=True)
+    of_trees = zip(s.dynamics.trees, mid.state.trees, forces.trees, ends, lifted.trees, before, strict=True)
     for node, (t, there, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
         k, first = t.coordinates, link
         link += t.model.njoints - 1
@@ -132,21 +136,22 @@ def tree_works(
             links[first:link] = mid.h * free.loads.wrenches
         if t.driven:
             joints[6, t.columns] = t.speeding(there.begin_v, free.loads.rates)
-        if struck is not None:
-            work = work._replace(integration=work.integration + struck[node - s.dynamics.free])
+        if beyond is not None:
+            work = work._replace(integration=work.integration + beyond[node - s.dynamics.free])
+            joints[7, t.columns] = free.before - there.v
         strays.append(t.strays(there, free, v[k], end, energy, work.integration))
         energies.append(after)
         works.append(work)
     return works, tuple(energies), tuple(strays)
 
 
-def _struck(s: System, a: Attempt, impact: Impact) -> list[float]:
+def _beyond(s: System, a: Attempt, captured: Captured) -> list[float]:
     """Return the work of rows on each tree beyond the booked works, if impacts act before other impulses, J.
 
     The two parts are booked at two mean velocities, not at the mean velocity of the forces.
     """
-    full, v, struck = a.kin.rows.full, a.mid.state.v, a.mid.state.v + a.kick
-    first, second = full.momentum(impact.r), full.momentum(a.solution.r)
+    full, v, struck = a.kin.rows.full, a.mid.state.v, a.mid.state.v + captured.kick
+    first, second = full.momentum(captured.impact.r), full.momentum(a.solution.r)
     booked = 0.5 * (first * (v + struck) + second * (struck + a.v))
     own = zip((t.coordinates for t in s.dynamics.trees), a.trees, strict=True)
     return [float(a.impulse[k] @ end.mean - booked[k].sum()) for k, end in own]

@@ -154,7 +154,7 @@ class Subsystem:
     def impulses(self, a: Impulses) -> Impulses:
         """Impulses of the subsystem in the indices of the whole system."""
         nv, all_links, _ = self._count
-        joints, moves, links = np.zeros((7, nv)), np.zeros(nv, np.bool_), np.zeros((all_links, 6))
+        joints, moves, links = np.zeros((8, nv)), np.zeros(nv, np.bool_), np.zeros((all_links, 6))
         joints[:, self._columns], links[self._links], moves[self._columns] = a.joints, a.links, True
         a = a._replace(wrench=self._of_bodies(a.wrench), lift=self._of_bodies(a.lift))
         return a._replace(contacts=self.contacts(a.contacts), joints=joints, links=links, moves=moves)

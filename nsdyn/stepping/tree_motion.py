@@ -51,7 +51,7 @@ class TreeMotion:
         d = self._s.dynamics
         self.energies: Energies = ()
         self._works: list[Works] = []
-        self._joints, self._links = np.zeros((7, d.n - 6 * d.free)), np.zeros((d.links, 6))
+        self._joints, self._links = np.zeros((8, d.n - 6 * d.free)), np.zeros((d.links, 6))
 
     def meets_nothing(self) -> bool:
         """Whether no joint is at its limits or has dry friction, and no actuator is at its limit."""
@@ -97,7 +97,7 @@ class TreeMotion:
         limits = d.limits(self.placement)
         if limits.size and _reductions.least(limits) < -self._s.gap_tol:
             return None
-        acted = self.v, self.ends, self.impulse, self.position
+        acted = self.mid.forces, self.v, self.ends, self.impulse, self.position
         self._works, self.energies, strays = tree_works(self._s, before, self.mid, *acted, (self._joints, self._links))
         if any(strays):
             return None

@@ -112,11 +112,11 @@ def rows(n: int, links: bool = False, seed: int = 0):
                 duration=np.full(k % 3, DT / 2),
                 contacts=np.arange(k % 3),
                 moves=np.ones((k % 3, 1), np.int8),
-                joints=rng.normal(size=(7, k % 3, 1)),
+                joints=rng.normal(size=(8, k % 3, 1)),
             )
             if links and k % 3
             else None,
-            joints=rng.normal(size=(7, 1)) if links else None,
+            joints=rng.normal(size=(8, 1)) if links else None,
             links=rng.normal(size=(int(links), 6)),
             wrenches=SimpleNamespace(
                 body=np.arange(2),
@@ -251,7 +251,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
     record(tmp_path / "run.h5", 7, links=True)
     with h5py.File(tmp_path / "run.h5") as file:
         meta = dict(file["meta"].attrs)
-        assert meta["format"] == "nsdyn" and meta["format_version"] == 11 and meta["dt"] == DT
+        assert meta["format"] == "nsdyn" and meta["format_version"] == 12 and meta["dt"] == DT
         assert {"nsdyn_version", "pin_version", "coal_version", "numpy_version", "scene_name"} < meta.keys()
         assert b'"two boxes"' in file["meta/scene"][()]
         assert file["t"].shape == (8,) and file["q"].shape == (8, 15) and file["v"].shape == (8, 13)
@@ -264,7 +264,7 @@ def test_file_is_readable_without_nsdyn(tmp_path):
         offset, pieces = file["contacts/offset"][:], file["pieces/offset"][:]
         assert offset.shape == (8,) and offset[0] == 0
         assert pieces.tolist() == [0, 1, 3, 3, 4, 6, 6, 7] and file["pieces/shift"].shape == (7, 1)
-        joints = ("actuation", "limit", "friction", "external", "shift", "strength", "drive")
+        joints = ("actuation", "limit", "friction", "external", "shift", "strength", "drive", "struck")
         shapes = {name: file["joints"][name].shape for name in {*file["joints"]} - named}
         assert shapes == dict.fromkeys(joints, (7, 1))
         assert file["links/impulse"].shape == (7, 1, 6)
@@ -651,3 +651,14 @@ def test_a_recording_has_one_run(tmp_path):
     ):
         path.unlink()
         it.append(steps[0])
+
+
+def test_recordings_before_format_12_have_no_captured_impacts_that_forces_see(tmp_path):
+    path = tmp_path / "run.h5"
+    record(path, 7, links=True)
+    with h5py.File(path, "r+") as file:
+        file["meta"].attrs["format_version"] = 11
+        del file["joints/struck"], file["pieces/struck"]
+    columns = Trajectory.load(path).columns
+    for group in ("joints", "pieces"):
+        np.testing.assert_array_equal(columns[f"{group}/struck"], 0.0 * columns[f"{group}/drive"])

@@ -12,8 +12,11 @@ from scipy.spatial.transform import Rotation
 import nsdyn as nd
 from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.scene import shapes
+from nsdyn.stepping import substepping
 from nsdyn.stepping.impacts import LAWS, Round
+from nsdyn.stepping.move import try_move
 from nsdyn.stepping.rounds import strike
+from nsdyn.stepping.step_result import finish
 
 g = 9.81
 
@@ -435,3 +438,55 @@ def test_what_friction_jams_on_a_rail_comes_to_rest(e):
         assert set(run.solver.status_names) == {"CONVERGED"}
         assert nd.check(run).passed and run.energy.normal.max() <= 0.0
         assert abs(run.body("r/tip").position[-1, 2] - 0.1) <= (1e-9 if e == 0.0 else 0.02)
+
+
+def hinges(count, limits, q, v, inertia=1.0, **laws):
+    """Links on hinges about parallel axes, 0.3 m apart, between limits; no gravity."""
+    model, parent, place = pin.Model(), 0, pin.SE3.Identity()
+    for k in range(count):
+        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"hinge{k}")
+        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.zeros(3), inertia * np.eye(3)), pin.SE3.Identity())
+        place = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    model.lowerPositionLimit, model.upperPositionLimit = (np.full(count, x) for x in limits)
+    scene = nd.Scene(gravity=(0, 0, 0))
+    scene.add_model("arm", model, q=q, v=v, **laws)
+    return scene
+
+
+@pytest.mark.parametrize("e", [0.3, 1.0])
+@pytest.mark.parametrize("c", [0.0, 20.0])
+def test_a_captured_impact_responds_by_the_mass_alone(e, c):
+    """A damped joint of 1 kg m² that meets its limit at 3 rad/s within 10 ms: (1 + e) 3 N m s, whatever the damping.
+
+    The damping acts on the rebound, as it would in a move without an impact: v⁺ = -e v (1 - a) / (1 + a), a = h c / 2.
+    """
+    v, h, a = 3.0, 1e-2, 0.5 * 1e-2 * c
+    stepper = nd.Stepper(hinges(1, (-9.0, 0.0), [-0.01], [v], damping=[c], restitution=e), h)
+    begin = stepper.get_state().instant
+    s = stepper.system.during(0.0, h, begin.position)
+    move = try_move(s.capturing, lambda t: None, begin, 0.0, h, None)
+    result = finish(s, begin, move)
+    after, (acted,) = -e * v * (1.0 - a) / (1.0 + a), result.done
+    assert result.end.v[0] == pytest.approx(after, rel=1e-12)
+    assert acted.joints[1, 0] == pytest.approx(-(1.0 + e) * v, rel=1e-12)
+    assert acted.works.normal == pytest.approx(0.5 * (e**2 - 1.0) * v**2, rel=1e-12, abs=1e-12)
+    assert acted.works.damping == pytest.approx(0.5 * (after**2 - (e * v) ** 2), rel=1e-12, abs=1e-12)
+    assert abs(acted.works.integration) < 1e-12
+
+
+@pytest.mark.parametrize(("e", "limit"), [(1.0, None), (0.6, None), (1.0, 3.0)])
+def test_captured_impacts_of_damped_and_controlled_joints(e, limit, monkeypatch):
+    """Two links rattle between their limits, with no impact located: laws of the velocity give no energy.
+
+    And the audit passes, also with an actuator at its limit.
+    """
+    monkeypatch.setattr(substepping, "OPTIONS", dataclasses.replace(substepping.OPTIONS, work=7))
+    law = nd.PD(kp=20.0, kd=0.5, target=0.0, limit=limit)
+    scene = hinges(2, (-0.3, 0.3), [0.1, -0.1], [30.0, -50.0], 0.01, damping=[0.1, 0.1], restitution=e)
+    run = nd.simulate(scene, 0.1, 2e-3, controller=lambda t, q, v: {"arm": law})
+    energy = run.energy
+    assert run.columns["joints/struck"].any()
+    # An actuator at its limit is a constant force, of which captured impacts keep the first-order error.
+    assert limit or energy.integration.cumsum().max() < 1e-12 * energy.kinetic[0]
+    assert (energy.damping <= 0.0).all() and np.abs(energy.defect).max() < 1e-12 * energy.kinetic[0]
+    assert nd.check(run).passed

@@ -150,7 +150,7 @@ def strained(laws, limit, last, v0, v1, h, over):
 
 @kernel
 def works(loads, velocities, mean, impulse, h, start, joints):
-    """Works of actuation, of damping and of an impulse on the mean velocity, J.
+    """Works of actuation, of damping and of an impulse, J: on the mean velocity, of damping on that of `velocities`.
 
     loads = (laws, push, limit), as in `forces`, with the largest forces of actuators, N m or N. `velocities` has those
     before and after the forces. The function writes impulses into joints (7, .), from column `start` on: of actuation
@@ -164,7 +164,7 @@ def works(loads, velocities, mean, impulse, h, start, joints):
         joints[0, start + j] += h * (acting[0, j] - push[j])
         joints[3, start + j], joints[5, start + j] = h * push[j], h * limit[j]
         actuation += h * mean[j] * acting[0, j]
-        dissipation += h * mean[j] * acting[1, j]
+        dissipation += h * 0.5 * (velocities[0][j] + velocities[1][j]) * acting[1, j]
         pushed += mean[j] * impulse[j]
     return actuation, dissipation, pushed
 

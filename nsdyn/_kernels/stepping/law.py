@@ -336,8 +336,7 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
 
     Returns `beyond_potential` of bodies = (mass, gravity) in a move = (h, theta), and three sums of works: normal,
     friction, and works that vanish in the limit of small steps. The last has the normal work, with that of the couple,
-    of contacts that stay closed or were struck, and the tangential work of contacts that stick. Joint rows always do
-    work.
+    of contacts that stay closed and of rows that were struck, and the tangential work of contacts that stick.
     """
     blocks, surface_velocity, mu, local, frame = rows
     stays, sticks, turned, struck = lasting
@@ -362,11 +361,11 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
                 status[c] = 1
             if turned.size > c:
                 normal[c] += turned[c]
-            nothing = stays[c] or (struck.size > c and struck[c] > 0.0)
+            nothing = stays[c]
             held = sticks[c] and status[c] == 1
             for j in range(3):
                 world[c, j] = (frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]) / h
-        if nothing:
+        if nothing or (struck.size > c and struck[c] > 0.0):
             rest += normal[c]
         else:
             impact += normal[c]
