@@ -164,8 +164,10 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     if not first[1](tol["pairs"]).passed:  # all other findings assume shapes that can touch
         return Audit((first[1](tol["pairs"]),), str(trajectory.meta["scene_name"]))
     found = retraced(poses) if trajectory.scene["articulations"] else None
-    links, parted = (None, None) if found is None or isinstance(found, str) else (found.met, found.met_parted)
-    flight = None if left_out(trajectory) else Flight.of(poses, links)
+    links, parted, unsure = None, None, None
+    if not (found is None or isinstance(found, str)):
+        links, parted, unsure = found.met, found.met_parted, found.met_unsure
+    flight = None if left_out(trajectory) else Flight.of(poses, links, unsure)
     findings = [described(poses, found), first, *plain(poses), *overlaps(poses), *contacts(poses, flight, parted)]
     findings += [*told(poses, flight), *momenta(poses, flight), *energies(poses)]
     findings += [*joints(poses, found), *works(poses, found, flight), *unseen(poses)]

@@ -80,7 +80,7 @@ class Flight:
     met : Meetings
         Relative motion at all contacts; unknown for prescribed bodies.
     unsure : ndarray, shape (contacts,)
-        Uncertainty of velocities at contacts in steps that were cut, m/s.
+        Uncertainty of velocities at contacts, m/s: of free bodies in steps that were cut, and of links.
     cut : ndarray of bool, shape (n, free)
         Whether the step was cut into moves, for that body.
     instant : ndarray of bool, shape (contacts,)
@@ -108,8 +108,11 @@ class Flight:
     timed: bool
 
     @classmethod
-    def of(cls, poses: Poses, links: tuple[Side, Side] | None = None) -> Flight:
-        """Follow the free bodies of a recording that has all steps and contacts; `links` are the links at contacts."""
+    def of(cls, poses: Poses, links: tuple[Side, Side] | None = None, unsure: Array | None = None) -> Flight:
+        """Follow the free bodies of a recording that has all steps and contacts.
+
+        `links` are the links at contacts, whose velocities are uncertain by `unsure` (contacts,), m/s.
+        """
         t, free, theta = poses.trajectory, poses.free, poses.theta
         h, shape, point = t.dt, (t.steps, free), poses.contacts["point"]
         geoms, times = poses.pair.T, Times.of(poses)
@@ -159,7 +162,7 @@ class Flight:
             COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / least(poses),
             _lifted(poses, pushes, then, turning),
             Meetings.of(sides, contact_frames(t.columns), point, poses.rounding[geoms].sum(axis=1), _wander(poses)),
-            np.bincount(row[met], doubt[met], len(point)).astype(float),
+            np.bincount(row[met], doubt[met], len(point)) + (np.zeros(len(point)) if unsure is None else unsure),
             cut,
             times.length == 0.0,
             times.known,

@@ -46,6 +46,8 @@ class Retraced:
         Links at contacts with an impulse, as first and as second bodies; NaN for other bodies.
     met_doubt : ndarray, shape (contacts,)
         Uncertainty of the works of contacts, J.
+    met_unsure : ndarray, shape (contacts,)
+        Uncertainty of the velocities of links at contacts with an impulse, m/s.
     met_parted : ndarray of bool, shape (contacts,)
         Contacts that strike alternately with limits, in an instant or in a move, or strike before the forces of a move
         that damp their rebound.
@@ -66,6 +68,7 @@ class Retraced:
     energy: Array
     met: tuple[Side, Side]
     met_doubt: Array
+    met_unsure: Array
     met_parted: Bools
     met_twice: Array
     ways: list[list[Way]]
@@ -89,6 +92,7 @@ def retraced(poses: Poses) -> Retraced | str:
         np.zeros((n, count)),
         np.zeros(n),
         (Side.nowhere(rows), Side.nowhere(rows)),
+        np.zeros(rows),
         np.zeros(rows),
         np.zeros(rows, np.bool_),
         np.zeros(rows),
@@ -226,6 +230,9 @@ def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[
             met.v[k + 1, row], met.spin[k, row] = m.carried(joint, point[row], v)
         push = m.push(joint, point[row], out.trees.impulses[row])
         out.met_doubt[row] += float(np.abs(push) @ doubted)
+        if doubted.any():
+            rows = np.array([m.push(joint, point[row], axis) for axis in np.eye(3)])
+            out.met_unsure[row] += float(np.linalg.norm(np.abs(rows) @ doubted))
         if parted:
             rows = np.array([m.push(joint, point[row], axis) for axis in np.eye(3)])
             speed, rubs = float(np.linalg.norm(_fastest(m, kick, rows))), 1.0 + c["contacts/mu"][row]
