@@ -153,7 +153,7 @@ def works(loads, velocities, mean, impulse, h, start, joints):
     """Works of actuation, of damping and of an impulse, J: on the mean velocity, of damping on that of `velocities`.
 
     loads = (laws, push, limit), as in `forces`, with the largest forces of actuators, N m or N. `velocities` has those
-    before and after the forces. The function writes impulses into joints (7, .), from column `start` on: of actuation
+    before and after the forces. The function writes impulses into joints (8, .), from column `start` on: of actuation
     without wrenches into row 0, of wrenches into row 3, and the largest of actuators into row 5.
     """
     laws, push, limit = loads
