@@ -293,6 +293,22 @@ def test_a_tilted_cap_touches_an_edge_where_both_are(rng):
             assert from_surface(solid(shape), ((c.point[k] - there) @ turn)[None])[0] <= abs(c.gap[k]) + 1e-6
 
 
+def test_a_cap_on_a_face_that_errs_by_its_tilt(rng):
+    """The corner outermost along the normal of the face is not where the rim touches, but an edge that ends there."""
+    box, cap = shapes.box((0.09429, 0.17267, 0.13143)), shapes.cylinder(0.113, 0.11364)
+    there, tilt = np.array((0.00222, -0.11274, 0.12253)), about((-0.6943, 0.7197, 0.0), 4.75e-5)
+    poses = np.eye(3)[None], np.zeros((1, 3)), solid(cap), tilt[None], there[None]
+    there[2] -= 1e-6 + overlap.separation(solid(box), *poses, exact=True)[0]
+    for _ in range(10):
+        world = random_rotation(rng)
+        x, R = np.array([np.zeros(3), world @ there]), np.array([world, world @ tilt])
+        c = detector(box, cap).find(x, R, np.full(2, 1e-5), ContactSet.empty())
+        k = c.gap.argmin()
+        np.testing.assert_allclose(c.gap[k], -1e-6, rtol=0, atol=1e-8)
+        for shape, at, turn in zip((box, cap), x, R, strict=True):
+            assert from_surface(solid(shape), ((c.point[k] - at) @ turn)[None])[0] <= 2e-6
+
+
 @pytest.mark.parametrize(("inset", "on_face"), [(0.005, False), (0.1, True)])
 def test_a_corner_that_may_leave_a_face_meets_its_edge(inset, on_face):
     """An edge dips beyond the border, askew: the face stops its corner only far from there."""
