@@ -66,6 +66,14 @@ def shapes() -> None:
     near[1] += (0.08, 0.0, 0.1)
     R[1] = checks.rotation(np.array([0.0, 0.15, 0.0, 0.99]))
     detector.find(near, R, np.full(len(x), 0.1), none)
+    # A cap over a face, tilted by less than the normal of the face errs.
+    scene = Scene()
+    scene.add_box("box", (0.09429, 0.17267, 0.13143), 1.0)
+    scene.add_cylinder("cap", 0.113, 0.11364, 1.0)
+    geoms, turn = scene.geoms(), 4.75e-5 * np.array([-0.6943, 0.7197, 0.0])
+    x = np.array([(0.0, 0.0, 0.0), (0.00222, -0.11274, 0.12253895524949175)])
+    R = np.array([np.eye(3), checks.rotation(np.append(0.5 * turn, 1.0))])
+    Detector(geoms, pairs.pair_material(scene, geoms), max_points=4).find(x, R, np.full(2, 1e-5), none)
 
 
 def problems() -> None:
