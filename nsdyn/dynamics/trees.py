@@ -46,8 +46,8 @@ class Tree(Linkage):
         self._weightless.gravity = pin.Motion.Zero()
         # Pinocchio's kinetic energy leaves out the armature of joints whose axes are not along a coordinate axis.
         self._bare, self._armature = self.model.copy(), a.armature
-        self._fall: float = 0.5 * pin.computeTotalMass(self.model) * float(gravity @ gravity)  # J/s²
         self._bare.armature = np.zeros(nv)
+        self._fall: float = 0.5 * pin.computeTotalMass(self.model) * float(gravity @ gravity)  # J/s²
         self._laws = np.array((a.stiffness, a.damping, a.rest))
         self._springs = bool(a.stiffness.any())
         self._implicit = self._springs or bool(a.damping.any())
@@ -310,14 +310,26 @@ class Tree(Linkage):
     ) -> bool:
         """Return whether numerics add more energy to a move, or take more, than `Options.stray` allows.
 
-        The parameters are those of `works`; `integration` is the energy that numerics add, J. Springs count as forces,
-        like those of a control. With θ > ½ losses are wanted and do not count.
+        Springs count as forces, like those of a control. With θ > ½ losses are wanted and do not count.
+
+        Parameters
+        ----------
+        halfway : TreeMidpoint
+        free : FreeMotion
+        v : ndarray, shape (nv,)
+            Velocity after the forces and impulses, rad/s and m/s.
+        end : Flow
+            Where the move ends.
+        before : (float, float)
+            Kinetic and potential energy where it begins, J.
+        integration : float
+            Energy that numerics add, J.
         """
         if self._springs:
             begun, ended = (_trees.strain(self.angle(q), self._laws, self._round) for q in (halfway.begin, end.q))
             integration -= ended - begun + halfway.h * float(self.forces(halfway, free, v)[2] @ end.mean)
         added = integration if halfway.theta > 0.5 else abs(integration)
-        # Mostly the first suffices.
+        # Mostly the first comparison decides.
         return added > OPTIONS.stray * before[0] and added > OPTIONS.stray * self.at_play(halfway, free, before)
 
     def at_play(self, halfway: TreeMidpoint, free: FreeMotion, before: tuple[float, float]) -> float:

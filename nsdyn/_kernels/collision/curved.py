@@ -75,9 +75,9 @@ def smooth(geometry, i, j, n, lines, out, at):
         length = 0.0
     m, settled = off_axis(geometry, i, j, n), False
     for k in range(40):
-        best, a, b = separation(geometry, i, j, m)
         # On the way the lowest point of a rim may jump along an edge. What is round may begin far from its middle.
         if settled or (k == 0 and radius > 0.0):
+            _, a, b = separation(geometry, i, j, m)
             s = dot(d, minus(b if valid1 else a, start))
             if length > 0.0 and not (s > 0.0 and s < length):  # the other geom is opposite an end of the segment
                 start, length = end if s > 0.0 else start, 0.0
