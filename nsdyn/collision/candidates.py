@@ -77,7 +77,10 @@ class Candidates:
                 g.shape.geometry.computeLocalAABB()
                 cores[id(g.shape)].computeLocalAABB()
         self._cores = [cores[id(g.shape)] for g in geoms]
-        self._slack = np.where(np.isin(self._geometry.kind, ROUND), 0.0, 2.0 * SHRINK * self._geometry.radius)
+        kind = self._geometry.kind
+        self._half, self._round = kind == HALFSPACE, np.isin(kind, ROUND)
+        self._ball = self._half | (kind == SPHERE)
+        self._slack = np.where(self._round, 0.0, 2.0 * SHRINK * self._geometry.radius)
         self.frame = self._geometry.frame
         self._moving = self.frame >= 0
         self._R = self._geometry.placement_R.copy()
@@ -121,9 +124,7 @@ class Candidates:
 
     def of_balls(self, contacts: ContactSet) -> Bools:
         """Mark contacts of balls with balls and half-spaces, shape (nc,)."""
-        kind = self._geometry.kind
-        first, second = (np.isin(kind[g], (HALFSPACE, SPHERE)) for g in (contacts.geom1, contacts.geom2))
-        out: Bools = first & second
+        out: Bools = self._ball[contacts.geom1] & self._ball[contacts.geom2]
         return out
 
     @property
@@ -168,9 +169,8 @@ class Candidates:
         """Set up all arrays that depend on the list of candidate pairs alone."""
         self._codes = codes
         first, second = np.divmod(codes, len(self._cores))
-        kind1, kind2 = self._geometry.kind[first], self._geometry.kind[second]
-        both_round = np.isin(kind1, ROUND) & np.isin(kind2, ROUND)
-        asked = ~((kind1 == HALFSPACE) | (kind2 == HALFSPACE) | both_round)
+        half, both_round = self._half[first] | self._half[second], self._round[first] & self._round[second]
+        asked = ~(half | both_round)
         self._first, self._second, self._asked = first, second, asked
         slot = np.where(asked, np.cumsum(asked) - 1, -1)
         radius = np.where(self._moving, self._geometry.radius, np.inf)

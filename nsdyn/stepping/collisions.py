@@ -95,7 +95,7 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
     h s from the time t strikes without restitution. `rate` (n,) is the free acceleration at the instant.
     """
     d, c = s.dynamics, at.contacts
-    limit = s.solver.tol if s.elastic and _reductions.most(c.restitution) > 0.0 else s.least_penetration / h
+    limit = s.least_strike(c, h)
     if not (d.surfaces.count or limits_struck(s, at, h).size) and s.striking_speed(at) >= -limit:
         return None
     forces, twist = d.inertia(at.position, at.v), d.surfaces.twists(t)

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from nsdyn._kernels.stepping import eventless_checks as _checks
 from nsdyn._kernels.stepping import islands as _islands
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, take
@@ -36,8 +37,8 @@ from nsdyn.tools.arrays import Array, Bools, Index
 
 __all__ = ["Islands"]
 
-KEPT = 512
-"""Most subsystems that are kept for reuse."""
+KEPT = 2048
+"""Most nodes of all subsystems that are kept for reuse: each node takes some 40 kB."""
 
 BENT = 0.25
 """Bound on the deviation of a tree's link from a straight path between two configurations, over the length of that
@@ -53,6 +54,7 @@ class Islands:
         frame = whole.detector.frame
         self._node = np.where(frame >= 0, d.node[frame], -1)
         self._parts: dict[tuple[int, ...], Subsystem] = {}
+        self._kept = 0  # their nodes
 
     def step(self, state: State, loads: Loads, begun: Known) -> StepResult:
         """Return the end of the step dt later, with the impulses and works of its moves.
@@ -159,8 +161,10 @@ class Islands:
     def _part(self, name: tuple[int, ...], nodes: Index) -> Subsystem:
         """Return the subsystem of some nodes, whose indices are its `name`; subsystems are kept for later steps."""
         if name not in self._parts:
-            if len(self._parts) >= KEPT:
+            self._kept += nodes.size
+            if self._kept > KEPT:
                 self._parts.clear()
+                self._kept = nodes.size
             self._parts[name] = Subsystem(self.whole, nodes)
         return self._parts[name]
 
@@ -205,7 +209,7 @@ class Islands:
         """Return nodes of closed contacts and joint limits that approach fast enough for an impact at the beginning."""
         s, d, c = self.whole, self.whole.dynamics, begin.contacts
         out = [d.joints.block[limits_struck(s, begin, mid.h)]]
-        if c.gap.size:
+        if d.surfaces.count or s.striking_speed(begin) < -s.least_strike(c, mid.h):
             u = normal_velocities(d, c, begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0])
             limit = np.where(c.restitution > 0.0, s.solver.tol, s.least_penetration / mid.h)
             strikes = (c.gap <= s.gap_tol) & (u < -limit)
@@ -295,18 +299,16 @@ class Islands:
         opened[label[d.free :][list(made.strays)]] = True
         if not a.status.size:
             return
-        nc, island, count = a.status.size, label[s.nodes(a.contacts)], opened.size
+        island, count = label[s.nodes(a.contacts)], opened.size
         refines = ~self._large(begin.contacts, label, count)
         refines[label[s.nodes(begin.contacts)[~s.detector.of_balls(begin.contacts)]]] = True
         far = np.zeros(count, np.bool_)
         far[island[turns_far(s, s.dt, a, begin, made.end)]] = True
         opened |= far & refines
-        nothing = np.where(kin.stays[:nc], a.work_normal, 0.0) + np.where(
-            kin.sticks & (a.status == 1), a.work_friction, 0.0
-        )
-        gained, more = (np.bincount(island, w, count) for w in (nothing, a.work_normal + a.work_friction - nothing))
-        more[island[d.surfaces.carry(a.contacts) | (a.contacts.restitution > 0.0)]] = 0.0
-        gained += np.maximum(more, 0.0)
+        carried = d.surfaces.carry(a.contacts) if d.surfaces.count else far[:0]
+        states, works = (a.status, kin.stays, kin.sticks), (a.work_normal, a.work_friction)
+        _checks.gained(island, states, works, (a.contacts.restitution, carried), both := np.zeros((2, count)))
+        gained = both[0]
         if (gained > 0.0).any():
             energies, share = [], np.full(count, OPTIONS.gain)
             share[label[d.free :]] = OPTIONS.stray

@@ -18,6 +18,7 @@ import numpy as np
 from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.dynamics.dynamics import Controls, Wrenches
+from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Energies, Forces, MidpointState, Position
 from nsdyn.stepping.scene_state import SceneState, System
@@ -98,6 +99,11 @@ class Midpoint:
         """Whether some points may move so far in the second half that contacts go unseen."""
         fast: bool = _reductions.most(self.reach) > OPTIONS.unseen * self.s.smallest
         return fast
+
+    @cached_property
+    def joints(self) -> JointRows | None:
+        """Rows of joint limits and dry joint friction that may act in the move; None if there are none."""
+        return self.s.dynamics.joint_rows(self.state.placement, self.state.v, self.forces.foreseen, self.h)
 
     def turns(self, begin: SceneState, moved: SceneState) -> tuple[Array, Array]:
         """Return about how far frames turn in each half of a move to `moved`, as rotation vectors, (frames, 3) each."""

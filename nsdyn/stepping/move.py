@@ -192,7 +192,7 @@ def _detect_at_midpoint(s: System, begin: SceneState, mid: Midpoint, located: In
     if (detected_at := s.detection_pose(begin.detected_at, middle.placement, mid.reach)) is not None:
         found = s.detector.find(*detected_at, begin.memory)
         there = begin._replace(contacts=found, memory=found, detected_at=detected_at)
-    contacts, joints = there.contacts, s.dynamics.joint_rows(middle.placement, middle.v, v, mid.h)
+    contacts, joints = there.contacts, mid.joints
     if located is None:
         if mid.fast:
             contacts, memory = continuous_contacts(s, contacts, begin, middle.placement, there.memory)

@@ -147,6 +147,11 @@ class System(NamedTuple):
         _touching.last_status(contacts.names, self.inscribed.size, (warm.key, warm.pair, warm.status), out)
         return out
 
+    def least_strike(self, contacts: ContactSet, h: float) -> float:
+        """Return the speed of approach, m/s, from which closed contacts may strike before a move of h s."""
+        elastic = self.elastic and _reductions.most(contacts.restitution) > 0.0
+        return self.solver.tol if elastic else self.least_penetration / h
+
     def striking_speed(self, at: SceneState) -> float:
         """Return the least normal velocity of contacts that may strike at an instant, m/s, 0 if none is negative.
 

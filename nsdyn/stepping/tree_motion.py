@@ -59,9 +59,7 @@ class TreeMotion:
 
     def has_rows(self) -> bool:
         """Whether any joint has a row of the contact problem, for its limits, dry friction or actuator."""
-        d, mid = self._s.dynamics, self.mid
-        joints = d.joint_rows(mid.state.placement, mid.state.v, mid.forces.v, mid.h)
-        return d.with_actuators(joints, mid.forces) is not None
+        return self._s.dynamics.with_actuators(self.mid.joints, self.mid.forces) is not None
 
     def end(self, v: Array, impulse: Array) -> tuple[Position, Array, Placement, tuple[Array, Array]] | None:
         """Return the end of the step: (position, v, placements of the frames, twists).

@@ -7,6 +7,7 @@ import pytest
 import nsdyn as nd
 from nsdyn._kernels.solvers.start import widest
 from nsdyn.solvers.newton import DENSE
+from nsdyn.stepping import islands
 from nsdyn.stepping.active_set import normal_velocities
 from nsdyn.stepping.islands import Islands
 
@@ -324,3 +325,27 @@ def test_many_balls_are_not_moved_in_halves():
         if k >= 40:  # all that stand have collapsed into one island
             assert (duration > 0.0).sum() > 50
             assert ((duration == stepper.dt) | (duration == 0.0)).all()  # 0: impacts
+
+
+def test_subsystems_that_are_kept_are_bounded_by_their_nodes(monkeypatch):
+    """What islands of ever other bodies leave behind takes bounded memory, and changes no bit of the motion."""
+    scene = world()
+    cubes(scene, count=12, seed=1)
+    made, seen = states(scene, 100, 5e-3, [b.name for b in scene.free_bodies]), set()
+    stepper = nd.Stepper(scene, 5e-3)
+    monkeypatch.setattr(islands, "KEPT", 6)
+    part = stepper._islands._part
+
+    def kept(name, nodes):
+        out, parts = part(name, nodes), stepper._islands._parts
+        seen.add(name)
+        assert sum(map(len, parts)) <= max(6, nodes.size)
+        assert parts[name] is out is part(name, nodes)
+        return out
+
+    monkeypatch.setattr(stepper._islands, "_part", kept)
+    for before in made:
+        stepper.step()
+        i = stepper.get_state().instant
+        assert before == b"".join(x.tobytes() for x in (i.position.x, i.position.quaternion, i.v))
+    assert sum(map(len, seen)) > 3 * 6

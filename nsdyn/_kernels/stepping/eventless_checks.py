@@ -140,6 +140,27 @@ def may_gain(mass, works, fallen):
     return most > SURELY * GAIN * slowest
 
 
+@no_alloc
+def gained(label, states, works, exempt, out):
+    """Energy that the contacts of every island add by errors of the motion, into out[0]; out is (2, islands), zero.
+
+    It is the work of persistent contacts, and of others the sum if it is positive: those only take energy. Not so in
+    islands with contacts that rebound or are carried; exempt = (restitution, carried), carried empty for none. states =
+    (states of contacts, stays, sticks), works = (normal, friction), all (nc,), as `label`.
+    """
+    (status, stays, sticks), (normal, friction), (restitution, carried) = states, works, exempt
+    for c in range(status.size):
+        nothing = normal[c] if stays[c] else 0.0
+        if sticks[c] and status[c] == 1:
+            nothing += friction[c]
+        out[0, label[c]] += nothing
+        out[1, label[c]] += normal[c] + friction[c] - nothing
+        if restitution[c] > 0.0 or (carried.size > c and carried[c]):
+            out[1, label[c]] = -np.inf
+    for k in range(out.shape[1]):
+        out[0, k] += max(0.0, out[1, k])
+
+
 @kernel
 def gains(bodies, blocks, active, flags, status, works, velocities):
     """Whether persistent contacts, and contacts that may only dissipate, add too much energy to any island.
@@ -147,19 +168,10 @@ def gains(bodies, blocks, active, flags, status, works, velocities):
     Islands with trees are not checked: trees keep their own errors small. works = (normal, friction), velocities =
     (those at the beginning of the step, those that gravity gives in the step).
     """
-    (mass, J), nc, (normal, friction) = bodies, status.size, works
-    added, label, elastic = np.zeros((2, nc)), np.empty(nc, np.int64), np.zeros(nc, np.bool_)
+    (mass, J), nc, label = bodies, status.size, np.empty(status.size, np.int64)
     found = _blocks.islands(blocks[1], blocks[0].size - 1, label)
-    for c in range(nc):
-        nothing = normal[c] if flags[col.STAYS, c] else 0.0
-        if flags[col.STICKS, c] and status[c] == 1:
-            nothing += friction[c]
-        added[0, label[c]] += nothing
-        added[1, label[c]] += normal[c] + friction[c] - nothing
-        elastic[label[c]] |= active[2][2, c] > 0.0
-    for k in range(found):
-        if not elastic[k]:
-            added[0, k] += max(0.0, added[1, k])
+    added = np.zeros((2, found))
+    gained(label, (status, flags[col.STAYS], flags[col.STICKS]), works, (active[2][2], flags[0, :0]), added)
     energies, counted = np.zeros((2, found)), np.zeros(mass.size, np.bool_)
     for c in range(nc):
         for s in range(2):
