@@ -78,6 +78,8 @@ def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) 
         trees = begin.energies, mid, a.forces, a.v, a.trees, a.impulse, end.position
         of_trees, energies, strays = tree_works(s, *trees, (impulses.joints, impulses.links), beyond, left)
         own = Works.total([own, *of_trees])
+    if a.captured is not None:
+        works.append(Works(integration=a.captured.unbooked))
     end = end._replace(warm=warm, energies=energies)
     done = [impulses._replace(works=Works.total([own, *works]))]
     return StepResult(end, mid.rate, clear, done, strays=strays)
