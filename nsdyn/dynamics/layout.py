@@ -159,6 +159,11 @@ class Layout:
         )
         self.prescribed = bool(self.held.any()) or any(bool(t.held.any()) for t in self.trees)
 
+    def node_of(self, frame1: Index, frame2: Index) -> Index:
+        """Block of coordinates that moves each contact of two frames, the first of two blocks; -1 for none."""
+        first = self.node[frame1]
+        return np.where(first >= 0, first, self.node[frame2])
+
     def start(self) -> tuple[Position, Array]:
         """Initial position and velocity of the scene."""
         return self._start

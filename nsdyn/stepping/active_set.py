@@ -63,14 +63,13 @@ def captured(s: System, contacts: ContactSet, begin: SceneState, mid: Midpoint, 
     d, c, before, (there, v) = s.dynamics, contacts, begin.contacts, (mid.state.placement, mid.forces.foreseen)
     gap, rate = before.gap, (v - begin.v) / mid.h
     if s.elastic and _reductions.any_below(gap, s.gap_tol) and _reductions.most(before.restitution) > 0.0:
-        gap, here = np.empty(gap.size), begin.placement
-        motion = d.twists(here, begin.v), d.twists(here, rate)
+        gap, motion = np.empty(gap.size), (begin.twists, d.twists(begin.placement, rate))
         carried = surface_normal_velocities(d, before, begin.position.driven_x, mid.surfaces[0])
-        _active_set.parting(before[:3], here.x, carried, motion, (s.gap_tol, s.solver.tol, s.bounces), gap)
+        _active_set.parting(before[:3], begin.placement.x, carried, motion, (s.gap_tol, s.solver.tol, s.bounces), gap)
     out, warm = np.empty(c.gap.size, np.bool_), begin.warm
     if _touching.known(c.key, before.key, gap, s.gap_tol, out):
         return contacts
-    parts = normal_velocities(d, before, begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0])
+    parts = normal_velocities(d, before, begin, mid.surfaces[0])
     _active_set.captured(
         c[:3],
         there.x,
@@ -130,17 +129,14 @@ def missed_impacts(
     return code[hit], float(limit[hit].min(initial=np.inf))
 
 
-def normal_velocities(
-    d: Dynamics, contacts: ContactSet, there: Placement, v: Array, driven_x: Array, surfaces: Array
-) -> Array:
-    """Return the normal velocities of contacts at a velocity v of the scene, shape (nc,), m/s.
+def normal_velocities(d: Dynamics, contacts: ContactSet, at: SceneState, surfaces: Array) -> Array:
+    """Return the normal velocities of contacts at an instant, shape (nc,), m/s.
 
-    Driven bodies are at the positions driven_x (nd, 3); driven bodies and surfaces have the twists `surfaces`
-    (surfaces, 2, 3).
+    Driven bodies and surfaces have the twists `surfaces` (surfaces, 2, 3).
     """
     out = np.empty(contacts.gap.size)
-    _touching.approach(contacts[:3], there.x, d.twists(there, v), out)
-    return out + surface_normal_velocities(d, contacts, driven_x, surfaces)
+    _touching.approach(contacts[:3], at.placement.x, at.twists, out)
+    return out + surface_normal_velocities(d, contacts, at.position.driven_x, surfaces)
 
 
 def surface_normal_velocities(d: Dynamics, contacts: ContactSet, driven_x: Array, surfaces: Array) -> Array:

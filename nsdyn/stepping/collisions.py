@@ -150,13 +150,13 @@ def _passing(s: System, at: SceneState, closed: ContactSet, surfaces: Array, lim
     Where edges or corners meet, every normal between those of their faces separates the bodies. A body that slides
     along one of these faces does not strike the other body: for example from one plate onto the next.
     """
-    out, here = np.zeros(closed.gap.size, np.bool_), (at.placement, at.v, at.position.driven_x, surfaces)
-    approach = np.flatnonzero(normal_velocities(s.dynamics, closed, *here) < -limit)
+    d, out = s.dynamics, np.zeros(closed.gap.size, np.bool_)
+    approach = np.flatnonzero(normal_velocities(d, closed, at, surfaces) < -limit)
     if approach.size:
         which, normal = s.detector.ways(ordered(closed, approach), at.placement, s.gap_tol)
         along = ordered(closed, approach[which])
         along.points[1] = normal
-        out[approach[which[normal_velocities(s.dynamics, along, *here) >= -limit]]] = True
+        out[approach[which[normal_velocities(d, along, at, surfaces) >= -limit]]] = True
     return out
 
 

@@ -190,32 +190,27 @@ class ContactKinematics(NamedTuple):
     @property
     def u_begin(self) -> Array:
         """u_k, relative velocities where the move begins, shape (3 rows,), m/s."""
-        out: Array = self.local[0]
-        return out
+        return self.local[0, :]
 
     @property
     def u(self) -> Array:
         """u⁻, relative velocities at the midpoint before forces and impulses, shape (3 rows,), m/s."""
-        out: Array = self.local[1]
-        return out
+        return self.local[1, :]
 
     @property
     def u_free(self) -> Array:
         """u_f, relative velocities after the forces without impulses, shape (3 rows,), m/s."""
-        out: Array = self.local[2]
-        return out
+        return self.local[2, :]
 
     @property
     def jacobian_drift(self) -> Array:
         """c, change of the relative velocities while the rows turn with their bodies, shape (3 rows,), m/s."""
-        out: Array = self.local[3]
-        return out
+        return self.local[3, :]
 
     @property
     def r_last(self) -> Array:
         """Impulses from which the solver starts, shape (3 rows,), N·s."""
-        out: Array = self.local[4]
-        return out
+        return self.local[4, :]
 
     @property
     def begun(self) -> Array:

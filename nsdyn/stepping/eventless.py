@@ -159,7 +159,7 @@ class EventlessSteps:
     def _passes(self, old: FlatState, new: FlatState, made: KernelResult) -> bool:
         """Whether bodies touch within the step without a contact of the active set (a missed contact)."""
         s, n, w = self._system, self._system.dynamics.frames, made.work
-        there = Placement(vectors(w, _col.X, n), matrices(w, _col.R_THERE, n), ())
+        there = Placement(vectors(w, _col.X, n), matrices(w, _col.R, n), ())
         places, reach = (old.place, there, new.place), w[_col.REACH * n : _col.DETECTED_THERE * n]
         contacts = old.found.contacts(), take(new.active.contacts(), new.status > 0), new.found.contacts()
         turns = (1.0 - s.theta) * s.dt * old.twists[1], s.theta * s.dt * new.twists[1]

@@ -23,11 +23,14 @@ if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
     from nsdyn.stepping.tree_motion import TreeMotion
 
-__all__ = ["Acted", "FlatState", "Found", "detected_at", "matrices", "packed", "put", "solved", "vectors", "velocity"]
+__all__ = ["Acted", "FlatState", "Found", "detected_at", "local", "matrices", "packed", "put", "solved", "vectors"]
+__all__ += ["velocity"]
 
 
-VIEWS = "column", "vectors", "rotations", "velocity", "placed", "contacts", "rows"
-column, vectors, matrices, velocity, placed, contacts, rows = (plain(_col.__name__)[name] for name in VIEWS)
+VIEWS = "column", "vectors", "rotations", "velocity", "placed", "contacts", "rows", "answer", "local"
+column, vectors, matrices, velocity, placed, contacts, rows, answer, local = (
+    plain(_col.__name__)[name] for name in VIEWS
+)
 """Views of columns, made by the same functions as plain Python: a call of a kernel takes longer."""
 
 Acted = tuple[Array, Index, NDArray[np.int8]]
@@ -250,7 +253,7 @@ def solved(floats: Array, acted: Array, active: Found, blocks: DelassusFactors, 
 
     The status is `CONVERGED` within the solver's tolerance `tol`, else `LOOSE`.
     """
-    r, u, b = (acted[k * active.nc : (k + 3) * active.nc] for k in (_col.IMPULSE, _col.U, _col.FREE))
+    r, u, b = answer(acted, active.nc)
     problem = FC3D.prepared(blocks, b, active.contacts().mu, active.scales, float(floats[_col.NORM]))
     error, residual, count, time = floats[_col.ERROR : _col.CERTIFIED].tolist()
     status = Status.CONVERGED if max(error, residual) <= tol else Status.LOOSE

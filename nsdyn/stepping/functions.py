@@ -27,12 +27,10 @@ class Functions:
     ----------
     take_last : bool
         Whether one of the functions takes the last step.
-    push : bool
-        Whether free bodies have external loads, as in `nsdyn.dynamics.dynamics.Wrenches`.
     """
 
     def __init__(self, controller: Callback | None, external_force: Callback | None, dynamics: Dynamics) -> None:
-        self._dynamics, self.push = dynamics, external_force is not None
+        self._dynamics = dynamics
         self._given = {"controller": controller, "external_force": external_force}
         self._seeing = {what for what, given in self._given.items() if given and callbacks.takes(given, "last")}
         for what, given in self._given.items():

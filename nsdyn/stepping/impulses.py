@@ -115,17 +115,11 @@ def book(
     actuation = beyond = normal_work = friction_work = rest = created = 0.0
     struck, last = NOTHING if impact is None else impact.r[0::3], None
     if h > 0.0:
-        out = status, normal, friction, u_end, world = (
-            np.empty(nc, np.int8),
-            np.empty(nr),
-            np.empty(nr),
-            np.empty(3 * nr),
-            np.empty((nc, 3)),
-        )
-        rows, lasting = (
-            (kin.rows.full.arrays, kin.surface_velocity[0], kin.mu, kin.local, kin.frame),
-            (kin.stays, kin.sticks, couple.work, struck),
-        )
+        status, normal, friction = np.empty(nc, np.int8), np.empty(nr), np.empty(nr)
+        u_end, world = np.empty(3 * nr), np.empty((nc, 3))
+        out = status, normal, friction, u_end, world
+        rows = kin.rows.full.arrays, kin.surface_velocity[0], kin.mu, kin.local, kin.frame
+        lasting = kin.stays, kin.sticks, couple.work, struck
         beyond, normal_work, friction_work, rest = _law.contact_works(
             (mass, d.gravity), (h, s.theta), velocities, rows, solved[1].r, lasting, s.solver.tol, out
         )

@@ -210,7 +210,7 @@ class Islands:
         s, d, c = self.whole, self.whole.dynamics, begin.contacts
         out = [d.joints.block[limits_struck(s, begin, mid.h)]]
         if d.surfaces.count or s.striking_speed(begin) < -s.least_strike(c, mid.h):
-            u = normal_velocities(d, c, begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0])
+            u = normal_velocities(d, c, begin, mid.surfaces[0])
             limit = np.where(c.restitution > 0.0, s.solver.tol, s.least_penetration / mid.h)
             strikes = (c.gap <= s.gap_tol) & (u < -limit)
             if strikes.any():  # contacts that pressed before turn with their bodies
@@ -221,8 +221,7 @@ class Islands:
     def _closing_nodes(self, begin: SceneState, mid: Midpoint) -> Index:
         """Return nodes of open contacts that become deep within the move at the velocities where it begins."""
         s, c = self.whole, begin.contacts
-        here = begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0]
-        deep = c.gap + mid.h * normal_velocities(s.dynamics, c, *here) < -s.penetration_tol(c)
+        deep = c.gap + mid.h * normal_velocities(s.dynamics, c, begin, mid.surfaces[0]) < -s.penetration_tol(c)
         (out,) = self._nodes(c, deep & (c.gap > s.gap_tol))
         return out
 
@@ -332,12 +331,7 @@ class Islands:
             limits = np.where(left[d.joints.block[d.joints.limits]], limits, np.inf)
         contacts = take(a.moved.contacts, there)
         rows, blocks = np.repeat(kept, 3), a.kin.rows.blocks
-        problem = FC3D.from_blocks(
-            blocks.of(kept),
-            a.problem.q[rows],
-            a.problem.mu[kept],
-            a.problem.scales[kept],
-        )
+        problem = FC3D.from_blocks(blocks.of(kept), a.problem.q[rows], a.problem.mu[kept], a.problem.scales[kept])
         r, *_, count, time = a.solution
         solution = Solution.judge(problem, r[rows], s.solver.tol, count, time, Status.LOOSE)
         turned = a.couple

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,11 @@ from nsdyn._kernels.stepping import columns as _col
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.joints import NO_CLUTCHES, ContactJacobian
 from nsdyn.dynamics.values import Forces, MidpointState, Placement
+from nsdyn.problem.fc3d import FC3D
+from nsdyn.problem.solution import Solution
 from nsdyn.stepping.attempt import Attempt
 from nsdyn.stepping.contact_kinematics import ContactKinematics
-from nsdyn.stepping.flat_state import Found, detected_at, matrices, solved, vectors, velocity
+from nsdyn.stepping.flat_state import Found, detected_at, local, matrices, solved, vectors, velocity
 from nsdyn.stepping.midpoint import SILENT, STILL_SURFACES, Midpoint
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
 from nsdyn.stepping.scene_state import SceneState, System
@@ -77,17 +79,14 @@ class KernelResult(NamedTuple):
             moved = moved._replace(
                 contacts=end_found, memory=end_found, detected_at=detected_at(b, _col.DETECTED_AT, n)
             )
-        return Attempt(
-            mid=mid,
-            v=velocity(w, _col.V_PLUS, size),
-            impulse=NOTHING if motion is None else motion.impulse,
-            trees=() if motion is None else motion.ends,
-            moved=moved,
-            **self._answer(s, begin, active, (mid.forces.m, mid.forces.minv)),
-        )
+        impulse, ends = (NOTHING, ()) if motion is None else (motion.impulse, motion.ends)
+        answer = self._answer(s, active, (mid.forces.m, mid.forces.minv))
+        return Attempt(mid, *answer, velocity(w, _col.V_PLUS, size), impulse, ends, moved)
 
-    def _answer(self, s: System, begin: SceneState, active: ContactSet, masses: tuple[Array, Array]) -> dict[str, Any]:
-        """Return the active set, its contact problem and its impulses, by the field names of `Attempt`."""
+    def _answer(
+        self, s: System, active: ContactSet, masses: tuple[Array, Array]
+    ) -> tuple[ContactKinematics, None, Bools, FC3D, Solution, Couple]:
+        """Return the active set, its contact problem and its impulses, in the order of the fields of `Attempt`."""
         n, nv = size = s.dynamics.frames, s.dynamics.n
         nc, f, w = self.status.size, self.floats, self.work
         a, own = f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :], w[_col.FRAME_WORK * n :]
@@ -102,7 +101,7 @@ class KernelResult(NamedTuple):
             self.active.frame,
             active.mu,
             active.restitution,
-            own[: 15 * nc].reshape(5, 3 * nc),
+            local(own, _col.LOCAL, nc),
             own[_col.FORESEEN * nc : _col.EXCESS_SPEED * nc],
             stays=stays,
             sticks=sticks,
@@ -113,21 +112,14 @@ class KernelResult(NamedTuple):
         if self.head[_col.TURNED]:
             works, dv = own[_col.COUPLE_WORK * nc : _col.LEFT_OVER * nc], velocity(w, _col.TURN, size)
             couple = Couple(vectors(a, _col.COUPLE, nc), works, dv)
-        return {
-            "kin": kinematics,
-            "captured": None,
-            "sliding": sliding,
-            "problem": problem,
-            "solution": solution,
-            "couple": couple,
-        }
+        return kinematics, None, sliding, problem, solution, couple
 
     def _half(self, s: System, begin: SceneState, t: float, h: float) -> Midpoint:
         """Return the first half of a move of free bodies, of h s from the time t."""
         d, w = s.dynamics, self.work
         n, _ = size = d.frames, d.n
         x, quaternion = vectors(w, _col.X, n), w[3 * n : 7 * n].reshape(n, 4)
-        there = Placement(x, matrices(w, _col.R_THERE, n), ())
+        there = Placement(x, matrices(w, _col.R, n), ())
         middle = MidpointState(begin.position.moved(x, quaternion), velocity(w, _col.V_THERE, size), there, ())
         v_free = velocity(w, _col.V_FREE, size)
         forces = Forces(v_free, v_free, d.no_load, *d.masses[3:], ())

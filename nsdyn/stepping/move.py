@@ -324,7 +324,7 @@ def _end_gaps(
     closed = max(s.gap_tol, solution.residual * mid.h)
     if not (off := kin.off(gap, solution.r, closed)).any():
         return kin, off
-    parts = normal_velocities(d, moved.contacts, there, moved.v, moved.position.driven_x, mid.surfaces[2])
+    parts = normal_velocities(d, moved.contacts, moved, mid.surfaces[2])
     rates = NOTHING if joints is None else d.joints.rates(joints.slot, moved.v)
     return kin.corrected(gap, off, closed, mid.ahead, (moved.contacts.key, parts, rates)), off
 

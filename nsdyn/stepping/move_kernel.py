@@ -17,7 +17,7 @@ from nsdyn.problem.gauss import WEAK
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import LIMITS, Auto
 from nsdyn.stepping.attempt import Attempt
-from nsdyn.stepping.flat_state import Acted, Found, detected_at, packed, put, solved, velocity
+from nsdyn.stepping.flat_state import Acted, Found, detected_at, local, packed, put, solved, velocity
 from nsdyn.stepping.kernel_result import KernelResult
 from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.scene_state import STILL, SceneState, System
@@ -50,33 +50,15 @@ class MoveKernel:
     """Whether the kernel is compiled. Compiling takes half a minute; general moves replace the kernel meanwhile."""
 
     def __init__(self, s: System) -> None:
-        d, solver, own = s.dynamics, s.solver, isinstance(s.solver, Auto)
+        d, solver = s.dynamics, s.solver
         _, shallow, _, until = s.gap_rule(s.dt, False)
         block_of_frame, offset, m_start, m, minv = d.masses
         self.wide = 6 * int(np.diff(offset).max())
-        numbers = (
-            d.weight,
-            s.dt,
-            s.theta,
-            s.gap_tol,
-            shallow,
-            until,
-            s.depth,
-            OPTIONS.unseen * s.smallest,
-            s.least_penetration,
-            STILL * s.gap_tol,
-            s.elastic,
-            *s.bounces,
-            solver.tol,
-            own,
-            *(solver.aims if isinstance(solver, Auto) else (solver.tol, solver.tol)),
-            *LIMITS,
-            WEAK,
-            s.inscribed.size,
-            self.wide,
-            -1.0,
-            0.0,
-        )
+        own, aims = (True, solver.aims) if isinstance(solver, Auto) else (False, (solver.tol, solver.tol))
+        scheme = d.weight, s.dt, s.theta, s.gap_tol, shallow, until, s.depth
+        lengths = OPTIONS.unseen * s.smallest, s.least_penetration, STILL * s.gap_tol
+        solving = solver.tol, own, *aims, *LIMITS, WEAK
+        numbers = *scheme, *lengths, s.elastic, *s.bounces, *solving, s.inscribed.size, self.wide, -1.0, 0.0
         full = int(np.square(np.diff(offset)).sum())
         floats = [*d.bodies, d.mass, d.J, np.empty(full), np.empty(full)]
         fields = np.empty((d.n - 6 * d.free, 6))
@@ -174,7 +156,7 @@ class MoveKernel:
         mid, n, views = motion.mid, self._size[0], self._views
         (x, R, links), forces = mid.state.placement, mid.forces
         put(work, _col.X, n, x)
-        put(work, _col.R_THERE, n, R)
+        put(work, _col.R, n, R)
         velocity(work, _col.V_THERE, self._size)[:] = mid.state.v
         velocity(work, _col.V_FREE, self._size)[:] = forces.v
         views[_col.M][:], views[_col.MINV][:] = forces.m, forces.minv
@@ -290,10 +272,11 @@ class MoveKernel:
     def _solve(self, made: KernelResult) -> bool:
         """Solve the contact problem of a step that the kernel leaves to Python; whether the solution is accepted."""
         nc, floats, active, masses = made.status.size, made.floats, made.active, self._views[_col.M : _col.MINV + 1]
-        own, a = made.work[self._own :], floats[self._acted :]
+        begun, *_, start = local(made.work[self._own :], _col.LOCAL, nc)
+        a = floats[self._acted :]
         problem, _ = solved(floats, a, active, active.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)
-        last, start = self._solution if made.head[_col.SOLVED] else None, own[12 * nc : 15 * nc]
-        solution = self._solution = again(self._solver, last, problem, start, own[: 3 * nc], math.inf)
+        last = self._solution if made.head[_col.SOLVED] else None
+        solution = self._solution = again(self._solver, last, problem, start, begun, math.inf)
         if not solution.accepted:
             return False
         made.head[_col.SOLVED] = 1

@@ -135,11 +135,8 @@ class System(NamedTuple):
         return out
 
     def nodes(self, contacts: ContactSet) -> Index:
-        """Return the block of coordinates that moves each contact, the first of two, shape (nc,); -1 for none."""
-        node = self.dynamics.node
-        first = node[contacts.frame1]
-        out: Index = np.where(first >= 0, first, node[contacts.frame2])
-        return out
+        """Return the node that moves each contact, `Layout.node_of`."""
+        return self.dynamics.node_of(contacts.frame1, contacts.frame2)
 
     def last_status(self, contacts: ContactSet, warm: WarmStart) -> NDArray[np.int8]:
         """Return the status of the contacts in the last move, shape (nc,): 0 open, 1 stick, 2 slip."""

@@ -184,7 +184,7 @@ def _recorder(
         "solver": repr(stepper.solver),
         "impact": repr(stepper.system.impact),
         "controller": stepper.controller is not None,
-        "external_force": stepper.functions.push,
+        "external_force": stepper.external_force is not None,
         "checksums": json.dumps(checkpoint.checksums(scene)),
         **kept,
         "parameters": settings.as_json(scene.parameters),

@@ -174,7 +174,10 @@ class Stepper:
         if self.dynamics.prescribed:
             self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
         self._islands = Islands(self.system)
-        self._eventless = self._eventless_steps(polish)
+        self._eventless: EventlessSteps | None = None
+        if (mover := self.system.mover) is not None and not self.functions.take_last:
+            loads = partial(self.functions.at, last=None)
+            self._eventless = EventlessSteps(self.system, mover, polish, loads, self._paradoxes)
         self._names, self._begin = Names(scene, geoms), partial(begin, self.system, geoms, float(overlap), lift)
         self.reset()
 
@@ -351,13 +354,6 @@ class Stepper:
         if self.functions.take_last:
             self._now = self._now._replace(last=step)
         return step
-
-    def _eventless_steps(self, polish: bool) -> EventlessSteps | None:
-        """The kernel's eventless steps of the scene; None if only the general step can treat it."""
-        s, functions = self.system, self.functions
-        if s.mover is None or functions.take_last:
-            return None
-        return EventlessSteps(s, s.mover, polish, lambda t: functions.at(t, None), self._paradoxes)
 
     def _advance_eventless(self, kernel: EventlessSteps) -> Step | None:
         """Return an eventless step by the kernel; None if the general step is needed."""

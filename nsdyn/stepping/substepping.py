@@ -79,10 +79,8 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
     while pieces:
         end, halvings = pieces[-1]
         # In halves, bodies are stopped at a smaller penetration.
-        own, span = (
-            s._replace(depth=OPTIONS.depth_located * OPTIONS.refine**halvings),
-            (state.next_t - (s.dt - at), end - at),
-        )
+        own = s._replace(depth=OPTIONS.depth_located * OPTIONS.refine**halvings)
+        span = state.next_t - (s.dt - at), end - at
         move, length, rejected = _substep(own, loads, now, span, rate, budget, cut, begun, meets)
         begun, meets = None, False
         if rejected and _contacts(now) << halvings <= OPTIONS.work:
@@ -311,7 +309,7 @@ def _locate(
 def _foreseen(s: System, begin: SceneState, located: Index, t: float) -> float:
     """Return how long located contacts take to close at their velocities at the time t, where the move begins, s."""
     c, d = begin.contacts, s.dynamics
-    u = normal_velocities(d, c, begin.placement, begin.v, begin.position.driven_x, d.surfaces.twists(t))
+    u = normal_velocities(d, c, begin, d.surfaces.twists(t))
     approach = among(s.detector.codes(c), located) & (c.gap > s.gap_tol) & (u < 0.0)
     return float((c.gap[approach] / -u[approach]).min(initial=math.inf))
 

@@ -40,7 +40,7 @@ class Subsystem:
     def __init__(self, whole: System, nodes: Index) -> None:
         d, frame_of_geom = whole.dynamics, whole.detector.frame
         self.nodes, self._bodies, self._trees = nodes, nodes[nodes < d.free], nodes[nodes >= d.free] - d.free
-        self._node = np.append(d.block_of_frame, -1)  # the last entry is the world's
+        self._whole = d
         mine = among(d.block_of_frame, nodes)
         self._frames = np.append(np.flatnonzero(mine | (d.block_of_frame < 0)), -1)
         self._moved, frames = np.flatnonzero(mine), self._frames[:-1]
@@ -68,9 +68,7 @@ class Subsystem:
 
     def _has(self, frame1: Index, frame2: Index) -> Bools:
         """Which contacts, given by their two frames, belong to the subsystem."""
-        first = self._node[frame1]
-        out: Bools = among(np.where(first >= 0, first, self._node[frame2]), self.nodes)
-        return out
+        return among(self._whole.node_of(frame1, frame2), self.nodes)
 
     def cut(self, at: SceneState, next_key: int) -> SceneState:
         """Return the state of the subsystem; keys of its new contacts start at `next_key`."""
@@ -186,19 +184,12 @@ class Subsystem:
 
 def merged(whole: System, base: SceneState, left: Bools, parts: Sequence[tuple[Subsystem, SceneState]]) -> SceneState:
     """Merge the states of subsystems with the nodes `left` (nodes,) of a whole state `base` into one whole state."""
-    d, detector = whole.dynamics, whole.detector
-    out, p = _copied(base), base.position.trees
+    out, p, w = _copied(base), base.position.trees, base.warm
     links, energies = base.placement.links, base.energies
-    node = np.append(d.block_of_frame, -1)
-
-    def stays(frame1: Index, frame2: Index) -> Bools:
-        first = node[frame1]
-        return left[np.where(first >= 0, first, node[frame2])]
-
-    w = base.warm
-    pressed = stays(*[detector.frame[g] for g in np.divmod(w.pair, whole.inscribed.size)])
+    frames = (whole.detector.frame[g] for g in np.divmod(w.pair, whole.inscribed.size))
+    pressed = left[whole.dynamics.node_of(*frames)]
     warm = [[x[pressed] for x in _columns(w)]]
-    contacts, memory = ([take(c, stays(c.frame1, c.frame2))] for c in (base.contacts, base.memory))
+    contacts, memory = ([take(c, left[whole.nodes(c)])] for c in (base.contacts, base.memory))
     for part, end in parts:
         part.fill(out, end)
         p, links = part.among(p, end.position.trees), part.among(links, end.placement.links)

@@ -272,7 +272,7 @@ def test_what_pressed_before_strikes_nothing(monkeypatch):
 
     def seen(self, begin, mid):
         s, c = self.whole, begin.contacts
-        u = normal_velocities(s.dynamics, c, begin.placement, begin.v, begin.position.driven_x, mid.surfaces[0])
+        u = normal_velocities(s.dynamics, c, begin, mid.surfaces[0])
         fast = (c.gap <= s.gap_tol) & (u < -s.least_penetration / mid.h)
         approaches.append(fast.any())
         pressed = s.last_status(c, begin.warm) > 0

@@ -84,10 +84,8 @@ def twists(trees, x, v, linear, angular):
     at, field = 0, 0
     for t in range(table.size // 4):
         first, count, begin, nv = table[4 * t], table[4 * t + 1], table[4 * t + 2], table[4 * t + 3]
-        moves, J = (
-            support[at : at + count * nv].reshape((count, nv)),
-            fields[field : field + 6 * nv].reshape((2 * nv, 3)),
-        )
+        moves = support[at : at + count * nv].reshape((count, nv))
+        J = fields[field : field + 6 * nv].reshape((2 * nv, 3))
         own = v[begin : begin + nv]
         for f in range(count):
             speed, spin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)

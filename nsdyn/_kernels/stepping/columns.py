@@ -9,88 +9,26 @@ from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 
 # The packed arrays of the system: floats, then integers.
-(
-    MOMENTS,
-    AXES,
-    INVERSE_MASS,
-    INVERSE_J,
-    RADIUS,
-    MASS,
-    INERTIA,
-    M,
-    MINV,
-    GRAVITY,
-    NO_LOAD,
-    ARM,
-    NOWHERE,
-    INSCRIBED,
-    JACOBIAN,
-    BEGUN,
-    NUMBERS,
-    SYSTEM,
-) = range(18)
+MOMENTS, AXES, INVERSE_MASS, INVERSE_J, RADIUS, MASS, INERTIA, M, MINV, GRAVITY, NO_LOAD = range(11)
+ARM, NOWHERE, INSCRIBED, JACOBIAN, BEGUN, NUMBERS, SYSTEM = range(11, 18)
 BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 
-# The last array of the floats: numbers with the names that they have in `System`, `GapRule`, `Auto` and `gauss`; then
-# the most numbers in H per contact, up to how many contacts other solutions are searched, and whether Python has
-# computed the first half of the move.
-(
-    WEIGHT,
-    STEP,
-    THETA,
-    GAP_TOL,
-    SHALLOW,
-    UNTIL,
-    DEPTH,
-    FASTEST,
-    LEAST_PENETRATION,
-    STILL,
-    ELASTIC,
-    HALF,
-    LEAST,
-    TOL,
-    OWN,
-    ENOUGH,
-    GOOD,
-    DENSE,
-    PENALTY,
-    MAX_ITER,
-    WEAK,
-    GEOMS,
-    WIDE,
-    FEWEST,
-    GIVEN,
-) = range(25)
+# The last array of the floats: numbers with the names that they have in `System` and `GapRule`, then in `Auto` and
+# `gauss`; then the number of geoms, the most numbers in H per contact, up to how many contacts other solutions are
+# searched, and whether Python has computed the first half of the move.
+WEIGHT, STEP, THETA, GAP_TOL, SHALLOW, UNTIL, DEPTH, FASTEST, LEAST_PENETRATION, STILL, ELASTIC, HALF, LEAST = range(13)
+TOL, OWN, ENOUGH, GOOD, DENSE, PENALTY, MAX_ITER, WEAK = range(13, 21)
+GEOMS, WIDE, FEWEST, GIVEN = range(21, 25)
 
-# The results of a step.
-(
-    KINETIC,
-    POTENTIAL,
-    EXTERNAL,
-    NORMAL,
-    FRICTION,
-    DAMPING,
-    CONSTRAINT,
-    NUMERICS,
-    NORM,
-    ERROR,
-    RESIDUAL,
-    COUNT,
-    TIME,
-    CERTIFIED,
-    GAP,
-    SHIFT,
-    BOUND,
-    COULOMB,
-    WENT,
-    GOES,
-    SUSPECT,
-    RESULTS,
-) = range(22)
+# The results of a step: energies and works, the measures of its solution, its certificate, and what it needed.
+KINETIC, POTENTIAL, EXTERNAL, NORMAL, FRICTION, DAMPING, CONSTRAINT, NUMERICS = range(8)
+NORM, ERROR, RESIDUAL, COUNT, TIME, CERTIFIED = range(8, 14)
+GAP, SHIFT, BOUND, COULOMB, WENT, GOES, SUSPECT, RESULTS = range(14, 22)
 
-# First columns of a frame in a state, and in the work array; only quaternions of free bodies are used.
+# First columns of a frame in a state, and in the work array, where the first three are the same; only quaternions of
+# free bodies are used.
 X, QUATERNION, R, LINEAR, ANGULAR, DETECTED_AT, FRAME = 0, 3, 7, 16, 19, 22, 35
-R_THERE, REACH, DETECTED_THERE, NEAR, FRAME_WORK = 7, 16, 17, 30, 31
+REACH, DETECTED_THERE, NEAR, FRAME_WORK = 16, 17, 30, 31
 
 # Columns of the coordinates, behind those of the frames: (number of frame columns, index of the column).
 V, RATE = (FRAME, 0), (FRAME, 1)
@@ -112,18 +50,8 @@ FORCE, IMPULSE, U, FREE, U_END, NORMAL_WORK, FRICTION_WORK, GAP_END, COUPLE, CON
 )
 FRAMES, SCALES, ROWS = 15, 24, 25
 BLOCKS, STARTS, FOUND_NAMES, SIZE, MADE = 5, 7, 9, 0, 1
-LOCAL, ALONE, FORESEEN, EXCESS_SPEED, PROJECTED, COUPLE_WORK, LEFT_OVER, ISLANDS, KEPT, CONTACT_WORK = (
-    0,
-    15,
-    30,
-    31,
-    32,
-    35,
-    36,
-    37,
-    40,
-    46,
-)
+LOCAL, ALONE, FORESEEN, EXCESS_SPEED, PROJECTED, COUPLE_WORK, LEFT_OVER = 0, 15, 30, 31, 32, 35, 36
+ISLANDS, KEPT, CONTACT_WORK = 37, 40, 46
 
 # The first integers of the work array: numbers of contacts at the midpoint, at the end, and in the active set; whether
 # the active set is not all of those at the midpoint; next keys at the midpoint and at the end; how often impulses may
@@ -204,6 +132,30 @@ def velocity(f, k, size):
     """The column k of the coordinates, (n,)."""
     begin = k[0] * size[0] + k[1] * size[1]
     return f[begin : begin + size[1]]
+
+
+@kernel(inline="always")
+def poses(f, n):
+    """(x, R) of the frames."""
+    return vectors(f, X, n), rotations(f, R, n)
+
+
+@kernel(inline="always")
+def twists(f, n):
+    """(linear, angular) velocities of the frames."""
+    return vectors(f, LINEAR, n), vectors(f, ANGULAR, n)
+
+
+@kernel(inline="always")
+def answer(a, nc):
+    """(r, y, b) of the contacts, y = W r + b."""
+    return a[IMPULSE * nc : U * nc], a[U * nc : FREE * nc], a[FREE * nc : U_END * nc]
+
+
+@kernel(inline="always")
+def local(own, k, nc):
+    """The columns from k on as (5, 3 nc), the result of `law.local_velocities`: `LOCAL`, or `ALONE` without couples."""
+    return own[k * nc : (k + 15) * nc].reshape((5, 3 * nc))
 
 
 @kernel(inline="always")

@@ -30,14 +30,7 @@ from nsdyn._kernels.stepping.eventless_contacts import (
     strikes,
     take,
 )
-from nsdyn._kernels.stepping.eventless_response import (
-    AGAIN,
-    arrive,
-    changes,
-    end_gaps,
-    impulses,
-    too_wide,
-)
+from nsdyn._kernels.stepping.eventless_response import AGAIN, arrive, changes, end_gaps, impulses, too_wide
 from nsdyn._kernels.stepping.persistence import persists
 from nsdyn._kernels.stepping.solving import PASSES
 
@@ -51,12 +44,8 @@ def depart(s, old, f, w):
     """
     (num, size), _, _, bodies, (gravity, load), _, (free, trees), _ = s
     n, h, theta, (moments, axes, inverse_mass, inverse_J, radius) = size[0], num[col.STEP], num[col.THETA], bodies
-    x, R, reach = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), col.column(w, col.REACH, n)
-    v, v_free, rate = (
-        col.velocity(w, col.V_THERE, size),
-        col.velocity(w, col.V_FREE, size),
-        col.velocity(f, col.RATE, size),
-    )
+    (x, R), reach, rate = col.poses(w, n), col.column(w, col.REACH, n), col.velocity(f, col.RATE, size)
+    v, v_free = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)
     if num[col.GIVEN] == 0.0:
         begin = col.vectors(old, col.X, n), col.quaternions(old, col.QUATERNION, n), col.velocity(old, col.V, size)
         flow(moments, axes, *begin, (1.0 - theta) * h, x, col.quaternions(w, col.QUATERNION, n), v)
@@ -89,7 +78,7 @@ def set_out(s, first, warm, next_key, located, asks, step, room):
     reach, near = col.column(w, col.REACH, n), col.column(w, col.NEAR, n)
     for k in range(n):
         near[k] = 2.0 * reach[k] if located.size else nowhere[k]
-    there = col.vectors(w, col.X, n), col.rotations(w, col.R_THERE, n), reach
+    there = *col.poses(w, n), reach
     detected_at = col.placed(b_old, col.DETECTED_AT, n)
     same = touching.detection_pose(detected_at, there, arm, num[col.STILL], col.placed(w, col.DETECTED_THERE, n))
     out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
@@ -168,10 +157,10 @@ def posed(s, first, last, active, rows, acted, flags, room):
     if not again:
         _blocks.delassus_scales(blocks, scales)
         made[col.MADE] = 1
-    local, end_gap = own[: col.ALONE * nc].reshape((5, 3 * nc)), col.column(own, col.FORESEEN, nc)
+    local, end_gap = col.local(own, col.LOCAL, nc), col.column(own, col.FORESEEN, nc)
     excess_speed = col.column(own, col.EXCESS_SPEED, nc)
     sliding, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
-    twists, gap_rule = (col.vectors(b_old, col.LINEAR, n), col.vectors(b_old, col.ANGULAR, n)), gap_rule_of(num)
+    twists, gap_rule = col.twists(b_old, n), gap_rule_of(num)
     reach = col.column(w, col.REACH, n), num[col.GAP_TOL], radii
     law.local_velocities(
         blocks,
@@ -218,11 +207,8 @@ def solved(s, rows, active, flags, known, label, head, room):
     if impulses(scene, rows, active, flags, known, label, head, room) == SOLVE:
         return SOLVE
     out[col.TIME] += seconds(head[col.CLOCK :]) - began
-    v_turned, change, v_plus = (
-        col.velocity(w, col.V_TURNED, size),
-        col.velocity(w, col.CHANGE, size),
-        col.velocity(w, col.V_PLUS, size),
-    )
+    v_turned, v_plus = col.velocity(w, col.V_TURNED, size), col.velocity(w, col.V_PLUS, size)
+    change = col.velocity(w, col.CHANGE, size)
     for i in range(v_plus.size):
         v_plus[i] = v_turned[i] + change[i]
     if movers[1][0].size > 0:
@@ -237,7 +223,7 @@ def goes(s, b, w, out):
     """Whether the end of the move needs a new detection after that at the midpoint; sets the poses for it."""
     (num, size), (arm, _, _) = s[0], s[1]
     n = size[0]
-    there = col.vectors(b, col.X, n), col.rotations(b, col.R, n), col.column(w, col.NEAR, n)
+    there = *col.poses(b, n), col.column(w, col.NEAR, n)
     detected_at = col.placed(w, col.DETECTED_THERE, n)
     same = touching.detection_pose(detected_at, there, arm, num[col.STILL], col.placed(b, col.DETECTED_AT, n))
     out[col.GOES] = 0.0 if same else 1.0
@@ -255,20 +241,17 @@ def told(s, rows, contacts, begun, flags, status, head, room):
     (num, size), (out, w, _, a), nc = scene, room, status.size
     (geoms, active, now), (b_old, last, first, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]
-    spins = col.vectors(b_old, col.ANGULAR, n), col.vectors(b, col.ANGULAR, n)
+    spins = col.twists(b_old, n)[1], col.twists(b, n)[1]
     shapes, met = (geoms, inscribed, masses[0]), (active, now, first)
     if not eventless(num, shapes, met, (b_old, *last), flags, status, spins, room):
         return EVENT
     book(scene, (*inertia, gravity, nowhere[:0]), rows, active, flags, direction, head, status, room)
     out[col.SUSPECT] = 0.0
     if nc > 0 and num[col.FEWEST] >= 0.0:
-        r, u, q = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+        r, u, q = col.answer(a, nc)
         out[col.SUSPECT] = suspect(rows[0], active[2][1], q, u, r, int(num[col.FEWEST]))
-    works, fallen = (
-        (col.column(a, col.NORMAL_WORK, nc), col.column(a, col.FRICTION_WORK, nc)),
-        col.velocity(w, col.CHANGE, size),
-    )
-    rate = col.velocity(b, col.RATE, size)
+    works = col.column(a, col.NORMAL_WORK, nc), col.column(a, col.FRICTION_WORK, nc)
+    fallen, rate = col.velocity(w, col.CHANGE, size), col.velocity(b, col.RATE, size)
     for i in range(fallen.size):
         fallen[i] = num[col.STEP] * rate[i]
     velocities = col.velocity(b_old, col.V, size), fallen

@@ -12,7 +12,7 @@ from nsdyn._kernels.reductions import least
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import law, slip_reversal, touching
 from nsdyn._kernels.stepping.active_set import overrun, rests_of
-from nsdyn._kernels.stepping.eventless_contacts import all_twists
+from nsdyn._kernels.stepping.eventless_contacts import all_rates
 from nsdyn._kernels.stepping.islands import located
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.vectors import square
@@ -28,7 +28,7 @@ of the energies of its groups."""
 @no_alloc
 def strikes_at_once(num, active, last, old, n):
     """Whether closed contacts strike at the start of the step; last = (keys, pairs, states) of the last active set."""
-    x, twists = col.vectors(old, col.X, n), (col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n))
+    x, twists = col.vectors(old, col.X, n), col.twists(old, n)
     least_speed = touching.striking_speed(active, x, twists, last, int(num[col.GEOMS]), num[col.GAP_TOL])
     return least_speed < -num[col.LEAST_PENETRATION] / num[col.STEP]
 
@@ -39,20 +39,13 @@ def rebounds(scene, movers, active, old, w):
 
     scene = (numbers, size), movers as in `opened` at the beginning.
     """
-    (num, size), n, rates, (names, _, scalars) = scene, scene[1][0], np.empty((2, scene[1][0], 3)), active
+    (num, size), n, (names, _, scalars) = scene, scene[1][0], active
     v, v_free, x = col.velocity(old, col.V, size), col.velocity(w, col.V_FREE, size), col.vectors(old, col.X, n)
-    change = np.empty(v.size)
-    for i in range(change.size):
-        change[i] = (v_free[i] - v[i]) / num[col.STEP]
-    all_twists(movers, x, col.rotations(old, col.R, n), change, rates[0], rates[1])
-    twists = col.vectors(old, col.LINEAR, n), col.vectors(old, col.ANGULAR, n)
+    rates, twists = all_rates(movers, col.poses(old, n), v, v_free, num[col.STEP]), col.twists(old, n)
     for c in range(names.shape[1]):
         e = scalars[2, c]
         if e > 0.0 and scalars[0, c] <= num[col.GAP_TOL]:
-            weight, u = (
-                touching.weight_of(c, active, x, (rates[0], rates[1])),
-                touching.approach_of(c, active, x, twists),
-            )
+            weight, u = touching.weight_of(c, active, x, rates), touching.approach_of(c, active, x, twists)
             rests = rests_of(weight, e, (num[col.HALF], num[col.LEAST]))
             if u > num[col.TOL] + rests or u < -(num[col.TOL] + rests / e):
                 return True
@@ -89,10 +82,10 @@ def eventless(num, bodies, contacts, last, flags, was, spins, room):
     """
     (geoms, inscribed, node), (active, now, first) = bodies, contacts
     nc, n, (names, _, scalars), (f, w, own, a) = was.size, spins[0].shape[0], active, room
-    local, stays = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.STAYS, :nc]
-    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    local, stays = col.local(own, col.LOCAL, nc), flags[col.STAYS, :nc]
+    answer = r, _, _ = col.answer(a, nc)
     deepest, deep = least(now[2][0]), min(num[col.GAP_TOL], num[col.LEAST_PENETRATION])
-    if deepest < -num[col.GAP_TOL] or turns_round((r, u, b), scalars[1], local, was, names, first[0], node):
+    if deepest < -num[col.GAP_TOL] or turns_round(answer, scalars[1], local, was, names, first[0], node):
         return False
     if deepest < -deep:
         # Every contact this deep must have an impulse.
@@ -109,9 +102,8 @@ def eventless(num, bodies, contacts, last, flags, was, spins, room):
         presses[c] = r[3 * c] > 0.0
         if presses[c] and not stays[c] and end_gap[c] > num[col.THETA] * num[col.DEPTH] * radius:
             return False
-    b_old, b, R = last[0], f[col.RESULTS :], col.rotations(w, col.R_THERE, n)
-    begin = col.vectors(b_old, col.X, n), col.rotations(b_old, col.R, n)
-    ends = begin, (col.vectors(b, col.X, n), col.rotations(b, col.R, n))
+    b_old, b, R = last[0], f[col.RESULTS :], col.rotations(w, col.R, n)
+    ends = col.poses(b_old, n), col.poses(b, n)
     deep = inscribed, DEEP, col.column(w, col.REACH, n)
     if overrun(geoms, active, R, ends, now, last[1:], presses, deep, far):
         return False
@@ -224,7 +216,7 @@ def book(scene, bodies, rows, active, flags, direction, head, status, room):
         (mass, gravity),
         (h, num[col.THETA]),
         (v, v, v_plus),
-        (blocks, none, mu, own[: col.ALONE * nc].reshape((5, 3 * nc)), frame),
+        (blocks, none, mu, col.local(own, col.LOCAL, nc), frame),
         r,
         (flags[col.STAYS], flags[col.STICKS], couples, none),
         num[col.TOL],

@@ -16,11 +16,22 @@ trees to the end. `EVENT`: the move is made, but is no whole step. After `DETECT
 the next call continues with what Python has done."""
 
 
-@no_alloc
-def all_twists(movers, x, R, v, linear, angular):
-    """Linear and angular velocities of all frames at x (n, 3), world axes, into (n, 3) each; movers as in `opened`."""
+@kernel
+def all_twists(movers, poses, v):
+    """Return (linear, angular) velocities of all frames at their poses (x, R), world axes; movers as in `opened`."""
+    (x, R), linear, angular = poses, np.empty(poses[0].shape), np.empty(poses[0].shape)
     motion.twists(R, v, movers[0], linear, angular)
     links.twists(movers[1], x, v, linear, angular)
+    return linear, angular
+
+
+@kernel
+def all_rates(movers, poses, v, v_free, h):
+    """Return `all_twists` of the free acceleration, which changes v to v_free in h s."""
+    rate = np.empty(v.size)
+    for i in range(rate.size):
+        rate[i] = (v_free[i] - v[i]) / h
+    return all_twists(movers, poses, rate)
 
 
 @no_alloc
@@ -52,30 +63,22 @@ def capture(scene, bodies, contacts, last, old, w, located, out):
     """
     (num, size), (movers_begun, movers, inscribed) = scene, bodies
     h, n, (before, found), v = num[col.STEP], size[0], contacts, col.velocity(w, col.V_FREE, size)
-    v_begin, x, at = col.velocity(old, col.V, size), col.vectors(w, col.X, n), col.vectors(old, col.X, n)
-    rate, twists, gap = np.empty(v.size), np.empty((5, 2, n, 3)), before[2][0].copy()
-    for i in range(rate.size):
-        rate[i] = (v[i] - v_begin[i]) / h
+    v_begin, here, there = col.velocity(old, col.V, size), col.poses(old, n), col.poses(w, n)
+    begun, gap = col.twists(old, n), before[2][0].copy()
     closed, tol, bounces_of = num[col.GAP_TOL], num[col.TOL], (num[col.HALF], num[col.LEAST])
-    begun, R, R_begun = (twists[3, 0], twists[3, 1]), col.rotations(w, col.R_THERE, n), col.rotations(old, col.R, n)
-    all_twists(movers_begun, at, R_begun, v_begin, *begun)
     if num[col.ELASTIC] > 0.0 and before[2][2].any():
-        all_twists(movers_begun, at, R_begun, rate, twists[4, 0], twists[4, 1])
-        moving = begun, (twists[4, 0], twists[4, 1])
-        active_set.parting(before, at, np.zeros(gap.size), moving, (closed, tol, bounces_of), gap)
+        moving = begun, all_rates(movers_begun, here, v_begin, v, h)
+        active_set.parting(before, here[0], np.zeros(gap.size), moving, (closed, tol, bounces_of), gap)
     if touching.known(found[0][4], before[0][4], gap, closed, out):
         return out.size
     parts = np.empty(gap.size)
-    touching.approach(before, at, begun, parts)
-    all_twists(movers, x, R, v_begin, twists[0, 0], twists[0, 1])
-    all_twists(movers, x, R, v, twists[1, 0], twists[1, 1])
-    all_twists(movers, x, R, rate, twists[2, 0], twists[2, 1])
+    touching.approach(before, here[0], begun, parts)
     active_set.captured(
         found,
-        x,
+        there[0],
         (inscribed, num[col.DEPTH]),
         np.zeros(out.size),
-        ((twists[0, 0], twists[0, 1]), (twists[1, 0], twists[1, 1]), (twists[2, 0], twists[2, 1])),
+        (all_twists(movers, there, v_begin), all_twists(movers, there, v), all_rates(movers, there, v_begin, v, h)),
         (before[0][4], gap, parts, closed),
         last,
         (num[col.THETA] * h, h, tol, bounces_of),
@@ -110,12 +113,11 @@ def gap_rule_of(num):
 @kernel
 def strikes(num, n, movers, active, local, end_gap, rate, w):
     """Whether any contact of the active set strikes, as in `nsdyn.stepping.collisions.striking`."""
-    (names, _, scalars), x, rates = active, col.vectors(w, col.X, n), np.empty((2, n, 3))
-    all_twists(movers, x, col.rotations(w, col.R_THERE, n), rate, rates[0], rates[1])
+    (names, _, scalars), x, rates = active, col.vectors(w, col.X, n), all_twists(movers, col.poses(w, n), rate)
     for c in range(names.shape[1]):
         closes = end_gap[c] + num[col.THETA] * num[col.STEP] * (local[2, 3 * c] + local[3, 3 * c]) <= 0.0
         if scalars[2, c] > 0.0 and local[1, 3 * c] < 0.0 and closes:
-            weight, bounces_of = touching.weight_of(c, active, x, (rates[0], rates[1])), (num[col.HALF], num[col.LEAST])
+            weight, bounces_of = touching.weight_of(c, active, x, rates), (num[col.HALF], num[col.LEAST])
             resting = num[col.TOL] + active_set.rests_of(weight, scalars[2, c], bounces_of) / scalars[2, c]
             if local[0, 3 * c] < -resting:
                 return True

@@ -33,8 +33,7 @@ def impulses(scene, rows, active, flags, known, label, head, room):
     """
     (num, size), (blocks, _, scales), (out, w, own, a) = scene, rows, room
     nc, mu, change = scales.size, active[2][1], col.velocity(w, col.CHANGE, size)
-    local = own[: col.ALONE * nc].reshape((5, 3 * nc))
-    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
+    local, (r, u, b) = col.local(own, col.LOCAL, nc), col.answer(a, nc)
     if known == DONE:
         copy(col.velocity(w, col.V_FREE, size), col.velocity(w, col.V_TURNED, size))
         change[:] = 0.0
@@ -63,28 +62,17 @@ def impulses(scene, rows, active, flags, known, label, head, room):
 def pose_anew(scene, rows, active, flags, head, room):
     """Pose the problem anew with corrected slip, end gaps and couples; the last impulses are the warm start."""
     (num, size), (blocks, _, _), (out, w, own, a), nc = scene, rows, room, active[0].shape[1]
-    alone = own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc))
-    local = own[: col.ALONE * nc].reshape((5, 3 * nc))
-    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    kept = own[col.KEPT * nc : (col.KEPT + 6) * nc]
-    laws = (
-        col.column(own, col.FORESEEN, nc),
-        active[2][2],
-        own[:0],
-        col.column(own, col.EXCESS_SPEED, nc),
-        gap_rule_of(num),
-    )
+    alone, local, (r, u, b) = col.local(own, col.ALONE, nc), col.local(own, col.LOCAL, nc), col.answer(a, nc)
+    kept, excess_speed = own[col.KEPT * nc : (col.KEPT + 6) * nc], col.column(own, col.EXCESS_SPEED, nc)
+    laws = col.column(own, col.FORESEEN, nc), active[2][2], own[:0], excess_speed, gap_rule_of(num)
     copy(r, kept[: 3 * nc])
     copy(u, kept[3 * nc :])
     for k in range(4):
         copy(alone[k], local[k])
     copy(r, local[4])
     if head[col.TURNED]:
-        v_free, dv, v = (
-            col.velocity(w, col.V_FREE, size),
-            col.velocity(w, col.TURN, size),
-            col.velocity(w, col.V_TURNED, size),
-        )
+        v_free, v = col.velocity(w, col.V_FREE, size), col.velocity(w, col.V_TURNED, size)
+        dv = col.velocity(w, col.TURN, size)
         _blocks.relative_velocity(blocks, dv, u)
         for i in range(u.size):
             local[2, i] += u[i]
@@ -103,15 +91,14 @@ def arrive(num, size, bodies, f, w):
     v, R = col.velocity(f, col.V, size), col.rotations(f, col.R, n)
     flow(bodies[0], bodies[1], *there, num[col.THETA] * num[col.STEP], x, quaternion, v)
     motion.rotations(quaternion, R)
-    motion.twists(R, v, n, col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
+    motion.twists(R, v, n, *col.twists(f, n))
 
 
 @no_alloc
 def end_gaps(geoms, active, now, f, n, gap):
     """Gaps of the active set at the end of the step, as in `Detector.gaps`, into gap (nc,)."""
     if not keys.kept(active[0][4], now[0][4], now[2][0], gap):
-        places = col.vectors(f, col.X, n), col.rotations(f, col.R, n)
-        keys.gaps(fields_of(geoms), places, room_of(geoms), active, now, gap)
+        keys.gaps(fields_of(geoms), col.poses(f, n), room_of(geoms), active, now, gap)
 
 
 @kernel
@@ -119,15 +106,11 @@ def corrects(num, n, active, now, flags, room):
     """Whether persistent contacts end with gaps to correct, as in `ContactKinematics.corrected`; corrects them."""
     (out, _, own, a), nc = room, active[0].shape[1]
     f, gap, r = out[col.RESULTS :], col.column(a, col.GAP_END, nc), a[col.IMPULSE * nc : col.U * nc]
-    stays, off, alone = (
-        flags[col.STAYS, :nc],
-        flags[col.OFF, :nc],
-        own[col.ALONE * nc : col.FORESEEN * nc].reshape((5, 3 * nc)),
-    )
+    stays, off, alone = flags[col.STAYS, :nc], flags[col.OFF, :nc], col.local(own, col.ALONE, nc)
     closed = max(num[col.GAP_TOL], out[col.RESIDUAL] * num[col.STEP])
     if not law.off(gap, r, stays, closed, off):
         return False
-    parts, twists = np.empty(now[0].shape[1]), (col.vectors(f, col.LINEAR, n), col.vectors(f, col.ANGULAR, n))
+    parts, twists = np.empty(now[0].shape[1]), col.twists(f, n)
     touching.approach(now, col.vectors(f, col.X, n), twists, parts)
     ended, sizes = (now[0][4], parts, parts[:0]), (num[col.THETA] * num[col.STEP], closed)
     end_gap, excess_speed = col.column(own, col.FORESEEN, nc), col.column(own, col.EXCESS_SPEED, nc)
@@ -144,26 +127,19 @@ def changes(scene, bodies, rows, active, now, flags, head, room):
     (num, size), (inverse_J, arm), (blocks, _, _), (out, w, own, a), nc = scene, bodies, rows, room, active[0].shape[1]
     if nc == 0:
         return False
-    r, u, b = a[col.IMPULSE * nc : col.U * nc], a[col.U * nc : col.FREE * nc], a[col.FREE * nc : col.U_END * nc]
-    local, sliding = own[: col.ALONE * nc].reshape((5, 3 * nc)), flags[col.SLIDES, :nc]
+    (r, u, b), local, sliding = col.answer(a, nc), col.local(own, col.LOCAL, nc), flags[col.SLIDES, :nc]
     off, other, slips = flags[col.OFF, :nc], flags[col.OTHER, :nc], np.empty(nc, np.bool_)
     again, solved, some = head[col.AGAIN] > 0, flags[col.OFF, : nc if head[col.AGAIN] > 0 else 0], False
     if head[col.PASSES_LEFT] > 0:
         some = update_sliding(blocks, (r, u, b, active[2][1]), local, sliding, again, solved, slips)
     if not (head[col.TURNED] or some or flags[col.STAYS, :nc].any()):
         return False
-    v, v_plus, mean = (
-        col.velocity(w, col.V_THERE, size),
-        col.velocity(w, col.V_PLUS, size),
-        col.velocity(w, col.V_MEAN, size),
-    )
+    v, v_plus = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_PLUS, size)
+    mean = col.velocity(w, col.V_MEAN, size)
     for i in range(mean.size):
         mean[i] = 0.5 * (v[i] + v_plus[i])
-    R, couple, left = (
-        col.rotations(w, col.R_THERE, size[0]),
-        col.vectors(a, col.COUPLE, nc),
-        col.column(own, col.LEFT_OVER, nc),
-    )
+    R, couple = col.rotations(w, col.R, size[0]), col.vectors(a, col.COUPLE, nc)
+    left = col.column(own, col.LEFT_OVER, nc)
     if head[col.PASSES_LEFT] > 0:
         exact = max(num[col.ENOUGH], out[col.RESIDUAL])
         if persistence.turn(
