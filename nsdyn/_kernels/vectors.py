@@ -75,6 +75,24 @@ def three(a, i):
 
 
 @no_alloc
+def four(a, k):
+    """Row k of an array of quaternions, xyzw."""
+    return a[k, 0], a[k, 1], a[k, 2], a[k, 3]
+
+
+@no_alloc
+def turned(q, e):
+    """Product q e of quaternions xyzw, and its length."""
+    p = (
+        q[3] * e[0] + q[0] * e[3] + q[1] * e[2] - q[2] * e[1],
+        q[3] * e[1] - q[0] * e[2] + q[1] * e[3] + q[2] * e[0],
+        q[3] * e[2] + q[0] * e[1] - q[1] * e[0] + q[2] * e[3],
+        q[3] * e[3] - q[0] * e[0] - q[1] * e[1] - q[2] * e[2],
+    )
+    return p, math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + p[3] * p[3])
+
+
+@no_alloc
 def put(a, k, v):
     """Write the vector v into row k of an array."""
     a[k, 0], a[k, 1], a[k, 2] = v
@@ -82,7 +100,7 @@ def put(a, k, v):
 
 @no_alloc
 def to_world(R, g, v):
-    """Transform vector v from the shape frame of geom g to the world frame."""
+    """Product R[g] v: a vector of the shape frame of geom g in the world frame."""
     return (
         R[g, 0, 0] * v[0] + R[g, 0, 1] * v[1] + R[g, 0, 2] * v[2],
         R[g, 1, 0] * v[0] + R[g, 1, 1] * v[1] + R[g, 1, 2] * v[2],
@@ -92,7 +110,7 @@ def to_world(R, g, v):
 
 @no_alloc
 def to_local(R, g, v):
-    """Transform vector v from the world frame to the shape frame of geom g."""
+    """Product R[g]ᵀ v: a vector of the world frame in the shape frame of geom g."""
     return (
         R[g, 0, 0] * v[0] + R[g, 1, 0] * v[1] + R[g, 2, 0] * v[2],
         R[g, 0, 1] * v[0] + R[g, 1, 1] * v[1] + R[g, 2, 1] * v[2],

@@ -76,7 +76,7 @@ class Kinematics(Layout):
     def shift(self, position: Position, step: Array) -> Position:
         """Position ⊕ a small displacement `step` (n,) in the coordinates of velocities, with loops closed."""
         x, quaternion = np.empty((self.free, 3)), np.empty((self.free, 4))
-        _motion.integrate(position.x, position.quaternion, step, 1.0, x, quaternion)
+        _motion.integrate(position.x, position.quaternion, step, x, quaternion)
         moved = zip(self.trees, position.trees, strict=True)
         trees = tuple([t.close(integrate(t.model, q, step[t.coordinates])) for t, q in moved])
         return Position(x, quaternion, trees, position.driven_x, position.driven_quaternion)

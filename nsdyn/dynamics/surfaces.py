@@ -71,7 +71,7 @@ class Surfaces:
         x_out, quaternion_out, R = np.empty_like(x), np.empty_like(quaternion), np.empty((self._driven, 3, 3))
         _motion.rotations(quaternion, R)
         local = np.concatenate((step[:, 0], np.einsum("kji,kj->ki", R, step[:, 1])), axis=1)
-        _motion.integrate(x, quaternion, local.ravel(), 1.0, x_out, quaternion_out)
+        _motion.integrate(x, quaternion, local.ravel(), x_out, quaternion_out)
         return x_out, quaternion_out
 
     def poses(self, t: float, theta: float) -> tuple[Array, Array]:

@@ -82,15 +82,15 @@ class DelassusFactors(NamedTuple):
 
     def velocity_change(self, r: Array) -> Array:
         """Return M⁻¹ H r, shape (n,)."""
-        dv = np.empty(self.n)
-        _blocks.velocity_change(self.arrays, r, dv)
+        p, dv = np.empty(self.n), np.empty(self.n)
+        _blocks.respond(self.arrays, r, p, dv)
         return dv
 
     def response(self, r: Array, v_free: Array) -> tuple[Array, Array]:
         """Return (H r, v_free + M⁻¹ H r), shape (n,) each."""
-        p, v = np.empty_like(v_free), np.empty_like(v_free)
-        _blocks.respond(self.arrays, r, v_free, p, v)
-        return p, v
+        p, dv = np.empty(self.n), np.empty(self.n)
+        _blocks.respond(self.arrays, r, p, dv)
+        return p, v_free + dv
 
     def delassus(self) -> sp.bsr_array:
         """Return W = Hᵀ M⁻¹ H as a BSR array of 3 x 3 blocks, exactly symmetric."""

@@ -10,30 +10,21 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.reductions import copy
-from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, three, times, to_local, to_world
+from nsdyn._kernels.vectors import along, cross, dot, four, minus, put, row, three, times, to_local, to_world, turned
 
 
 @no_alloc
-def integrate(x, quaternion, v, h, x_out, quaternion_out):
-    """Positions x + h v and rotations R exp([h omega]x), unit quaternions xyzw, into the outputs (n, 3) and (n, 4)."""
+def integrate(x, quaternion, step, x_out, quaternion_out):
+    """Positions x + dx and rotations R exp([w]x), step = (dx, w) per body, into the outputs (n, 3) and (n, 4)."""
     for b in range(x.shape[0]):
-        put(x_out, b, along(row(x, b), h, three(v, 6 * b)))
-        a0, a1, a2 = 0.5 * h * v[6 * b + 3], 0.5 * h * v[6 * b + 4], 0.5 * h * v[6 * b + 5]
-        half = math.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
-        q0, q1, q2, q3 = quaternion[b, 0], quaternion[b, 1], quaternion[b, 2], quaternion[b, 3]
-        if half == 0.0:
-            quaternion_out[b, 0], quaternion_out[b, 1] = q0, q1
-            quaternion_out[b, 2], quaternion_out[b, 3] = q2, q3
-            continue
-        s, c = math.sin(half) / half, math.cos(half)
-        e0, e1, e2 = s * a0, s * a1, s * a2
-        p0 = q3 * e0 + q0 * c + q1 * e2 - q2 * e1
-        p1 = q3 * e1 - q0 * e2 + q1 * c + q2 * e0
-        p2 = q3 * e2 + q0 * e1 - q1 * e0 + q2 * c
-        p3 = q3 * c - q0 * e0 - q1 * e1 - q2 * e2
-        norm = math.sqrt(p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3)
-        quaternion_out[b, 0], quaternion_out[b, 1] = p0 / norm, p1 / norm
-        quaternion_out[b, 2], quaternion_out[b, 3] = p2 / norm, p3 / norm
+        put(x_out, b, along(row(x, b), 1.0, three(step, 6 * b)))
+        a, q, size = times(0.5, three(step, 6 * b + 3)), four(quaternion, b), 1.0
+        half = math.sqrt(dot(a, a))
+        if half != 0.0:
+            e0, e1, e2 = times(math.sin(half) / half, a)
+            q, size = turned(q, (e0, e1, e2, math.cos(half)))
+        for i in range(4):
+            quaternion_out[b, i] = q[i] / size
 
 
 @no_alloc

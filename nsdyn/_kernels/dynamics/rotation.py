@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.compiled import kernel, no_alloc
-from nsdyn._kernels.vectors import along, dot, minus, put, row, three, to_local, to_world
+from nsdyn._kernels.vectors import along, dot, four, minus, put, row, three, times, to_local, to_world, turned
 
 PART = 0.5
 """Largest rotation of one collocation, rad: its error is then 1e-9, 1e-7 at worst, after some 13 iterations."""
@@ -60,14 +60,11 @@ def principal(J):
 
 
 @no_alloc
-def _times(q0, q1, q2, q3, e0, e1, e2, e3):
-    """Unit quaternion of the product q e, where e has any length."""
-    p0 = q3 * e0 + q0 * e3 + q1 * e2 - q2 * e1
-    p1 = q3 * e1 - q0 * e2 + q1 * e3 + q2 * e0
-    p2 = q3 * e2 + q0 * e1 - q1 * e0 + q2 * e3
-    p3 = q3 * e3 - q0 * e0 - q1 * e1 - q2 * e2
-    k = 1.0 / math.sqrt(p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3)
-    return k * p0, k * p1, k * p2, k * p3
+def _times(q, e, w):
+    """Unit quaternion of the product of q and (e, w), which has any length."""
+    p, size = turned(q, (e[0], e[1], e[2], w))
+    k = 1.0 / size
+    return k * p[0], k * p[1], k * p[2], k * p[3]
 
 
 @no_alloc
@@ -149,13 +146,13 @@ def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
     w, e, stage, slope = np.empty(3), np.empty(4), np.empty((3, 3)), np.empty((3, 3))
     for b in range(x.shape[0]):
         o = 6 * b
-        spin = w0, w1, w2 = three(v, o + 3)
+        spin, q = three(v, o + 3), four(quaternion, b)
         put(x_out, b, along(row(x, b), h, three(v, o)))
-        q0, q1, q2, q3 = quaternion[b, 0], quaternion[b, 1], quaternion[b, 2], quaternion[b, 3]
-        quaternion_out[b, 0], quaternion_out[b, 1], quaternion_out[b, 2], quaternion_out[b, 3] = q0, q1, q2, q3
+        for i in range(4):
+            quaternion_out[b, i] = q[i]
         for i in range(o, o + 6):
             v_out[i] = v[i]
-        if w0 == 0.0 and w1 == 0.0 and w2 == 0.0:
+        if spin == (0.0, 0.0, 0.0):
             continue
         I, square = moments[b], dot(spin, spin)
         w[0], w[1], w[2] = to_local(axes, b, spin)
@@ -166,20 +163,19 @@ def flow(moments, axes, x, quaternion, v, h, x_out, quaternion_out, v_out):
         if gyroscopic <= 2.0 * _EPS * square * min(I[0], I[1], I[2]) or h * h * square < 1e-40:
             half = 0.5 * h * math.sqrt(square)
             if half > 0.0:
-                s = 0.5 * h * math.sin(half) / half
-                q0, q1, q2, q3 = _times(q0, q1, q2, q3, s * w0, s * w1, s * w2, math.cos(half))
+                q = _times(q, times(0.5 * h * math.sin(half) / half, spin), math.cos(half))
         else:
             left = h
             for _ in range(PARTS):
                 parts = max(1.0, np.ceil(left * math.sqrt(dot(w, w)) / PART))
                 part = left / parts
                 _collocate(I, w, part, stage, slope, e)
-                e0, e1, e2 = to_world(axes, b, three(e, 0))
-                q0, q1, q2, q3 = _times(q0, q1, q2, q3, e0, e1, e2, e[3])
+                q = _times(q, to_world(axes, b, three(e, 0)), e[3])
                 if parts == 1.0:
                     break
                 left -= part
             # Only the change is transformed back through the axes, whose round-off would otherwise add up.
             change = to_world(axes, b, minus(w, to_local(axes, b, spin)))
             v_out[o + 3], v_out[o + 4], v_out[o + 5] = along(spin, 1.0, change)
-        quaternion_out[b, 0], quaternion_out[b, 1], quaternion_out[b, 2], quaternion_out[b, 3] = q0, q1, q2, q3
+        for i in range(4):
+            quaternion_out[b, i] = q[i]

@@ -103,31 +103,18 @@ def weighted_rows(blocks):
     return y
 
 
-@kernel
-def velocity_change(blocks, r, v):
-    """Write M⁻¹ H r into v (n,)."""
-    offset, _, _, _, m_start, _, minv = blocks
-    p = np.empty(v.size)
-    momentum(blocks, r, p)
-    block_product(offset, m_start, minv, p, v)
-
-
 @no_alloc
-def respond(blocks, r, v_free, p, v):
-    """Write p = H r and v = v_free + M⁻¹ p into p and v (n,)."""
+def respond(blocks, r, p, v):
+    """Write p = H r and v = M⁻¹ p into p and v (n,)."""
     offset, _, _, _, m_start, _, minv = blocks
     momentum(blocks, r, p)
     block_product(offset, m_start, minv, p, v)
-    for i in range(v.size):
-        v[i] = v_free[i] + v[i]
 
 
 @no_alloc
 def velocity(blocks, q, r, y, u, work):
     """Write y = M⁻¹ H r and u = Hᵀ y + q into y (n,) and u (3 nc,); `work` (n,) holds H r."""
-    offset, _, _, _, m_start, _, minv = blocks
-    momentum(blocks, r, work)
-    block_product(offset, m_start, minv, work, y)
+    respond(blocks, r, work, y)
     relative_velocity(blocks, y, u)
     for i in range(q.size):
         u[i] += q[i]

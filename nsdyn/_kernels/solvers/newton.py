@@ -18,7 +18,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem import given
-from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, velocity, velocity_change
+from nsdyn._kernels.problem.blocks import block_product, momentum, relative_velocity, respond, velocity
 from nsdyn._kernels.problem.cones import measure_at, measures
 from nsdyn._kernels.problem.linear import factorise, substitute
 from nsdyn._kernels.problem.sparse import assemble, dense_pattern
@@ -210,7 +210,7 @@ def dense(problem, r, enough, near, penalty, most):
         if best <= HALF * reached:
             reached, since = best, count
         if verdict == SETTLED:
-            velocity_change(blocks, step, dy)
+            respond(blocks, step, work, dy)
             y -= dy
             copy(y, kept)
         elif verdict == FAILED:

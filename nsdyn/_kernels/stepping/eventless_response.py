@@ -54,7 +54,7 @@ def impulses(scene, rows, active, flags, known, label, head, room):
     if head[col.AGAIN]:
         kept = own[col.KEPT * nc : (col.KEPT + 6) * nc]
         thaw(blocks, flags[col.OFF, :nc], (kept[: 3 * nc], kept[3 * nc :]), (r, u))
-    _blocks.velocity_change(blocks, r, change)
+    _blocks.respond(blocks, r, np.empty(change.size), change)
     return DONE
 
 

@@ -13,7 +13,8 @@ are in units in which max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact wi
 import math
 
 from nsdyn._kernels.compiled import no_alloc
-from nsdyn._kernels.vectors import dot, row, square
+from nsdyn._kernels.vectors import dot, minus, put, row, square, three
+from nsdyn._kernels.vectors import to_world as product
 
 START = 100.0  # first x and z: far inside the cones, whatever the solution of a problem of unit size
 
@@ -133,12 +134,8 @@ def target(lam, T, V, dx, dz, sigma, correct, d):
         b0 = sigma - (l0 * l0 + l1 * l1 + l2 * l2)
         b1, b2 = -2.0 * l0 * l1, -2.0 * l0 * l2
         if correct:
-            p0 = V[c, 0, 0] * dx[c, 0] + V[c, 0, 1] * dx[c, 1] + V[c, 0, 2] * dx[c, 2]
-            p1 = V[c, 1, 0] * dx[c, 0] + V[c, 1, 1] * dx[c, 1] + V[c, 1, 2] * dx[c, 2]
-            p2 = V[c, 2, 0] * dx[c, 0] + V[c, 2, 1] * dx[c, 1] + V[c, 2, 2] * dx[c, 2]
-            q0 = T[c, 0, 0] * dz[c, 0] + T[c, 0, 1] * dz[c, 1] + T[c, 0, 2] * dz[c, 2]
-            q1 = T[c, 1, 0] * dz[c, 0] + T[c, 1, 1] * dz[c, 1] + T[c, 1, 2] * dz[c, 2]
-            q2 = T[c, 2, 0] * dz[c, 0] + T[c, 2, 1] * dz[c, 1] + T[c, 2, 2] * dz[c, 2]
+            p0, p1, p2 = product(V, c, row(dx, c))
+            q0, q1, q2 = product(T, c, row(dz, c))
             b0 -= p0 * q0 + p1 * q1 + p2 * q2
             b1 -= p0 * q1 + q0 * p1
             b2 -= p0 * q2 + q0 * p2
@@ -152,11 +149,10 @@ def target(lam, T, V, dx, dz, sigma, correct, d):
 def right_side(mu, V, A, d, F, g):
     """Compute G = E T⁻¹ d + A F, into g (3 nc,)."""
     for c in range(mu.size):
+        one, other = product(V, c, row(d, c)), product(A, c, row(F, c))
         for i in range(3):
             e = 1.0 / mu[c] if i == 0 and mu[c] > 0.0 else 1.0
-            g[3 * c + i] = e * (V[c, i, 0] * d[c, 0] + V[c, i, 1] * d[c, 1] + V[c, i, 2] * d[c, 2]) + (
-                A[c, i, 0] * F[c, 0] + A[c, i, 1] * F[c, 1] + A[c, i, 2] * F[c, 2]
-            )
+            g[3 * c + i] = e * one[i] + other[i]
         if mu[c] == 0.0:
             g[3 * c + 1] = g[3 * c + 2] = 0.0
 
@@ -176,15 +172,9 @@ def recover(mu, V, C, d, F, Wp, du, dx, dz):
     du, dx, dz : ndarray, shape (nc, 3)
     """
     for c in range(mu.size):
-        for i in range(3):
-            du[c, i] = Wp[3 * c + i] - F[c, i]
-        for i in range(3):
-            dx[c, i] = C[c, i, 0] * du[c, 0] + C[c, i, 1] * du[c, 1] + C[c, i, 2] * du[c, 2]
-        e0 = d[c, 0] - (V[c, 0, 0] * dx[c, 0] + V[c, 0, 1] * dx[c, 1] + V[c, 0, 2] * dx[c, 2])
-        e1 = d[c, 1] - (V[c, 1, 0] * dx[c, 0] + V[c, 1, 1] * dx[c, 1] + V[c, 1, 2] * dx[c, 2])
-        e2 = d[c, 2] - (V[c, 2, 0] * dx[c, 0] + V[c, 2, 1] * dx[c, 1] + V[c, 2, 2] * dx[c, 2])
-        for i in range(3):
-            dz[c, i] = V[c, i, 0] * e0 + V[c, i, 1] * e1 + V[c, i, 2] * e2
+        put(du, c, minus(three(Wp, 3 * c), row(F, c)))
+        put(dx, c, product(C, c, row(du, c)))
+        put(dz, c, product(V, c, minus(row(d, c), product(V, c, row(dx, c)))))
         if mu[c] == 0.0:
             dz[c, 1] = dz[c, 2] = 0.0
 

@@ -11,16 +11,11 @@ import numpy as np
 from numba.extending import overload
 
 from nsdyn._kernels.compiled import kernel, no_alloc
-from nsdyn._kernels.problem.blocks import (
-    add_momentum,
-    momentum,
-    relative_velocity,
-    relative_velocity_of,
-    weighted_rows,
-)
+from nsdyn._kernels.problem.blocks import add_momentum, momentum, relative_velocity, relative_velocity_of, weighted_rows
 from nsdyn._kernels.problem.cones import coulomb, measure_at, project, slide
 from nsdyn._kernels.problem.given import velocity
-from nsdyn._kernels.vectors import square
+from nsdyn._kernels.vectors import along, minus, square, three, times
+from nsdyn._kernels.vectors import to_world as product
 from nsdyn.literature._kernels.anderson import mix
 
 
@@ -100,9 +95,7 @@ def solve_contact(W, own, S, c, b0, b1, b2, mu):
     """Return the impulse of contact c with free velocity b, 3 scalars; W[own] is its block, S[c] the inverse or 0."""
     if b0 >= 0.0:
         return 0.0, 0.0, 0.0
-    x0 = -(S[c, 0, 0] * b0 + S[c, 0, 1] * b1 + S[c, 0, 2] * b2)
-    x1 = -(S[c, 1, 0] * b0 + S[c, 1, 1] * b1 + S[c, 1, 2] * b2)
-    x2 = -(S[c, 2, 0] * b0 + S[c, 2, 1] * b1 + S[c, 2, 2] * b2)
+    x0, x1, x2 = times(-1.0, product(S, c, (b0, b1, b2)))
     if x0 > 0.0 and x1 * x1 + x2 * x2 <= square(mu * x0):
         return x0, x1, x2
     if S[c, 0, 0] == 0.0 or mu == 0.0:
@@ -118,17 +111,14 @@ def sweep_matrix(W, q, mu, r):
         # Unsigned, so that the compiler skips the test for negative indices.
         k = np.uint64(c)
         i, own = np.uint64(3) * k, k
-        b0, b1, b2 = q[i], q[i + np.uint64(1)], q[i + np.uint64(2)]
+        b = q[i], q[i + np.uint64(1)], q[i + np.uint64(2)]
         for p in range(indptr[c], indptr[c + 1]):
             e, d = np.uint64(p), np.uint64(3 * indices[p])
             if d == i:
                 own = e
                 continue
-            x0, x1, x2 = r[d], r[d + np.uint64(1)], r[d + np.uint64(2)]
-            b0 += data[e, 0, 0] * x0 + data[e, 0, 1] * x1 + data[e, 0, 2] * x2
-            b1 += data[e, 1, 0] * x0 + data[e, 1, 1] * x1 + data[e, 1, 2] * x2
-            b2 += data[e, 2, 0] * x0 + data[e, 2, 1] * x1 + data[e, 2, 2] * x2
-        r[3 * c], r[3 * c + 1], r[3 * c + 2] = solve_contact(data, own, inverse, k, b0, b1, b2, mu[c])
+            b = along(b, 1.0, product(data, e, (r[d], r[d + np.uint64(1)], r[d + np.uint64(2)])))
+        r[3 * c], r[3 * c + 1], r[3 * c + 2] = solve_contact(data, own, inverse, k, *b, mu[c])
 
 
 @no_alloc
@@ -136,16 +126,11 @@ def sweep_factors(W, q, mu, v, r):
     """One Gauss–Seidel sweep in place of r and of v = M⁻¹ H r: solve each contact exactly, other impulses frozen."""
     blocks, y, diagonal, inverse = W
     for c in range(mu.size):
-        i = 3 * c
-        u0, u1, u2 = relative_velocity_of(blocks, v, c)
-        b0, b1, b2 = q[i] + u0, q[i + 1] + u1, q[i + 2] + u2
-        D, r0, r1, r2 = diagonal, r[i], r[i + 1], r[i + 2]
-        b0 -= D[c, 0, 0] * r0 + D[c, 0, 1] * r1 + D[c, 0, 2] * r2
-        b1 -= D[c, 1, 0] * r0 + D[c, 1, 1] * r1 + D[c, 1, 2] * r2
-        b2 -= D[c, 2, 0] * r0 + D[c, 2, 1] * r1 + D[c, 2, 2] * r2
-        x0, x1, x2 = solve_contact(D, c, inverse, c, b0, b1, b2, mu[c])
-        r[i], r[i + 1], r[i + 2] = x0, x1, x2
-        add_momentum((*blocks[:3], y), c, x0 - r0, x1 - r1, x2 - r2, v)
+        i, before = 3 * c, three(r, 3 * c)
+        b = along(three(q, i), 1.0, relative_velocity_of(blocks, v, c))
+        b = minus(b, product(diagonal, c, before))
+        r[i], r[i + 1], r[i + 2] = solve_contact(diagonal, c, inverse, c, *b, mu[c])
+        add_momentum((*blocks[:3], y), c, *minus(three(r, i), before), v)
 
 
 @kernel
