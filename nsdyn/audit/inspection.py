@@ -17,6 +17,7 @@ from nsdyn.audit.touching import separations
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.gears import joints_of
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import counted
@@ -239,16 +240,14 @@ def _moments(inertia: Any) -> tuple[float, float, float]:
 
 def _joints(a: Articulation) -> list[Joint]:
     """Coordinates of joints whose q are angles and lengths, numbered if a joint has several."""
-    model, out = a.model, []
-    for joint in range(1, model.njoints):
-        count = model.nvs[joint]
-        if model.nqs[joint] != count:
-            continue
-        for k in range(count):
-            at, row = model.idx_qs[joint] + k, model.idx_vs[joint] + k
-            values = a.q[at], model.lowerPositionLimit[at], model.upperPositionLimit[at], a.effort[row]
-            name = f"{a.name}/{model.names[joint]}" + (f" {k + 1}" if count > 1 else "")
-            out.append(Joint(name, *map(float, (*values, a.friction[row], a.damping[row]))))
+    m, out = a.model, []
+    for joint in joints_of(m):
+        if joint.plain:
+            of_q = (x[joint.q].tolist() for x in (a.q, m.lowerPositionLimit, m.upperPositionLimit))
+            of_v = (x[joint.v].tolist() for x in (a.effort, a.friction, a.damping))
+            rows = list(zip(*of_q, *of_v, strict=True))
+            numbers = [f" {k + 1}" for k in range(len(rows))] if len(rows) > 1 else [""]
+            out += [Joint(f"{a.name}/{joint.name}{k}", *row) for k, row in zip(numbers, rows, strict=True)]
     return out
 
 

@@ -21,7 +21,7 @@ from nsdyn.dynamics.kinematics import Kinematics
 from nsdyn.dynamics.values import Energies, Forces, FreeMotion, MidpointState, Placement, Position
 from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.scene.checks import rotation
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, floats
 from nsdyn.tools.displacements import turns
 from nsdyn.tools.naming import choice, unknown
 
@@ -141,10 +141,7 @@ class Dynamics(Kinematics):
         force, torque = load = np.zeros((2, self.free, 3))
         applied: dict[int, tuple[Array, Array]] = {}
         for name, wrench in _mapping(given, "external_force").items():
-            try:
-                parts = np.array(wrench, dtype=float)
-            except (TypeError, ValueError):
-                parts = np.array(np.nan)
+            parts = floats(wrench)
             if parts.shape not in ((3,), (2, 3)) or not np.isfinite(parts).all():
                 raise ValueError(f"external_force on {name!r} must be finite with shape (3,) or (2, 3), got {wrench!r}")
             pull, turn = parts if parts.ndim == 2 else (parts, np.zeros(3))

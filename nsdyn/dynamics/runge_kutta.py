@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.dynamics.values import Flow
+from nsdyn.scene.gears import joint_at
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
@@ -77,8 +78,7 @@ def move(model: pin.Model, rate: Rate, q: Array, v: Array, h: float, turn: float
 def fastest(model: pin.Model, v: Array) -> str:
     """Name of the fastest joint, or of the first whose velocity is not finite, and its speed."""
     j = int(np.abs(v).argmax())
-    name = next(n for n, joint in zip(model.names, model.joints, strict=True) if 0 <= j - joint.idx_v < joint.nv)
-    return f"joint {name!r} moves at {abs(v[j]):.3g} rad/s or m/s"
+    return f"joint {model.names[joint_at(model, j)]!r} moves at {abs(v[j]):.3g} rad/s or m/s"
 
 
 def runge_kutta(

@@ -144,18 +144,16 @@ class Mechanism:
             and not (self.driven < 6).any()
         )
         self.zero, self.flat = np.zeros(self.nv), self.model.nq == self.nv
-        scalars = [joint for joint in list(self.model.joints)[1:] if joint.nq == joint.nv]
-        self.linear = np.concatenate([np.arange(j.idx_v, j.idx_v + j.nv) for j in scalars] or [np.empty(0)]).astype(int)
-        self._linear_q = np.concatenate([np.arange(j.idx_q, j.idx_q + j.nq) for j in scalars] or [np.empty(0)]).astype(
-            int
-        )
-        self.winding = any(j.shortname() in WINDING for j in list(self.model.joints)[1:])
+        joints = list(self.model.joints)[1:]
+        linear = [(j.idx_v + k, j.idx_q + k) for j in joints if j.nq == j.nv for k in range(j.nv)]
+        self._linear = np.array(linear, np.int64).reshape(-1, 2).T
+        self.winding = any(j.shortname() in WINDING for j in joints)
         together = {"JointModelPlanar": 2, "JointModelSpherical": 3}  # number of coordinates with joint dry friction
         self.rubbing: list[Index] = []
-        for joint in list(self.model.joints)[1:]:
+        for joint in joints:
             one, last = together.get(joint.shortname(), 1), joint.idx_v + joint.nv
             self.rubbing += [np.arange(joint.idx_v, joint.idx_v + one), *np.arange(joint.idx_v + one, last)[:, None]]
-        self.round = [(j.idx_v, j.idx_q) for j in list(self.model.joints)[1:] if (j.nq, j.nv) == (2, 1)]
+        self.round = [(j.idx_v, j.idx_q) for j in joints if (j.nq, j.nv) == (2, 1)]
         self.place(pin.neutral(self.model))
         self.turns = np.linalg.norm(self.data.J.reshape(6, -1, order="A")[3:], axis=0)
 
@@ -186,7 +184,8 @@ class Mechanism:
     def angle(self, q: Array) -> Array:
         """Return joint coordinates, rad or m, (nv,); 0 for joints without scalar coordinates."""
         out = np.zeros(self.nv)
-        out[self.linear] = q[self._linear_q]
+        coordinates, places = self._linear
+        out[coordinates] = q[places]
         for j, k in self.round:
             out[j] = np.arctan2(q[k + 1], q[k])
         return out

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, floats
 from nsdyn.tools.naming import choice
 
 __all__ = ["Actuation", "Actuator"]
@@ -90,10 +90,7 @@ class Actuation:
         if given is None:
             return
         named = isinstance(given, Mapping)
-        try:
-            values = np.array(list(given.values()) if named else given, dtype=float)
-        except (TypeError, ValueError):
-            values = np.array(np.nan)
+        values = floats(list(given.values()) if named else given)
         if values.ndim != 1 or not np.isfinite(values).all():
             wanted = "{actuator: finite number}, or one number for each actuator"
             raise ValueError(f"controls of an Actuation must be {wanted}, got {given!r}")

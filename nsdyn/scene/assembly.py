@@ -27,6 +27,7 @@ from nsdyn.scene.articulations import (
 )
 from nsdyn.scene.bodies import Body, make_body
 from nsdyn.scene.exclusions import FREE
+from nsdyn.scene.gears import joints_of
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import HALFSPACE, Shape, halfspace
 from nsdyn.scene.visuals import Colour
@@ -180,36 +181,29 @@ def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:
 
 def _check_friction(name: str, model: Any, friction: Array) -> None:
     """Raise ValueError for dry friction that is not modelled: of free joints, or unequal in a planar or ball joint."""
-    for joint in range(1, model.njoints):
-        own = friction[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]]
-        kind, label = model.joints[joint].shortname(), f"joint {model.names[joint]!r}"
-        if kind == PLANAR and own[0] != own[1]:
-            raise ValueError(
-                f"friction of {name!r} must be the same along both axes of the planar {label}, got {own[:2].tolist()}"
-            )
-        if kind == BALL and np.ptp(own):
-            raise ValueError(
-                f"friction of {name!r} must be the same about all axes of the ball {label}, got {own.tolist()}"
-            )
-        if model.nqs[joint] != model.nvs[joint] > 1 and kind not in (PLANAR, BALL) and own.any():
-            raise ValueError(
-                f"friction of {name!r} must be 0 in {label}, a {kind}, whose dry friction is not modelled, "
-                f"got {own.tolist()}"
-            )
+    for joint in joints_of(model):
+        own, label = friction[joint.v], f"joint {joint.name!r}"
+        must, wrong = f"0 in {label}, a {joint.kind}, whose dry friction is not modelled", joint.curved and own.any()
+        if joint.kind == PLANAR:
+            must, wrong = f"the same along both axes of the planar {label}", own[0] != own[1]
+        if joint.kind == BALL:
+            must, wrong = f"the same about all axes of the ball {label}", np.ptp(own) > 0.0
+        if wrong:
+            raise ValueError(f"friction of {name!r} must be {must}, got {own.tolist()}")
 
 
 def _check_armature(name: str, model: Any, armature: Array) -> None:
     """Raise ValueError for armature along axes that turn with a body, unless equal about all axes of a ball joint."""
-    for joint in range(1, model.njoints):
-        own, kind = armature[model.idx_vs[joint] :][: model.nvs[joint]], model.joints[joint].shortname()
-        must, wrong = "0 in", model.nqs[joint] != model.nvs[joint] > 1 and own.any()
+    for joint in joints_of(model):
+        own, kind = armature[joint.v], joint.kind
+        must, wrong = "0 in", joint.curved and own.any()
         if kind == BALL:
             must, wrong = "the same about all axes of", np.ptp(own) > 0.0
         if kind == PLANAR:
             must, wrong = "0 along both axes of", own[:2].any()
         if wrong:
             raise ValueError(
-                f"armature of {name!r} must be {must} joint {model.names[joint]!r}, a {kind}: it is inertia of rotors, "
+                f"armature of {name!r} must be {must} joint {joint.name!r}, a {kind}: it is inertia of rotors, "
                 f"and along axes that turn with a body it would bend the body's way; got {own.tolist()}"
             )
 
@@ -227,19 +221,18 @@ def _of_joints(name: str, free: bool, value: ArrayLike | None, what: str, defaul
 def _effort(model: Any) -> Array:
     """Return the effort limits, (nv,), N m or N; infinite where a file writes 0 or the largest float, and in balls."""
     out = np.array(model.upperEffortLimit)
-    for joint in range(1, model.njoints):
-        if model.nvs[joint] > 1 and model.nqs[joint] != model.nvs[joint]:
-            out[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = np.inf
+    for joint in joints_of(model):
+        if joint.curved:
+            out[joint.v] = np.inf
     out[~(out > 0.0) | (out > 1e300)] = np.inf
     return out
 
 
 def _clip(model: Any, q: Array) -> None:
     """Move the joint coordinates in q into their limits."""
-    for joint in range(1, model.njoints):
-        if model.nqs[joint] == model.nvs[joint]:
-            part = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
-            q[part] = np.clip(q[part], model.lowerPositionLimit[part], model.upperPositionLimit[part])
+    for joint in joints_of(model):
+        if joint.plain:
+            q[joint.q] = np.clip(q[joint.q], model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q])
 
 
 def _collisions(
@@ -337,44 +330,40 @@ def _check_joints(name: str, model: Any, q: Array, limits: bool, stiffness: Arra
     Limits of the model are set to infinity in quaternions and pairs (cos, sin), which have no limits.
     """
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    for joint in range(1, model.njoints):
-        nq, nv = model.nqs[joint], model.nvs[joint]
-        at, kind = model.idx_qs[joint], f"a {model.joints[joint].shortname()}"
-        rows = slice(model.idx_vs[joint], model.idx_vs[joint] + nv)
-        if nq != nv:
-            bounds = np.abs(np.r_[lower[at : at + nq], upper[at : at + nq]])
-            if limits and ((bounds < 1e300) & (bounds != UNBOUNDED)).any():
-                raise ValueError(
-                    f"limits of {name!r} must be infinite in joint {model.names[joint]!r}, {kind}, whose coordinates "
-                    "are no angles; limits=False leaves out those of all joints"
-                )
-            lower[at : at + nq], upper[at : at + nq] = -np.inf, np.inf
-            if nv > 1 and stiffness[rows].any():
-                raise ValueError(
-                    f"stiffness of {name!r} must be 0 in joint {model.names[joint]!r}, {kind}: it has no angle"
-                )
+    for joint in joints_of(model):
+        if joint.plain:
+            continue
+        bounds, label = np.abs(np.r_[lower[joint.q], upper[joint.q]]), f"joint {joint.name!r}, a {joint.kind}"
+        if limits and ((bounds < 1e300) & (bounds != UNBOUNDED)).any():
+            raise ValueError(
+                f"limits of {name!r} must be infinite in {label}, whose coordinates are no angles; limits=False leaves "
+                "out those of all joints"
+            )
+        lower[joint.q], upper[joint.q] = -np.inf, np.inf
+        if joint.curved and stiffness[joint.v].any():
+            raise ValueError(f"stiffness of {name!r} must be 0 in {label}: it has no angle")
     # Pinocchio writes "no limit" as the largest float.
     lower[lower < -1e300], upper[upper > 1e300] = -np.inf, np.inf
     model.lowerPositionLimit, model.upperPositionLimit = lower, upper
-    for joint in range(1, model.njoints):
-        for k in range(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint]):
-            if lower[k] > upper[k]:
-                raise ValueError(
-                    f"limits of {name!r}: joint {model.names[joint]!r} has lower {lower[k]:g} above upper {upper[k]:g}"
-                )
-            if limits and not lower[k] - 1e-9 <= q[k] <= upper[k] + 1e-9:  # room for rounding of the user's numbers
-                raise ValueError(
-                    f"q of {name!r} must respect the limits: joint {model.names[joint]!r} is at {q[k]:g}, "
-                    f"its limits are {lower[k]:g} and {upper[k]:g}; give another q, or clip=True to move it into them"
-                )
+    for joint, low, high, at in zip(
+        np.repeat(list(model.names), list(model.nqs)).tolist(), lower, upper, q, strict=True
+    ):
+        if low > high:
+            raise ValueError(f"limits of {name!r}: joint {joint!r} has lower {low:g} above upper {high:g}")
+        if limits and not low - 1e-9 <= at <= high + 1e-9:  # room for rounding of the user's numbers
+            raise ValueError(
+                f"q of {name!r} must respect the limits: joint {joint!r} is at {at:g}, its limits are {low:g} and "
+                f"{high:g}; give another q, or clip=True to move it into them"
+            )
     M = np.array(pin.crba(model, model.createData(), q))
     moments = np.diag(M)
     if not np.isfinite(M).all():
         raise ValueError(f"{name!r} must have poses, masses and inertias whose products are finite")
     size = np.sqrt(np.where(moments > 0.0, moments, 1.0))
     if (moments <= 0.0).any() or (np.linalg.eigvalsh(M / size / size[:, None]) <= 1e-12).any():
-        joint = next((j for j in range(1, model.njoints) if moments[model.idx_vs[j]] <= 0.0), model.njoints - 1)
+        joints = list(joints_of(model))
+        still = next((joint for joint in joints if moments[joint.v.start] <= 0.0), joints[-1])
         raise ValueError(
-            f"{name!r} has a singular mass matrix: give the bodies moved by joint {model.names[joint]!r} "
+            f"{name!r} has a singular mass matrix: give the bodies moved by joint {still.name!r} "
             "a mass and an inertia, or the joint an armature"
         )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nsdyn._kernels import reductions as _reductions
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.arrays import Array, Bools, floats
 from nsdyn.tools.naming import choice
 
 __all__ = ["PD", "Axes"]
@@ -149,10 +149,7 @@ class PD:
             if name == "limit" and given is None:
                 continue
             named = isinstance(given, Mapping)
-            try:
-                value = np.array(list(given.values()) if named else given, dtype=float)
-            except (TypeError, ValueError):
-                value = np.array(np.nan)
+            value = floats(list(given.values()) if named else given)
             flat = value.reshape(-1)
             unlimited = name == "limit" and bool((value > 0.0).all())
             if value.ndim > 1 or not (unlimited or _reductions.largest(flat) < np.inf):

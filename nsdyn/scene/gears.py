@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from nsdyn.scene import checks
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["Gear", "GearGaps", "following", "gear", "joint_at"]
+__all__ = ["Gear", "GearGaps", "following", "gear", "joint_at", "joints_of"]
 
 TEETH = 1000
 """Most teeth of a wheel whose turns are not counted; the ratio of two such wheels is a fraction of whole numbers."""
@@ -40,6 +40,27 @@ class Gear:
     offset: float
 
 
+class JointPlace(NamedTuple):
+    """A joint of a Pinocchio model: its name, Pinocchio's name of its kind, its places in q and v.
+
+    The q of a `plain` joint are angles and lengths; a `curved` one has several coordinates and is not plain.
+    """
+
+    name: str
+    kind: str
+    q: slice
+    v: slice
+    plain: bool
+    curved: bool
+
+
+def joints_of(model: Any) -> Iterator[JointPlace]:
+    """Yield the joints of a model, without the world."""
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        q, v = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
+        yield JointPlace(name, joint.shortname(), q, v, joint.nq == joint.nv, joint.nq != joint.nv > 1)
+
+
 def joint_at(model: Any, coordinate: int) -> int:
     """Return the joint to which a coordinate of v belongs."""
     return int(np.searchsorted(np.array(model.idx_vs)[1:], coordinate, side="right"))
@@ -56,13 +77,13 @@ def gear(
 ) -> Gear:
     """Return the gear by which the second of two named joints follows the first; `axes` selects a coordinate each."""
     ratio = checks.number(ratio, f"ratio of {name}")
+    known = {joint.name: joint for joint in joints_of(model)}
     coordinates: list[int] = []
     for what, joint, axis in zip(("joint1", "joint2"), joints, axes, strict=True):
-        known = list(model.names)[1:]
-        of = model.joints[model.getJointId(choice(joint, known, f"{what} of {name}"))]
-        if (of.nv > 1 and of.nq != of.nv) or axis >= of.nv:
+        of = known[choice(joint, known, f"{what} of {name}")]
+        if of.curved or axis >= of.v.stop - of.v.start:
             raise ValueError(f"{what} of {name} must be a revolute or prismatic joint, {joint!r} is none")
-        coordinates.append(of.idx_v + axis)
+        coordinates.append(of.v.start + axis)
     first, second = coordinates
     if first == second:
         raise ValueError(f"joint2 of {name} must be another than joint1, got {joints[1]!r}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, floats
 from nsdyn.tools.callbacks import called
 
 Velocity = ArrayLike | Callable[[float], ArrayLike]
@@ -46,10 +46,7 @@ class Motion:
 
     def _value(self, t: float, shapes: tuple[tuple[int, ...], ...], words: str) -> Array:
         def fit(given: ArrayLike) -> Array:
-            try:
-                value = np.array(given, dtype=float)
-            except (TypeError, ValueError):
-                value = np.array(np.nan)
+            value = floats(given)
             if value.shape not in shapes or not np.isfinite(value).all():
                 raise ValueError(f"velocity of {self.name!r} must be {words}, got {given!r} at t = {t:g}")
             return value

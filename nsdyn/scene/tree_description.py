@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene.articulations import Articulation
+from nsdyn.scene.gears import joints_of
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array
 
@@ -101,10 +102,9 @@ def _limits(a: Articulation) -> tuple[Array, Array]:
     """Return the lower and upper limits that are enforced, (nv,) each."""
     m = a.model
     lower, upper = np.full(m.nv, -np.inf), np.full(m.nv, np.inf)
-    for joint in list(m.joints)[1:] if a.limits else []:
-        if joint.nq == joint.nv:
-            v, q = (slice(i, i + joint.nv) for i in (joint.idx_v, joint.idx_q))
-            lower[v], upper[v] = m.lowerPositionLimit[q], m.upperPositionLimit[q]
+    for joint in joints_of(m) if a.limits else ():
+        if joint.plain:
+            lower[joint.v], upper[joint.v] = m.lowerPositionLimit[joint.q], m.upperPositionLimit[joint.q]
     return lower, upper
 
 

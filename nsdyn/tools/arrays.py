@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,6 +22,14 @@ def numbers(value: ArrayLike, words: str, what: str) -> Array:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"{what} must be {words}, got {value!r}") from None
+
+
+def floats(value: Any) -> Array:
+    """Return a new array of floats; NaN, without dimensions, for what is no numbers."""
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
 
 
 NEXT, LAST = [1, 2, 0], [2, 0, 1]

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from nsdyn.scene import checks, shapes
 from nsdyn.scene.articulations import Description, Link, describe_model
-from nsdyn.scene.gears import following
+from nsdyn.scene.gears import following, joints_of
 from nsdyn.scene.robot_files.inertias import check_mass
 from nsdyn.scene.robot_files.mimics import unfolded
 from nsdyn.scene.robot_files.xml import Notes
@@ -33,20 +33,14 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     model, gears = unfolded(name, _placed(name, model))
     dropped = Notes()
     speeds = np.array(model.upperVelocityLimit)
-    fast = [
-        name
-        for name, start, nv in zip(model.names, model.idx_vs, model.nvs, strict=True)
-        if nv and ((speeds[start : start + nv] > 0.0) & (speeds[start : start + nv] < 1e300)).any()
-    ]
+    fast = [j.name for j in joints_of(model) if ((speeds[j.v] > 0.0) & (speeds[j.v] < 1e300)).any()]
     if fast:
         dropped.append(f"joint {fast[0]!r}: velocity limit ({len(fast)})")
     for what, unset in (("DryFriction", 0.0), ("Effort", -np.finfo(float).max)):  # one side set means both
         lower, upper = (np.array(getattr(model, f"{side}{what}Limit")) for side in ("lower", "upper"))
         if rows := np.flatnonzero((lower != -upper) & (lower != unset)).tolist():
-            joint = next(j for j in range(model.njoints) if rows[0] < model.idx_vs[j] + model.nvs[j])
-            dropped.append(
-                f"joint {model.names[joint]!r}: lower{what}Limit that is not -upper{what}Limit ({len(rows)})"
-            )
+            joint = next(j.name for j in joints_of(model) if rows[0] < j.v.stop)
+            dropped.append(f"joint {joint!r}: lower{what}Limit that is not -upper{what}Limit ({len(rows)})")
     if np.abs(model.gravity.vector - (0.0, 0.0, -9.81, 0.0, 0.0, 0.0)).max() > 0.0:
         dropped.append("gravity of the model: that of the scene counts")
     objects = [] if geometry is None else [g for g in geometry.geometryObjects if not g.disableCollision]

@@ -19,13 +19,13 @@ import pinocchio as pin
 
 from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, Loop, describe_model
-from nsdyn.scene.gears import Gear, following, gear
+from nsdyn.scene.gears import Gear, following, gear, joints_of
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.elements import changes_nothing, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.sdf_elements import TABLE
 from nsdyn.scene.robot_files.sdf_frames import AXES, Frames, Joint, is_true
-from nsdyn.scene.robot_files.xml import UNLIMITED, Report, is_limit, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Report, is_limit, mesh_file, numbers, parse
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
@@ -129,13 +129,11 @@ class _Reader:
         lower, upper, damping, friction, stiffness, rest, effort = np.array(self.values).reshape(-1, 7).T
         model.upperEffortLimit = effort
         q = np.concatenate(self.base)
-        limits = [np.where(np.abs(x) < UNLIMITED, x, np.sign(x) * np.inf) for x in (lower, upper)]
-        for which, limit in zip(("lowerPositionLimit", "upperPositionLimit"), limits, strict=True):
+        for which, limit in (("lowerPositionLimit", lower), ("upperPositionLimit", upper)):
             values = np.array(getattr(model, which))
-            for joint in range(1, model.njoints):
-                if model.nqs[joint] == model.nvs[joint]:
-                    k, row, n = model.idx_qs[joint], model.idx_vs[joint], model.nvs[joint]
-                    values[k : k + n] = limit[row : row + n]
+            for joint in joints_of(model):
+                if joint.plain:
+                    values[joint.q] = limit[joint.v]
             setattr(model, which, values)
         model.damping, model.lowerDryFrictionLimit, model.upperDryFrictionLimit = damping, -friction, friction
         apart: frozenset[frozenset[str]] = frozenset()
