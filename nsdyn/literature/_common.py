@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -64,6 +66,11 @@ class Run:
             self.best, self.r = self.now, r.copy()
         return self.best <= self.tol
 
+    @cached_property
+    def scaled(self) -> Equilibrated:
+        """The equilibrated problem."""
+        return Equilibrated(self.problem)
+
     @property
     def over(self) -> bool:
         """Whether the best iterate meets the tolerance."""
@@ -72,6 +79,21 @@ class Run:
     def finish(self, count: int, otherwise: Status = Status.MAX_ITERATIONS) -> Solution:
         """Return the solution of the best iterate."""
         return Solution.judge(self.problem, self.r, self.tol, count, clock() - self.start, otherwise)
+
+
+@dataclass(frozen=True)
+class Method:
+    """Base of the reference solvers: each defines `_solve` for a run whose start does not meet the tolerance."""
+
+    tol: float
+
+    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
+        """Solve the problem from r0 (default 0)."""
+        run = Run(problem, r0, self.tol)
+        return run.finish(0) if run.over else self._solve(run)
+
+    def _solve(self, run: Run) -> Solution:
+        raise NotImplementedError
 
 
 def factor(A: Any) -> Callable[[Array], Array] | None:

@@ -8,7 +8,6 @@ import numpy as np
 
 from nsdyn.literature._common import Anderson, Equilibrated, Run
 from nsdyn.literature._kernels import variational as _kernels
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 
@@ -61,17 +60,12 @@ def descend(sweep: Callable[[Array], None], x: Array, goal: float, max_sweeps: i
     return x, max_sweeps
 
 
-def freeze(
-    problem: FC3D, r0: Array | None, tol: float, max_iter: int, state: State, inner: Inner, memory: int
-) -> Solution:
+def freeze(run: Run, max_iter: int, state: State, inner: Inner, memory: int) -> Solution:
     """Fixed point of frozen ↦ state(inner(frozen)), Anderson-accelerated where memory > 0.
 
     Each convex problem is solved to a tenth of the defect of the Coulomb problem, the rule of the paper.
     """
-    run, count = Run(problem, r0, tol), 0
-    if run.over:
-        return run.finish(0)
-    scaled, mix = Equilibrated(problem), Anderson(memory)
+    scaled, mix, count = run.scaled, Anderson(memory), 0
     x = run.r * scaled.root
     frozen = state(scaled, x)
     for _ in range(max_iter):

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nsdyn.literature._common import Equilibrated
+from nsdyn.literature._common import Equilibrated, Method, Run
 from nsdyn.literature._frozen import descend, freeze, shifted, slip_shift
 from nsdyn.literature._kernels import variational as _kernels
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
@@ -19,7 +18,7 @@ def _inner(scaled: Equilibrated, shift: Array, x: Array, goal: float) -> tuple[A
 
 
 @dataclass(frozen=True)
-class ACLM(Options):
+class ACLM(Options, Method):
     """Acary–Cadoux–Lemaréchal–Malick: freeze s = μ‖u_T‖, minimise ½ rᵀWr + rᵀ(q + s e_N) on K, update s.
 
     The method follows the proof of existence. Strength: moderate friction. The shift then contracts quickly, more so
@@ -46,6 +45,5 @@ class ACLM(Options):
     max_iter: Count = 200
     memory: Whole = 5
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        return freeze(problem, r0, self.tol, self.max_iter, slip_shift, _inner, self.memory)
+    def _solve(self, run: Run) -> Solution:
+        return freeze(run, self.max_iter, slip_shift, _inner, self.memory)

@@ -8,10 +8,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run, factor, matrix
+from nsdyn.literature._common import Method, Run, factor, matrix
 from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.literature.formulations import with_blocks
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Allowed, Count, Options, Positive
@@ -26,7 +25,7 @@ CHECK = 10
 
 
 @dataclass(frozen=True)
-class ADMM(Options):
+class ADMM(Options, Method):
     """Proximal ADMM: x minimises on the affine part, z is the projection on the cones, y is the multiplier -û.
 
     x = (W + (η + ρ) I)⁻¹ (η x + ρ z - y - q - s),  z ← P_K(x̂ + y/ρ),  y ← y + ρ (x̂ - z), with over-relaxed
@@ -57,14 +56,9 @@ class ADMM(Options):
     relaxation: Relaxation = 1.0
 
     @np.errstate(over="ignore", invalid="ignore")  # the status reports divergence
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        run = Run(problem, r0, self.tol)
-        if run.over:
-            return run.finish(0)
-        scaled = Equilibrated(problem)
-        W = matrix(scaled.W)
-        top = scaled.largest_eigenvalue()
+    def _solve(self, run: Run) -> Solution:
+        scaled = run.scaled
+        W, top = matrix(scaled.W), scaled.largest_eigenvalue()
         solves: dict[int, Callable[[Array], Array] | None] = {}
         power = 4  # p = 0.2 in twentieths
         x = run.r * scaled.root

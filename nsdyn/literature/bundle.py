@@ -7,9 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.literature._common import Method, Run
 from nsdyn.literature.formulations import ELEMENTS, xuewen_soh_wanji
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive
@@ -33,7 +32,7 @@ def shortest(V: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Bundle(Options):
+class Bundle(Options, Method):
     """ε-subdifferential bundle method on φ = ½‖F(r)‖², the contact conditions as a minimisation.
 
     The direction is minus the shortest vector of the hull of the subgradients collected near r. If φ falls enough along
@@ -67,13 +66,9 @@ class Bundle(Options):
     function: Merit = "fischer-burmeister"
     size: Count = 20
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        run = Run(problem, r0, self.tol)
-        if run.over:
-            return run.finish(0)
-        scaled = Equilibrated(problem)
-        element, W, rho = MERITS[self.function], scaled.W, np.ones((problem.nc, 2))
+    def _solve(self, run: Run) -> Solution:
+        scaled = run.scaled
+        element, W, rho = MERITS[self.function], scaled.W, np.ones((run.problem.nc, 2))
 
         def value(x: Array) -> tuple[float, Array]:
             """Return φ and an element of its Clarke subdifferential, (∂F)ᵀ F."""

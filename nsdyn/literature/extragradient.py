@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nsdyn.literature._common import Method, Run
 from nsdyn.literature.fixed_point import Rule, march
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive
 
 
 @dataclass(frozen=True)
-class Extragradient(Options):
+class Extragradient(Options, Method):
     """Extragradient method r̄ = P_K(r - ρ û(r)), r ← P_K(r - ρ û(r̄)), EG-VI, with a self-adaptive step.
 
     Strength: a last resort that rarely diverges. It converges for every monotone Lipschitz operator; the fixed point
@@ -38,6 +37,5 @@ class Extragradient(Options):
     max_iter: Count = 100_000
     rule: Rule = "khobotov"
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        return march(problem, r0, self.tol, self.max_iter, self.rule, extra=True)
+    def _solve(self, run: Run) -> Solution:
+        return march(run, self.max_iter, self.rule, extra=True)

@@ -7,11 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.literature._common import Method, Run
 from nsdyn.literature._kernels import variational as _kernels
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive
 
 Rule = Literal["khobotov", "solodov-tseng"]
@@ -20,17 +18,14 @@ CHECK = 20
 """Iterations between two measurements of the error."""
 
 
-def march(problem: FC3D, r0: Array | None, tol: float, max_iter: int, rule: Rule, extra: bool) -> Solution:
+def march(run: Run, max_iter: int, rule: Rule, extra: bool) -> Solution:
     """Iterate x ← P_K(x - ρ F(x)), or with `extra` gradient x ← P_K(x - ρ F(x̄)), with ρ adapted by the rule.
 
     x̄ = P_K(x - ρ F(x)) is computed with ρ ← ν ρ until the ratio of the rule is at most L. After a step whose ratio was
     below L_min, ρ ← ρ/ν.
     """
     limit, low, shrink = 0.9, 0.3, 2.0 / 3.0  # L, L_min, ν of the paper
-    run, count = Run(problem, r0, tol), 0
-    if run.over:
-        return run.finish(0)
-    scaled = Equilibrated(problem)
+    scaled, count = run.scaled, 0
     args = *scaled.csr, scaled.q, scaled.mu
     x, rho = run.r * scaled.root, 1.0
     F, trial, F_trial = np.empty_like(x), np.empty_like(x), np.empty_like(x)
@@ -67,7 +62,7 @@ def march(problem: FC3D, r0: Array | None, tol: float, max_iter: int, rule: Rule
 
 
 @dataclass(frozen=True)
-class FixedPoint(Options):
+class FixedPoint(Options, Method):
     """Projected fixed point r ← P_K(r - ρ û(r)), FP-VI, with a self-adaptive step.
 
     Strength: the simplest method, with one product with W per iteration, no factorisation and no parameter. Weakness:
@@ -93,6 +88,5 @@ class FixedPoint(Options):
     max_iter: Count = 100_000
     rule: Rule = "khobotov"
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        return march(problem, r0, self.tol, self.max_iter, self.rule, extra=False)
+    def _solve(self, run: Run) -> Solution:
+        return march(run, self.max_iter, self.rule, extra=False)

@@ -7,12 +7,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run
+from nsdyn.literature._common import Method, Run
 from nsdyn.literature._frozen import defect
 from nsdyn.literature._kernels import one_contact as _kernels
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Allowed, Count, Options, Positive
 
 Local = Literal[
@@ -29,7 +27,7 @@ LOCAL_ITERATIONS = 100
 
 
 @dataclass(frozen=True)
-class GaussSeidel(Options):
+class GaussSeidel(Options, Method):
     """NSGS and PSOR: solve each contact in turn by a local solver, FC(W_cc/ω, q̄_c), without acceleration.
 
     Strength: granular scenes and loose tolerances, where no method is cheaper. Weakness: scenes in which information
@@ -68,12 +66,8 @@ class GaussSeidel(Options):
     omega: Relaxation = 1.0
     order: Order = "given"
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        run, k = Run(problem, r0, self.tol), 0
-        if run.over:
-            return run.finish(0)
-        scaled = Equilibrated(problem)
+    def _solve(self, run: Run) -> Solution:
+        problem, scaled, k = run.problem, run.scaled, 0
         kind = {
             "projection": _kernels.PROJECTION,
             "iterated-projection": _kernels.ITERATED,

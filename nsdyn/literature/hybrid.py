@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run, matrix
+from nsdyn.literature._common import Method, Run, matrix
 from nsdyn.literature.fixed_point import march
 from nsdyn.literature.impulse_newton import Function, newton, steps
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive
 
 SAFE = 100
@@ -22,7 +20,7 @@ FACTORISATIONS = 30
 
 
 @dataclass(frozen=True)
-class Hybrid(Options):
+class Hybrid(Options, Method):
     """NSN-HYBRID: extragradient iterations, Newton from their best iterate, then again from the best of both.
 
     The first round is that of the paper: 100 safe iterations, then Newton. If Newton fails, the next round has twice as
@@ -50,15 +48,11 @@ class Hybrid(Options):
     max_iter: Count = 100_000
     function: Function = "alart-curnier"
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        run, count, safe = Run(problem, r0, self.tol), 0, SAFE
-        if run.over:
-            return run.finish(0)
-        scaled = Equilibrated(problem)
+    def _solve(self, run: Run) -> Solution:
+        problem, scaled, count, safe = run.problem, run.scaled, 0, SAFE
         W, rho = matrix(scaled.W), steps(problem, "spectral")
         while count < self.max_iter:
-            start = march(problem, run.r, self.tol, min(safe, self.max_iter - count), "khobotov", extra=True)
+            start = march(Run(problem, run.r, self.tol), min(safe, self.max_iter - count), "khobotov", extra=True)
             count += max(start.iterations, 1)
             if run.done(start.r) or count >= self.max_iter:
                 break

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run, factor, matrix
+from nsdyn.literature._common import Method, Run, factor, matrix
 from nsdyn.literature.formulations import ELEMENTS, block_diagonal, with_blocks
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
@@ -132,7 +132,7 @@ def newton(
 
 
 @dataclass(frozen=True)
-class ImpulseNewton(Options):
+class ImpulseNewton(Options, Method):
     """Semismooth Newton in the impulses, NSN, on one of four nonsmooth equations, with a line search.
 
     Strength: well-conditioned W, as of elastic bodies with few contacts per coordinate; quadratic convergence near the
@@ -175,18 +175,14 @@ class ImpulseNewton(Options):
         if self.rho in ("split", "condition") and self.function in ("natural", "fischer-burmeister"):
             raise ValueError(f"rho={self.rho!r} splits the cone, which function={self.function!r} does not allow")
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        run = Run(problem, r0, self.tol)
-        if run.over:
-            return run.finish(0)
-        scaled = Equilibrated(problem)
+    def _solve(self, run: Run) -> Solution:
+        scaled = run.scaled
         _, count, ended = newton(
             matrix(scaled.W),
             scaled.q,
             scaled.mu,
             run.r * scaled.root,
-            steps(problem, self.rho),
+            steps(run.problem, self.rho),
             self.function,
             self.search,
             lambda x, _: run.done(x / scaled.root),

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from nsdyn.literature._common import Equilibrated, factor, matrix
+from nsdyn.literature._common import Equilibrated, Method, Run, factor, matrix
 from nsdyn.literature._frozen import freeze, shifted, slip_shift
 from nsdyn.literature._kernels import interior as _interior
 from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.literature.formulations import with_blocks
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
@@ -95,7 +94,7 @@ def _inner(scaled: Equilibrated, shift: Array, x: Array, goal: float) -> tuple[A
 
 
 @dataclass(frozen=True)
-class InteriorPoint(Options):
+class InteriorPoint(Options, Method):
     """Frozen shift as in `ACLM`; a primal-dual interior point method solves each convex problem.
 
     Strength: high accuracy on redundant contacts, where sweeps are slow. It takes 10 to 25 factorisations per problem,
@@ -121,6 +120,5 @@ class InteriorPoint(Options):
     max_iter: Count = 200
     memory: Whole = 5
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        return freeze(problem, r0, self.tol, self.max_iter, slip_shift, _inner, self.memory)
+    def _solve(self, run: Run) -> Solution:
+        return freeze(run, self.max_iter, slip_shift, _inner, self.memory)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated
+from nsdyn.literature._common import Equilibrated, Method, Run
 from nsdyn.literature._frozen import descend, freeze
 from nsdyn.literature._kernels import variational as _kernels
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
@@ -31,7 +30,7 @@ def _inner(scaled: Equilibrated, tangent: Array, x: Array, goal: float) -> tuple
 
 
 @dataclass(frozen=True)
-class Panagiotopoulos(Options):
+class Panagiotopoulos(Options, Method):
     """Alternate the normal problem at frozen friction and the friction problem on disks at frozen normal impulses.
 
     Strength: small W_NT, as on flat interfaces; both are quadratic programs of the simplest kind. Weakness: cases in
@@ -56,6 +55,5 @@ class Panagiotopoulos(Options):
     max_iter: Count = 1000
     memory: Whole = 5
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        return freeze(problem, r0, self.tol, self.max_iter, _tangential_impulse, _inner, self.memory)
+    def _solve(self, run: Run) -> Solution:
+        return freeze(run, self.max_iter, _tangential_impulse, _inner, self.memory)

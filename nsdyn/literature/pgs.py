@@ -6,16 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn.literature._common import Run
+from nsdyn.literature._common import Method, Run
 from nsdyn.literature._kernels import pgs as _kernels
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
 
 @dataclass(frozen=True)
-class PGS(Options):
+class PGS(Options, Method):
     """Block Gauss–Seidel: solve each contact exactly in turn, with Anderson's acceleration.
 
     Strength: loose tolerances and granular scenes, where a sweep costs 0.1 µs per contact block. Weakness: scenes in
@@ -43,14 +41,10 @@ class PGS(Options):
     memory: Whole = 20
     patience: Count = 10_000
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        run, sweeps = Run(problem, r0, self.tol), 0
-        if not run.over:
-            blocks = problem.blocks
-            W = _kernels.matrix(*problem.csr) if blocks is None else _kernels.factors(blocks.arrays)
-            plan = self.max_iter, min(5, self.max_iter), min(self.memory, problem.nc + 1), self.patience
-            size = float(np.linalg.norm(problem.q)) or 1.0
-            given = W, problem.q, problem.mu, problem.scales
-            sweeps, _ = _kernels.accelerated(*given, run.r, self.tol, size, plan)
+    def _solve(self, run: Run) -> Solution:
+        problem, blocks = run.problem, run.problem.blocks
+        W = _kernels.matrix(*problem.csr) if blocks is None else _kernels.factors(blocks.arrays)
+        plan = self.max_iter, min(5, self.max_iter), min(self.memory, problem.nc + 1), self.patience
+        size = float(np.linalg.norm(problem.q)) or 1.0
+        sweeps, _ = _kernels.accelerated(W, problem.q, problem.mu, problem.scales, run.r, self.tol, size, plan)
         return run.finish(sweeps, Status.STALLED if sweeps < self.max_iter else Status.MAX_ITERATIONS)

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated, Run, matrix
+from nsdyn.literature._common import Method, Run, matrix
 from nsdyn.literature.formulations import ELEMENTS, with_blocks
 from nsdyn.literature.impulse_newton import Function, Search, newton
 from nsdyn.problem.fc3d import FC3D
@@ -19,7 +19,7 @@ Rule = Literal["adaptive", "error"]
 
 
 @dataclass(frozen=True)
-class Proximal(Options):
+class Proximal(Options, Method):
     """Proximal point algorithm, PPA-NSN: solve the problem with W + α I and q - α r_k by Newton for the next r_k.
 
     Strength: redundant contacts at tight tolerances, masonry and stacks; it is the robust method of the paper, as
@@ -59,12 +59,8 @@ class Proximal(Options):
     rule: Rule = "adaptive"
     nu: NonNegative = 1.0
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        run, count, alpha = Run(problem, r0, self.tol), 0, self.alpha
-        if run.over:
-            return run.finish(0)
-        scaled = Equilibrated(problem)
+    def _solve(self, run: Run) -> Solution:
+        problem, scaled, count, alpha = run.problem, run.scaled, 0, self.alpha
         W = matrix(scaled.W)
         x = run.r * scaled.root
         if self.rule == "error":

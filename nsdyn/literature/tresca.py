@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsdyn.literature._common import Equilibrated
+from nsdyn.literature._common import Equilibrated, Method, Run
 from nsdyn.literature._frozen import descend, freeze, normal_impulse
 from nsdyn.literature._kernels import variational as _kernels
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
@@ -21,7 +20,7 @@ def _inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[A
 
 
 @dataclass(frozen=True)
-class Tresca(Options):
+class Tresca(Options, Method):
     """Haslinger's fixed point: freeze the bounds μθ, minimise ½ rᵀWr + rᵀq on r_N ≥ 0, ‖r_T‖ ≤ μθ, set θ = r_N.
 
     Strength: weak coupling of normal and tangential impulses, as in granular packings and elastic bodies at small μ,
@@ -47,6 +46,5 @@ class Tresca(Options):
     max_iter: Count = 500
     memory: Whole = 5
 
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
-        return freeze(problem, r0, self.tol, self.max_iter, normal_impulse, _inner, self.memory)
+    def _solve(self, run: Run) -> Solution:
+        return freeze(run, self.max_iter, normal_impulse, _inner, self.memory)

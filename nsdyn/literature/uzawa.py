@@ -9,10 +9,9 @@ from typing import Annotated
 import numpy as np
 
 from nsdyn._kernels.problem import given as _given
-from nsdyn.literature._common import Equilibrated
+from nsdyn.literature._common import Equilibrated, Method, Run
 from nsdyn.literature._frozen import freeze, normal_impulse
 from nsdyn.literature._kernels import variational as _kernels
-from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.options import Allowed, Count, Options, Positive
@@ -36,7 +35,7 @@ def uzawa_iterates(csr: tuple[Index, Index, Array], q: Array, radius: Array, rho
 
 
 @dataclass(frozen=True)
-class Uzawa(Options):
+class Uzawa(Options, Method):
     """Uzawa: gradient steps on the impulses at given friction bounds (Tresca); an outer loop updates the bounds μ r_N.
 
     Strength: the plainest method with a proof. For symmetric W it converges linearly for every step below 2/λ_max(W).
@@ -63,8 +62,7 @@ class Uzawa(Options):
     step: Step = 1.8
 
     @np.errstate(over="ignore", invalid="ignore")  # the status reports divergence
-    def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
-        """Solve the problem from r0 (default 0)."""
+    def _solve(self, run: Run) -> Solution:
         length: list[float] = []  # computed once per problem, not once per pass
 
         def inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[Array, int]:
@@ -77,4 +75,4 @@ class Uzawa(Options):
                 x = new
             return new, k
 
-        return freeze(problem, r0, self.tol, self.max_iter, normal_impulse, inner, 0)
+        return freeze(run, self.max_iter, normal_impulse, inner, 0)
