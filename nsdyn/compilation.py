@@ -7,8 +7,6 @@ from nsdyn.scene import named as scenes
 from nsdyn.stepping.impacts import LAWS
 from nsdyn.stepping.stepper import Stepper
 
-__all__ = ["compile_all", "run"]
-
 NAMES = "stack slide arm_pushes_box bounce bricard bullet euler_disk gripper quadruped rattleback rocking rolling"
 SCENES = *((name, {}) for name in (*NAMES.split(), "slider_crank")), *(("woodpecker", {"impact": law}) for law in LAWS)
 """Scenes with options of the stepper. Together they call all kernels that the named scenes call."""

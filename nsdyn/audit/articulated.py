@@ -14,8 +14,6 @@ from nsdyn.recording.columns import ON_JOINTS
 from nsdyn.recording.retrace import Trees, trees
 from nsdyn.tools.arrays import Array
 
-__all__ = ["joints"]
-
 PLACES = "links", "loops", "limits"
 
 FINDINGS = *PLACES, "pieces", *joint_rows.FINDINGS, "lift", "joint_momentum", "joint_motion"

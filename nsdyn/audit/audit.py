@@ -34,8 +34,6 @@ from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["Audit", "check", "deepest"]
-
 
 @dataclass(frozen=True)
 class Audit:

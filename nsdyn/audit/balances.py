@@ -15,8 +15,6 @@ from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["energies", "momenta", "plain"]
-
 PARALLEL = 1e-8
 """Square of the angle, rad², below which two normals count as parallel."""
 

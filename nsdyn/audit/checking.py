@@ -13,8 +13,6 @@ from nsdyn.scene import named
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.files import as_path
 
-__all__ = ["RECORDINGS", "check"]
-
 RECORDINGS = (".h5", ".hdf5")
 """Extensions of recordings."""
 

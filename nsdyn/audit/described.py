@@ -14,8 +14,6 @@ from nsdyn.audit.true_shapes import SIZES
 from nsdyn.recording.retrace import Contradiction
 from nsdyn.tools.arrays import Array
 
-__all__ = ["described", "touched", "unseen"]
-
 Row = tuple[float, str]
 """(violation as a fraction, name of the object)."""
 

@@ -16,8 +16,6 @@ from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import contact_frames, impulses_world
 from nsdyn.tools.arrays import Array, Bools, Index, cross
 
-__all__ = ["Flight", "angles", "least", "spins", "sunk", "tumbled"]
-
 LEAP = 0.15
 """Largest rotation per step of the Runge-Kutta method, rad; its error is 4e-13 rad in a whole turn."""
 

@@ -22,8 +22,6 @@ from nsdyn.scene.scene import Scene
 from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import counted
 
-__all__ = ["ROBOTS", "Inspection", "Joint", "Mass", "inspect_robot", "inspect_scene"]
-
 ROBOTS = (".urdf", ".sdf", ".xml", ".mjcf")
 """Extensions of robot files."""
 

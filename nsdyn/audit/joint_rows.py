@@ -14,8 +14,6 @@ from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Kick
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["on_joints"]
-
 FINDINGS = "stops rebounds shared_rebounds joint_cone joint_slip loads wrenches pushes strength".split()
 
 NOTHING = 1e-9

@@ -10,8 +10,6 @@ from nsdyn.audit.poses import CONJUGATE
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Meetings", "Side"]
-
 
 class Side(NamedTuple):
     """Bodies on one side of contacts, one by one; world axes.

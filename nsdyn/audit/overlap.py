@@ -24,8 +24,6 @@ from numpy.typing import ArrayLike
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.tools.arrays import Array, cross
 
-__all__ = ["overlap", "separation"]
-
 RESOLUTION = 1e-9
 """Overlaps below this fraction of the smaller shape's size are not refined: their upper bound is reported."""
 

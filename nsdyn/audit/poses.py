@@ -16,8 +16,6 @@ from nsdyn.recording.tables import contact_columns
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Bools, Index, cross
 
-__all__ = ["CONJUGATE", "Poses", "matrix", "turned"]
-
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 """Factors that turn a quaternion xyzw into that of the inverse rotation."""
 

@@ -11,9 +11,6 @@ from nsdyn.audit.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["GIVEN", "LIFTED", "UNTIMED", "Pushes", "Times", "together", "velocities"]
-
-
 GIVEN, LIFTED = "wrenches/offset", "lifts/offset"
 """Columns that exist if external wrenches on free bodies, or their lifts by position projections, are recorded."""
 

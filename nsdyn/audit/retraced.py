@@ -16,8 +16,6 @@ from nsdyn.recording.retrace import Kick, Trees, Way, trees
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement, integrate
 
-__all__ = ["Retraced", "retraced"]
-
 COARSE = 1e-3
 """Largest error of the fourth-order flow of a step, as a fraction of the motion; larger: no motion of this tree."""
 

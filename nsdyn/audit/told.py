@@ -14,8 +14,6 @@ from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["told"]
-
 SLOW = 1e-4
 """m/s: largest slip of a sticking contact at the edge of its cone; the residual that an accepted solve may leave."""
 

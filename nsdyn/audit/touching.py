@@ -22,21 +22,6 @@ from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = [
-    "along",
-    "apart",
-    "bouncing",
-    "by_fremond",
-    "contacts",
-    "from_surface",
-    "from_surfaces",
-    "measured",
-    "overlaps",
-    "pushing",
-    "separations",
-    "tested",
-]
-
 STATES = 200_000
 """Largest number of poses of shapes that are processed together."""
 

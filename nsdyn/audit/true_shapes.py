@@ -16,8 +16,6 @@ import numpy as np
 
 from nsdyn.tools.arrays import Array, cross
 
-__all__ = ["SIZES", "Solid"]
-
 SIZES = {"halfspace": 3, "box": 3, "convex": 0, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 """Number of size parameters of each kind."""
 

@@ -16,8 +16,6 @@ from nsdyn.audit.touching import apart, bouncing, by_fremond
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["works"]
-
 ROUND_OFF = 1e-12
 """Fraction of the energy at play below which a work is zero."""
 

@@ -22,8 +22,6 @@ from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array
 
-__all__ = ["CASES", "Case", "Measure", "describe"]
-
 STEPS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)
 """Time steps dt in s; a case uses the steps that divide the time between its samples."""
 

@@ -31,8 +31,6 @@ from nsdyn.tools import files
 from nsdyn.tools.naming import choice
 from nsdyn.tools.workers import Worker
 
-__all__ = ["Bench", "ERRORS", "PEERS", "Run", "measure"]
-
 ERRORS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 """Bounds on the error that the table shows."""
 

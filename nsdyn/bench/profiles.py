@@ -36,8 +36,6 @@ from nsdyn.tools.naming import choice
 from nsdyn.tools.workers import Worker
 from nsdyn.view import panels
 
-__all__ = ["PEERS", "Profile", "Run", "measure", "write_csv"]
-
 FACTORS = (1.0, 2.0, 5.0, 47.0)
 """Ratios to the best time at which a table shows the profile."""
 

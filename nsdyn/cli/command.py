@@ -34,8 +34,6 @@ from nsdyn.cli.sweeps import add_sweep, sweep_scene
 from nsdyn.tools import callbacks
 from nsdyn.tools.files import FRAME, PAGE, PICTURE, PROBLEM, RECORDING, TABLE
 
-__all__ = ["EXAMPLES", "main", "parser"]
-
 Command = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
 """Function that adds a command, given its name, its function and a summary."""
 

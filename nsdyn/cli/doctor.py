@@ -15,8 +15,6 @@ from typing import Any
 
 from nsdyn.cli.output import one_line, report
 
-__all__ = ["CHECKS", "PACKAGES", "diagnose", "tell", "version_of", "wrong_packages"]
-
 # Distribution: module.
 PACKAGES = {
     "nsdyn": "nsdyn",

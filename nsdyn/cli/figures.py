@@ -10,8 +10,6 @@ from typing import Any
 from nsdyn.cli.output import add_input, add_output, check_files, picture, say, sides
 from nsdyn.tools.files import PICTURE
 
-__all__ = ["add_plot", "draw"]
-
 KINDS = "position speed force slip gap joint phase energy power friction certificate penetration".split()
 """Kinds of plots of `nsdyn.view.plots`, repeated here so that the help does not load that module."""
 

@@ -9,8 +9,6 @@ from pathlib import Path
 from nsdyn.cli.output import add_input, add_output, check_files, say, sides
 from nsdyn.tools.files import FILM
 
-__all__ = ["add_film", "make_film"]
-
 CURVES = ("energy", "power", "motion", "checks", "none")
 """Curves of the HTML page, repeated here so that the help does not load its module."""
 

@@ -16,27 +16,6 @@ if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.tools.files import Kind
 
-__all__ = [
-    "OUTPUTS",
-    "PICTURE_SIZE",
-    "add_input",
-    "add_json",
-    "add_output",
-    "check_files",
-    "header",
-    "ledger",
-    "one_line",
-    "picture",
-    "plain",
-    "plot_to",
-    "say",
-    "seconds",
-    "sides",
-    "table",
-    "report",
-    "write_rows",
-]
-
 
 def one_line(message: object) -> str:
     """Return a message without its line breaks."""

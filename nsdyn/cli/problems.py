@@ -7,8 +7,6 @@ import argparse
 from nsdyn.cli.output import check_files, picture, plot_to, report, seconds
 from nsdyn.tools.naming import counted
 
-__all__ = ["bench_engines", "profile_solvers", "solve_file"]
-
 
 def solve_file(arguments: argparse.Namespace) -> int:
     """Run ``nsdyn solve``; return its exit code."""

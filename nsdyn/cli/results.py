@@ -7,23 +7,12 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nsdyn.cli.output import (
-    PICTURE_SIZE,
-    add_input,
-    add_output,
-    check_files,
-    ledger,
-    picture,
-    report,
-    say,
-)
+from nsdyn.cli.output import PICTURE_SIZE, add_input, add_output, check_files, ledger, picture, report, say
 from nsdyn.tools.files import PARQUET, TABLE
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
     from nsdyn.tools.arrays import Array
-
-__all__ = ["add_table", "show_energy", "show_table", "write_page"]
 
 
 def show_energy(arguments: argparse.Namespace) -> int:

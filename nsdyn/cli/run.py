@@ -14,8 +14,6 @@ from typing import Any
 from nsdyn.cli.output import check_files, ledger, one_line, report
 from nsdyn.tools.naming import counted
 
-__all__ = ["add_simulation", "add_solver", "begin_scene", "chosen_solver", "chosen_steps", "list_scenes", "run_scene"]
-
 COARSEST = 1.0
 """Largest tolerance, m/s: a larger one probably comes from an exponent without its sign."""
 

@@ -23,8 +23,6 @@ from nsdyn.cli.output import (
 from nsdyn.cli.run import add_solver, chosen_solver
 from nsdyn.tools.files import PICTURE, TABLE
 
-__all__ = ["add_check", "add_compare", "add_study", "check_anything", "compare_recordings", "study_steps"]
-
 
 def add_study(parser: argparse.ArgumentParser) -> None:
     """Add the options of ``nsdyn study`` besides its scene."""

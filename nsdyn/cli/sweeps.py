@@ -28,8 +28,6 @@ from nsdyn.tools.files import PICTURE, STORE, TABLE
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-__all__ = ["add_sweep", "sweep_scene"]
-
 ROUND_OFF = 1e-12
 """Fraction of the largest energy below which an energy is round-off."""
 

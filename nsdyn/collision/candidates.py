@@ -19,8 +19,6 @@ from nsdyn.scene.shapes import HALFSPACE, ROUND, SPHERE
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.options import is_number
 
-__all__ = ["MARGIN", "TOLERANCE", "Candidates"]
-
 MARGIN = 1e-3
 """Contacts begin at a gap of this fraction of the smaller bounding radius, plus the way that the bodies may move in a
 step."""

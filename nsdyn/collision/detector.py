@@ -19,8 +19,6 @@ from nsdyn.collision.contacts import ContactSet, Poses, Touches, carry, take, un
 from nsdyn.collision.distances import distance_request
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Detector"]
-
 TOUCH = 1e-4
 """Approaching bodies closer than this fraction of the smaller bounding radius touch on their way."""
 

@@ -17,8 +17,6 @@ import pinocchio as pin
 from nsdyn._kernels.collision import broadphase as _broadphase
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["SHRINK", "Batch", "empty_model", "distance_request", "pose_views", "split"]
-
 SHRINK = 1e-3
 """Coal gets cores: shapes smaller by this fraction of their inscribed radius. At gap 0 Coal's normals may be wrong by
 any angle (half of them are for ellipsoids); those of bodies slightly apart are right. Bodies in contact have cores

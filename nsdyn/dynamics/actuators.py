@@ -14,8 +14,6 @@ from nsdyn.scene.actuation import Actuation, Actuator
 from nsdyn.scene.control import PD, Axes
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["Actuators", "Control", "left_to_rows"]
-
 
 class Control(NamedTuple):
     """Control law of the joints of one tree, made from the return value of a controller.

@@ -25,8 +25,6 @@ from nsdyn.tools.arrays import Array, floats
 from nsdyn.tools.displacements import turns
 from nsdyn.tools.naming import choice, unknown
 
-__all__ = ["Controls", "Dynamics", "Wrenches"]
-
 NOTHING: Mapping[Any, Any] = {}
 Wrenches = tuple[Mapping[str, Array], Mapping[int, tuple[Array, Array]]]
 """External wrenches as two mappings. The first has loads (2, nf, 3) on the free bodies, as in `Forces`, by the column

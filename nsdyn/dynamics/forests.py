@@ -10,8 +10,6 @@ import pinocchio as pin
 from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.gears import joint_at
 
-__all__ = ["Part", "parts"]
-
 
 class Part(NamedTuple):
     """One tree of an articulation, or several trees that loops or gears connect.

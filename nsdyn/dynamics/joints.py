@@ -29,8 +29,6 @@ from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["NO_CLUTCHES", "JointLaws", "JointRows", "ContactJacobian"]
-
 NOTHING = np.empty(0)
 NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0)), np.empty(0, np.bool_), np.empty(0, np.bool_)
 TINY = np.finfo(float).tiny

@@ -13,8 +13,6 @@ from nsdyn.dynamics.values import Flow, Forces, Links, MidpointState, Placement,
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
-__all__ = ["Kinematics"]
-
 
 class Kinematics(Layout):
     """Motion of a scene between the instants at which forces act."""

@@ -24,8 +24,6 @@ from nsdyn.scene.control import Axes
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["Layout"]
-
 NO_VECTORS = np.empty((0, 3))
 
 

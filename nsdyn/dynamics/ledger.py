@@ -16,8 +16,6 @@ from functools import reduce
 from operator import add
 from typing import NamedTuple
 
-__all__ = ["LAYERS", "NUMERICS", "PHYSICS", "WORKS", "Layer", "Ledger", "Works"]
-
 
 class Works(NamedTuple):
     """Works of a part of a step, J; the first six are those of the kernel that computes moves, in its order."""

@@ -17,8 +17,6 @@ from nsdyn.scene.gears import Gear, GearGaps, joint_at
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Linkage"]
-
 HELD = 1e-12
 """Velocity that counts as zero, for a motion with a kinetic energy of ½ J: it is round-off, or the velocity of a ball
 of 1e24 kg."""

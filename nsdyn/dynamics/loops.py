@@ -17,8 +17,6 @@ from nsdyn.scene.gears import Gear, GearGaps
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
-__all__ = ["Closures", "admissible", "factored", "indefinite", "supports"]
-
 RANK = 1e-8
 """Singular values below this fraction of the largest count as those of redundant rows. The Jacobian is evaluated on the
 manifold of closed loops, where redundancy leaves 1e-12. A mechanism that passes a singular configuration is this close

@@ -14,8 +14,6 @@ from nsdyn.scene.gears import joint_at
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
-__all__ = ["COARSER", "TOLERANCE", "Rate", "fastest", "move", "runge_kutta"]
-
 TOLERANCE = 1e-9
 """Allowed error of the velocity in one part of a motion: this fraction of the velocity of the fastest joint, plus the
 velocity that moves this fraction of a rad or of a metre in the time of the whole motion. A tree that turns by less in a

@@ -13,8 +13,6 @@ from nsdyn.dynamics.values import Flow
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
-__all__ = ["slide"]
-
 PASSES, HALVINGS = 8, 12
 """Most passes of Newton's method, and most halvings of a motion for which these passes are not enough. Three passes and
 no halving are usual."""

@@ -11,8 +11,6 @@ from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Surfaces"]
-
 NONE, NO_TRANSPORT, NO_VELOCITIES = np.empty((0, 2, 3)), np.empty((2, 0)), np.empty((0, 3))
 
 

@@ -20,8 +20,6 @@ from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import integrate
 
-__all__ = ["Tree"]
-
 ROUND_OFF = 1e-12
 """Of potential energy, as a share of it."""
 

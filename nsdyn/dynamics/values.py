@@ -8,20 +8,6 @@ import numpy as np
 
 from nsdyn.tools.arrays import Array
 
-__all__ = [
-    "Constraints",
-    "Energies",
-    "Flow",
-    "Forces",
-    "FreeMotion",
-    "TreeMidpoint",
-    "Links",
-    "MidpointState",
-    "Placement",
-    "Position",
-    "TreeLoads",
-]
-
 Energies = tuple[tuple[float, float], ...]
 """Kinetic and potential energy of every tree, J."""
 

@@ -25,29 +25,6 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = [
-    "ELEMENTS",
-    "alart_curnier",
-    "block_diagonal",
-    "fischer_burmeister",
-    "jacobian",
-    "jean_moreau",
-    "natural_map",
-    "quasi_variational_gap",
-    "residual_alart_curnier",
-    "residual_bipotential",
-    "residual_fischer_burmeister",
-    "residual_hueber_stadler_wohlmuth",
-    "residual_jean_moreau",
-    "residual_natural_map",
-    "residual_normal_map",
-    "residual_quasi_variational_inequality",
-    "residual_soccp",
-    "residual_xuewen_soh_wanji",
-    "with_blocks",
-    "xuewen_soh_wanji",
-]
-
 Element = tuple[Array, Array, Array]
 """(F, ∂F/∂u, ∂F/∂r) per contact: shapes (nc, 3), (nc, 3, 3), (nc, 3, 3)."""
 

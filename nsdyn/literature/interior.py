@@ -15,8 +15,6 @@ from nsdyn.solvers.newton import by_islands, newton
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive, Whole
 
-__all__ = ["Interior", "interior"]
-
 PENALTY = 1e3
 """First penalty of Newton's method when it starts from the result of the interior point method."""
 

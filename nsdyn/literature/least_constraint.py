@@ -37,8 +37,6 @@ from numpy.typing import NDArray
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Acceleration", "Existence", "JointTerms", "LeastConstraint", "accelerations"]
-
 PASSES = 100
 """Largest number of updates of the bounds k."""
 

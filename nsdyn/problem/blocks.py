@@ -10,8 +10,6 @@ import scipy.sparse as sp
 from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["DelassusFactors"]
-
 
 class DelassusFactors(NamedTuple):
     """Factors of W = Hᵀ M⁻¹ H in blocks of coordinates.

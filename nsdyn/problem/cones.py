@@ -11,8 +11,6 @@ import numpy as np
 from nsdyn._kernels.problem import cones as _kernels
 from nsdyn.tools.arrays import Array
 
-__all__ = ["project", "project_dual", "projection_jacobian", "saxce"]
-
 
 def project(z: Array, mu: Array) -> Array:
     """Return the projection P_K(z) on the friction cone of each contact.

@@ -25,8 +25,6 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.operators import operator
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Least"]
-
 SHORTEST, ROUND_OFF = 1e-3, 1e-14
 """Shortest fraction of a Newton step, and relative round-off of the function that descends."""
 

@@ -27,8 +27,6 @@ from nsdyn.tools.arrays import Array, Index
 if TYPE_CHECKING:
     from nsdyn.problem.fc3d import FC3D
 
-__all__ = ["Factor", "Local", "Operator", "Ordered", "Velocity", "elimination_order", "forget", "operator", "pattern"]
-
 
 def elimination_order(count: int, rows: Index, columns: Index) -> Index:
     """Return the order of minimum degree for a symmetric pattern: the blocks as they are eliminated, shape (count,).

@@ -30,8 +30,6 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["all_of_one", "ambiguous", "jams", "others"]
-
 Solve = Callable[[FC3D, Array], Solution]
 
 APART = 1e-6

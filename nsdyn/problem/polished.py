@@ -27,8 +27,6 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
 
-__all__ = ["certify", "polished"]
-
 PENALTY, LEAST = 1e3, 50.0
 """Penalty times λ_max(W_cc) of the first multiplier step, and the least; the largest is that of `gauss`. Where contacts
 are redundant, all impulses may change with the choice of the contacts that carry, while the velocity hardly changes.

@@ -8,8 +8,6 @@ import scipy.sparse as sp
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
 
-__all__ = ["has_slater_point"]
-
 SIMPLEX = 2_000_000
 """Iterations of the simplex method times contacts, some seconds of work, after which `has_slater_point` gives up."""
 

@@ -17,8 +17,6 @@ from nsdyn.tools.naming import unknown
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["Carried", "body", "carried", "energies", "first_carried", "moving", "of_frame", "twists"]
-
 
 class Carried(NamedTuple):
     """Mass, kg, of all that a frame carries, its centre of mass, m, and inertia about it, kg m², in frame axes."""

@@ -13,8 +13,6 @@ from nsdyn.tools.arrays import Array
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["NEGLIGIBLE", "body_energies", "body_table", "pair_table", "pair_works"]
-
 NEGLIGIBLE = 1e-9
 """Fraction of the largest energy below which an energy counts as zero."""
 

@@ -13,8 +13,6 @@ from scipy.sparse.linalg import splu
 from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.tools.arrays import Array
 
-__all__ = ["LARGEST_BLOCK", "condensed", "embedded", "factors", "is_symmetric", "planar", "solver_of"]
-
 LARGEST_BLOCK = 200
 """Largest number of coordinates in a block of M: the dense inverse of a larger one costs more than computing W."""
 

@@ -17,8 +17,6 @@ from nsdyn.recording.mechanism import RANK, Mechanism
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import displacement, integrate
 
-__all__ = ["Course", "close", "move", "respond"]
-
 TURN, PARTS = 0.1, 64
 """Largest angle by which a joint turns in a part of a motion, rad, and largest initial number of parts."""
 

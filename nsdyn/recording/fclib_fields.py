@@ -13,8 +13,6 @@ import scipy.sparse as sp
 
 from nsdyn.tools.datasets import dataset
 
-__all__ = ["array", "matrix", "put", "put_matrix", "put_text"]
-
 
 def array(group: Any, name: str, kind: Any = np.float64, size: int | None = None) -> Any:
     """Return a dataset as a vector of numbers, after checks of its type, length and finiteness."""

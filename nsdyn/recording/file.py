@@ -41,8 +41,6 @@ from nsdyn.tools.datasets import check_heaps, created, dataset
 from nsdyn.tools.files import is_file
 from nsdyn.tools.unfinished import open_to_read
 
-__all__ = ["create", "extend", "read", "read_state", "until"]
-
 Saved = tuple[int, Columns]
 
 GROWING, PACKED = 1 << 16, 1 << 18

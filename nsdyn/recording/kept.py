@@ -9,8 +9,6 @@ import numpy as np
 
 from nsdyn.recording.columns import Columns, rows_of
 
-__all__ = ["Kept", "Part"]
-
 Part = tuple[Columns, tuple[int, ...] | None]
 """Arrays by columns, and the shape of the axes of rows to which they are broadcast; None for one axis of rows."""
 

@@ -25,8 +25,6 @@ import numpy as np
 
 from nsdyn.recording.columns import CONTACT_STATES, LAYOUT, ON_BODIES, rows_of
 
-__all__ = ["name_axes", "name_units"]
-
 ROWS = {"states": "t", "steps": "t_steps", "contacts": "contacts/contact", "pieces": "pieces/piece"}
 ROWS |= {group: f"{group}/row" for group in ON_BODIES}
 """Names of the axis of rows, by what a column has a row for."""

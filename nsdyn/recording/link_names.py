@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from nsdyn.recording.tables import impulses_world
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["by_contacts", "carriers", "joints", "loops"]
-
 
 def joints(scene: Mapping[str, Any]) -> list[str]:
     """Return the names of all joints, "articulation/joint"."""

@@ -10,8 +10,6 @@ import pinocchio as pin
 
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["RANK", "Mechanism"]
-
 RANK = 1e-10
 """Fraction of the largest singular value: smaller singular values are those of redundant rows."""
 

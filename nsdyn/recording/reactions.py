@@ -33,8 +33,6 @@ from nsdyn.tools.displacements import integrate
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["reactions"]
-
 SHIFT = 4
 """Index of the projections in `JOINTS`; the entries before the external wrenches act on the joints."""
 

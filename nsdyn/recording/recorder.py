@@ -24,8 +24,6 @@ from nsdyn.recording.kept import Kept
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
 
-__all__ = ["Recorder"]
-
 State = Callable[[], Columns]
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %

@@ -31,9 +31,6 @@ from nsdyn.tools.displacements import displacement, integrate
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["Contradiction", "Kick", "Trees", "Way", "trees"]
-
-
 Piece = tuple[float, list[tuple[int, int, int]], Array]
 """(duration, contacts, impulses on the joints) of a piece of a step, that is a move or an impact."""
 

@@ -29,8 +29,6 @@ from nsdyn.recording.columns import (
 from nsdyn.recording.kept import Part
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["begin", "keep", "none", "pack"]
-
 _STATE = "t", "q", "v", "frames_x", "frames_quat", "energy"
 _read_state = attrgetter(*_STATE)
 _read_step = attrgetter(*_STATE, "joints", "links", "pieces", *ON_BODIES, *(column.path for column in STEP.values()))

@@ -19,8 +19,6 @@ from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.array_text import from_text
 from nsdyn.tools.datasets import dataset
 
-__all__ = ["check_meta", "column", "scene"]
-
 TRIPLE = [float, float, float]
 PLACEMENT = [[float] * 4] * 4
 

@@ -31,8 +31,6 @@ from numpy.typing import NDArray
 from nsdyn.problem import cones
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["COLUMNS", "distinct", "shared"]
-
 COLUMNS = ("point", "normal", "tangent", "mu", "status", "time", "impulse")
 """Columns of contacts that `shared` reads."""
 

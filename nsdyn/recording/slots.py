@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 
 from nsdyn.recording import schema
 
-__all__ = ["create", "read", "write"]
-
 PARTS = {"layout": "u1", "numbers": "f8", "whole": "i8"}
 CHUNK = 8192
 """Bytes of a chunk, so few that small files stay small."""

@@ -17,8 +17,6 @@ from nsdyn.tools.table import Table, matches, matching
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["KINDS", "tabulated"]
-
 KINDS = "bodies", "joints", "pairs", "contacts", "energy"
 FORCES = "force_x", "force_y", "force_z"
 

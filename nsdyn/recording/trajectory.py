@@ -28,8 +28,6 @@ from nsdyn.tools.units import with_unit
 if TYPE_CHECKING:
     from nsdyn.view.viewer import PageOptions
 
-__all__ = ["Trajectory"]
-
 ROUND_OFF = 1e-16
 """Fraction of the largest energy: a smaller number is lost when it is added to the largest, and is printed as 0."""
 

@@ -28,8 +28,6 @@ from nsdyn.tools.arrays import Array, Index
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["unique"]
-
 CLOSED = 1e-6
 """Largest separating velocity plus gap / dt, m/s, at which a contact without an impulse counts as closed; the solver's
 tolerance is smaller."""

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike
 from nsdyn.tools.arrays import Array, floats
 from nsdyn.tools.naming import choice
 
-__all__ = ["Actuation", "Actuator"]
-
 
 class Actuator(NamedTuple):
     """A motor or servo on a revolute or prismatic joint: τ = g clip(k u + b0 + b1 g q + b2 g v) with the control u.

@@ -25,21 +25,6 @@ from nsdyn.scene.visuals import Colour, Visual
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import counted
 
-__all__ = [
-    "BALL",
-    "PLANAR",
-    "WORLD",
-    "Articulation",
-    "ArticulationOptions",
-    "Description",
-    "Link",
-    "Loop",
-    "check_count",
-    "check_joints",
-    "check_size",
-    "describe_model",
-]
-
 WORLD = "world"
 """Name of the fixed body of an MJCF file."""
 

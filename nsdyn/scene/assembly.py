@@ -35,8 +35,6 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import choice
 
-__all__ = ["assemble"]
-
 UNBOUNDED = 1.01
 """Value that Pinocchio writes where a cosine, a sine or a component of a quaternion has no limit."""
 

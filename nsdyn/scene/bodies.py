@@ -13,8 +13,6 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array, numbers
 
-__all__ = ["Body", "BodyOptions", "Geom", "make_body"]
-
 
 @dataclass(frozen=True, eq=False)
 class Body:

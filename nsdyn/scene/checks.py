@@ -15,22 +15,6 @@ from nsdyn.tools.arrays import Array, numbers
 from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import counted
 
-__all__ = [
-    "folders",
-    "inertia",
-    "lengths",
-    "name",
-    "number",
-    "placement",
-    "pose",
-    "positive",
-    "quaternion",
-    "rotation",
-    "text",
-    "vector",
-]
-
-
 LARGEST, SMALLEST = 1e50, 1e-50
 """Sizes of numbers, and of masses, inertias and lengths, whose products stay in the range of floating-point numbers."""
 

@@ -13,8 +13,6 @@ from nsdyn._kernels import reductions as _reductions
 from nsdyn.tools.arrays import Array, Bools, floats
 from nsdyn.tools.naming import choice
 
-__all__ = ["PD", "Axes"]
-
 
 class Axes(NamedTuple):
     """The coordinates of an articulation on which a control acts.

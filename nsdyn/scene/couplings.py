@@ -12,8 +12,6 @@ from nsdyn.scene.articulations import Articulation, Loop
 from nsdyn.scene.gears import GearGaps, gear
 from nsdyn.tools.naming import choice
 
-__all__ = ["close_loop", "put_gear"]
-
 
 def close_loop(
     articulation: Articulation,

@@ -14,8 +14,6 @@ from nsdyn.scene.visuals import describe_visuals
 if TYPE_CHECKING:
     from nsdyn.scene.scene import Scene
 
-__all__ = ["describe", "describe_links"]
-
 
 def describe(scene: Scene) -> dict[str, Any]:
     """Return everything needed to replay a recording, as nested lists (see `nsdyn.recording.trajectory`)."""

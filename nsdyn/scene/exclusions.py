@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from nsdyn.scene.articulations import Link, Loop
 
 
-__all__ = ["FREE", "among_links", "carriers", "disabled_pairs", "filtered", "joined", "neighbours", "overlapping"]
-
 FREE = "JointModelFreeFlyer"
 
 

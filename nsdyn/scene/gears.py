@@ -14,8 +14,6 @@ from nsdyn.scene import checks
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["Gear", "GearGaps", "following", "gear", "joint_at", "joints_of"]
-
 TEETH = 1000
 """Most teeth of a wheel whose turns are not counted; the ratio of two such wheels is a fraction of whole numbers."""
 

@@ -6,8 +6,6 @@ import numpy as np
 
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["COPLANAR", "faces"]
-
 COPLANAR = 1e-6
 """Facets are one face if their corners lie within this fraction of the hull's size of one plane (float32 meshes)."""
 

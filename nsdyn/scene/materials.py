@@ -10,8 +10,6 @@ import numpy as np
 from nsdyn.scene import checks
 from nsdyn.tools.arrays import Array
 
-__all__ = ["COMBINATION_RULES", "Material"]
-
 COMBINATION_RULES: dict[str, Callable[[Array, Array], Array]] = {
     "average": lambda a, b: 0.5 * (a + b),
     "geometric_mean": lambda a, b: np.asarray(np.sqrt(a * b)),

@@ -21,8 +21,6 @@ from nsdyn.scene.mesh_files import collada, obj, ply, stl
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.files import is_file
 
-__all__ = ["READERS", "Surface", "read", "write_stl"]
-
 READERS: dict[str, Callable[[bytes], tuple[Any, ...]]] = {
     ".stl": stl.read,
     ".obj": obj.read,

@@ -15,8 +15,6 @@ from nsdyn.tools.arrays import Array, Bools, Index
 if TYPE_CHECKING:
     from nsdyn.scene.scene import Scene
 
-__all__ = ["excluded", "pair_material"]
-
 
 def pair_material(scene: Scene, geoms: Sequence[Geom]) -> Callable[[Index, Index], tuple[Array, Array]]:
     """Return a function of two index arrays into `geoms` that returns (mu, restitution) of each pair."""

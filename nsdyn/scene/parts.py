@@ -20,8 +20,6 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import check_known, choice
 
-__all__ = ["Parts"]
-
 
 @dataclass(eq=False)
 class Parts:

@@ -13,8 +13,6 @@ from nsdyn.tools.callbacks import called
 
 Velocity = ArrayLike | Callable[[float], ArrayLike]
 
-__all__ = ["Motion", "Velocity"]
-
 
 @dataclass(frozen=True, eq=False)
 class Motion:

@@ -20,8 +20,6 @@ from nsdyn.scene.prescribed import Motion, Velocity
 from nsdyn.tools import notebook
 from nsdyn.tools.naming import choice, counted, unknown
 
-__all__ = ["Scene"]
-
 
 @dataclass(eq=False)
 class Scene(Parts):

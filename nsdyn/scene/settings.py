@@ -12,8 +12,6 @@ import numpy as np
 from nsdyn.scene import named as scenes
 from nsdyn.tools.naming import choice
 
-__all__ = ["as_json", "as_text", "lists", "parameters", "values"]
-
 
 def parameters(name: str) -> dict[str, Any]:
     """Return the parameters of a named scene with their default values."""

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from nsdyn.scene.meshes import Surface
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["simpler"]
-
 FINEST = 2.0**-14
 """Side of a cell over the extent of the surface: corners in one cell are merged, and rounded to a quarter of a cell."""
 

@@ -18,8 +18,6 @@ from nsdyn.scene.gears import joints_of
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array
 
-__all__ = ["describe_tree"]
-
 GIVEN = ("axis", "axis1", "axis2", "pitch", "radius_x", "radius_y", "radius_z")
 """Attributes by which joints of one kind differ."""
 

@@ -16,8 +16,6 @@ from nsdyn.scene.simplified import simpler
 from nsdyn.tools.array_text import to_text
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Colour", "MeshFile", "Visual", "describe_visuals", "mesh_visual"]
-
 Colour = tuple[float, float, float, float]
 """Red, green, blue and alpha in [0, 1]."""
 

@@ -21,8 +21,6 @@ from nsdyn.solvers.newton import PENALTY, Multipliers, by_islands
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import Count, Options, Positive
 
-__all__ = ["Continuation", "Following", "continuation"]
-
 STRETCH = 40.0
 """κ λ_max(W_cc) of the normal map z = r - κ u."""
 

@@ -19,8 +19,6 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.options import Count, Options, Positive
 
-__all__ = ["DENSE", "MARGIN", "PENALTY", "Newton", "by_islands", "newton", "part"]
-
 DENSE = 120
 """Largest number of coordinates of an island with dense factorisations: up to it LAPACK in the kernel is faster than a
 sparse call."""

@@ -26,20 +26,6 @@ from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = [
-    "captured",
-    "captured_limits",
-    "tracked",
-    "missed_contacts",
-    "surface_normal_velocities",
-    "missed_impacts",
-    "normal_velocities",
-    "overrun_contacts",
-    "continuous_contacts",
-    "update_active_set",
-    "time_of_impact",
-]
-
 NO_CODES = np.empty(0, np.int64)
 
 PAST = 0.05

@@ -16,8 +16,6 @@ from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.scene_state import SceneState
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Known", "Attempt", "parted"]
-
 NO_CODES = np.empty(0, np.int64)
 
 

@@ -18,8 +18,6 @@ import numpy as np
 from nsdyn.dynamics.joints import ContactJacobian
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["SHARES", "Search", "angles", "unbalanced"]
-
 SHARES = 40
 """Most further solves for the directions of friction in a move: the secant method needs one to four for one joint,
 eight for five joints in a chain."""

@@ -21,8 +21,6 @@ from nsdyn.scene.scene import Scene
 if TYPE_CHECKING:
     from nsdyn.stepping.state import State
 
-__all__ = ["checksums", "pack", "unpack"]
-
 Arrays = dict[str, NDArray[Any]]
 
 NONE, NOTHING = np.empty(0, np.int64), np.empty(0)

@@ -20,8 +20,6 @@ from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Captured", "captured_impacts", "collide", "limits_struck", "striking"]
-
 NO_SLOTS = np.empty(0, np.int64)
 
 

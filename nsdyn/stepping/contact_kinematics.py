@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from nsdyn.stepping.midpoint import Midpoint
     from nsdyn.stepping.scene_state import SceneState, System, WarmStart
 
-__all__ = ["GapRule", "ContactKinematics", "predict_sliding"]
-
 SLIPS = 1.0 - 1e-9
 """Share of its largest friction from which on a dry joint counts as sliding."""
 

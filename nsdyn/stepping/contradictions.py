@@ -19,8 +19,6 @@ from nsdyn.scene.scene import Scene
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.displacements import integrate
 
-__all__ = ["Prescribed"]
-
 MOST = 1e4
 """Most parts into which a step is divided: with so many, a body of a millimetre is not missed on a way of five
 metres."""

@@ -8,8 +8,6 @@ from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.stepping.scene_state import SceneState
 from nsdyn.tools.arrays import Array
 
-__all__ = ["bias", "jacobian", "mass_matrix"]
-
 
 def mass_matrix(d: Dynamics, at: SceneState) -> Array:
     """Mass matrix M(q), shape (n, n), kg, kg m and kg m²."""

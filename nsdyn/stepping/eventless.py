@@ -27,8 +27,6 @@ from nsdyn.stepping.state import State
 from nsdyn.stepping.tree_motion import TreeMotion
 from nsdyn.tools.arrays import Array
 
-__all__ = ["EventlessSteps"]
-
 NOTHING_TRIED = None, None, None
 
 Certify = Callable[[FC3D, Array, Array, SlaterDirection | None], tuple[Certificate, SlaterDirection | None]]

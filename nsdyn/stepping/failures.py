@@ -18,8 +18,6 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import as_path, check_folder
 from nsdyn.tools.naming import choice
 
-__all__ = ["Failures", "worst"]
-
 ON_FAIL = "warn", "raise", "dump", "ignore"
 DUMPS = "failed-steps"
 """Folder of the problems of failing steps where none is given."""

@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from nsdyn.dynamics.dynamics import Dynamics
     from nsdyn.stepping.tree_motion import TreeMotion
 
-__all__ = ["Acted", "FlatState", "Found", "detected_at", "local", "matrices", "packed", "put", "solved", "vectors"]
-__all__ += ["velocity"]
-
-
 VIEWS = "column", "vectors", "rotations", "velocity", "placed", "contacts", "rows", "answer", "local"
 column, vectors, matrices, velocity, placed, contacts, rows, answer, local = (
     plain(_col.__name__)[name] for name in VIEWS

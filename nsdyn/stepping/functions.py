@@ -13,8 +13,6 @@ from nsdyn.stepping.state import Step
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Callback", "Functions"]
-
 Callback = (
     Callable[[float, Array, Array], Mapping[str, Any]] | Callable[[float, Array, Array, Step | None], Mapping[str, Any]]
 )

@@ -18,8 +18,6 @@ from nsdyn.stepping.rounds import Impact
 from nsdyn.stepping.scene_state import NOTHING, System, WarmStart
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["Impulses", "book"]
-
 
 class Impulses(NamedTuple):
     """Impulses that acted at one configuration.

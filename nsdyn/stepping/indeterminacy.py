@@ -16,8 +16,6 @@ from nsdyn.solvers import Solver
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["JAM", "Paradoxes"]
-
 STICK, JAM = 1, 3
 """States of a contact that sticks or jams, beside 0 open, 2 slip."""
 

@@ -17,8 +17,6 @@ from nsdyn.stepping.projection import project
 from nsdyn.stepping.scene_state import SceneState, System, WarmStart
 from nsdyn.tools.arrays import Array
 
-__all__ = ["begin"]
-
 ROUNDING = 1e-9
 """Rounding error expected in numbers given by a user, rad or m."""
 

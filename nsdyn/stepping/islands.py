@@ -35,8 +35,6 @@ from nsdyn.stepping.substepping import integrate, turns_far
 from nsdyn.stepping.subsystems import Subsystem, driven, merged
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Islands"]
-
 KEPT = 2048
 """Most nodes of all subsystems that are kept for reuse: each node takes some 40 kB."""
 

@@ -22,8 +22,6 @@ from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.tree_motion import TreeMotion
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["KernelResult"]
-
 NOTHING = np.empty(0)
 
 

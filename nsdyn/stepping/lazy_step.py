@@ -20,8 +20,6 @@ from nsdyn.tools.arrays import Array
 if TYPE_CHECKING:
     from nsdyn.stepping.scene_state import System
 
-__all__ = ["LazyStep"]
-
 COLUMNS: dict[str, tuple[int, ...]] = {
     "gap": (_col.GAP_END,),
     "u": (_col.U_END, 3),

@@ -24,8 +24,6 @@ from nsdyn.dynamics.values import Energies, Forces, MidpointState, Position
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["STILL_SURFACES", "Callbacks", "Given", "Midpoint", "Loads", "corrected", "midpoint"]
-
 STILL_SURFACES = (np.empty((0, 2, 3)),) * 3
 
 Given = tuple[Wrenches | None, Controls]

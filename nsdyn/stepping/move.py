@@ -35,8 +35,6 @@ from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.stepping.solving import solve, update_sliding
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["try_islands", "try_move"]
-
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
 

@@ -25,8 +25,6 @@ from nsdyn.stepping.solving import again
 from nsdyn.stepping.tree_motion import TreeMotion
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["NO_PAIRS", "MoveKernel"]
-
 NO_PAIRS, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from nsdyn.stepping.midpoint import Midpoint
     from nsdyn.stepping.scene_state import System
 
-__all__ = ["NO_COUPLE", "Couple", "turned", "worked"]
-
 
 class Couple(NamedTuple):
     """Couples of the contacts of a move; all arrays are empty if there are none.

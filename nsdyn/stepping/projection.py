@@ -14,8 +14,6 @@ from nsdyn.solvers import Auto
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array
 
-__all__ = ["found", "project"]
-
 PASSES = 20
 """Most projections in a row. Each leaves an overlap of second order in the last one, so that two or three suffice."""
 

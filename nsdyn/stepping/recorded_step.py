@@ -10,8 +10,6 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.scene_state import System
 from nsdyn.stepping.state import Names, OnBodies, Pieces, State, Step
 
-__all__ = ["recorded"]
-
 
 def recorded(s: System, names: Names, now: State, done: list[Impulses], **certified: Any) -> Step:
     """Return the step that ends `now`; `certified` are its ledger and certificate, a problem and its solution."""

@@ -11,8 +11,6 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping.impacts import Dissipative, Law, Round
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Impact", "strike"]
-
 ROUNDS = 60
 """Most rounds of impacts at one instant. The last round takes all closed contacts at once, by `Dissipative`; after it
 no contact approaches."""

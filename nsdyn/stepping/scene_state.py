@@ -23,8 +23,6 @@ from nsdyn.tools.arrays import Array, Bools, Index
 if TYPE_CHECKING:
     from nsdyn.stepping.move_kernel import MoveKernel
 
-__all__ = ["SceneState", "System", "WarmStart", "among"]
-
 NOTHING = np.empty(0)
 
 STILL = 0.5

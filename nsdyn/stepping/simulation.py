@@ -26,8 +26,6 @@ from nsdyn.stepping.system import check_flags, check_seconds
 from nsdyn.tools.files import as_path
 from nsdyn.tools.options import is_number
 
-__all__ = ["Options", "RunOptions", "command", "simulate"]
-
 MOST_STEPS = 2**53
 """Number of steps up to which the times k dt are distinct."""
 

@@ -18,8 +18,6 @@ from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Solver
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 
-__all__ = ["endings", "reversal"]
-
 
 def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution, cut: bool = False) -> float:
     """Return the fraction of a move after which the first slip reverses, 1 if none does.

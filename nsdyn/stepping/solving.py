@@ -16,8 +16,6 @@ from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.stepping.contact_kinematics import ContactKinematics, GapRule
 from nsdyn.tools.arrays import Array, Bools
 
-__all__ = ["again", "update_sliding", "solve"]
-
 ALL = np.empty(0, np.bool_)
 
 

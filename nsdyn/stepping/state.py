@@ -26,8 +26,6 @@ from nsdyn.tools.naming import choice, counted
 if TYPE_CHECKING:
     from nsdyn.stepping.lazy_step import LazyStep
 
-__all__ = ["Names", "OnBodies", "Pieces", "State", "Step", "Touch"]
-
 
 class State(NamedTuple):
     """All data with which a run continues bit for bit.

@@ -18,8 +18,6 @@ from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement
 
-__all__ = ["StepResult", "finish", "tree_works"]
-
 OPEN = np.int8(0)
 
 

@@ -43,8 +43,6 @@ from nsdyn.stepping.system import check_options, system_of
 from nsdyn.tools import callbacks
 from nsdyn.tools.arrays import Array
 
-__all__ = ["Stepper"]
-
 
 class Stepper:
     """Moreau–Jean time-stepping of a scene.

@@ -22,8 +22,6 @@ from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["integrate", "turns_far"]
-
 SOON, AGAIN = 1e-6, 0.1
 """Shares of a move at its beginning in which a reversal of slip is not located. The first is round-off, also at its
 end. The second holds after a move that ended at a reversal, which is located to second order: the rest of that

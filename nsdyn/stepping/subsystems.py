@@ -22,8 +22,6 @@ from nsdyn.stepping.scene_state import SceneState, System, WarmStart, among
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 
-__all__ = ["Subsystem", "driven", "merged"]
-
 T = TypeVar("T")
 
 

@@ -19,8 +19,6 @@ from nsdyn.stepping.scene_state import System
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import is_number
 
-__all__ = ["check_flags", "check_options", "check_seconds", "system_of"]
-
 
 def check_seconds(**given: Any) -> None:
     """ValueError for times that are not positive, finite numbers of seconds."""

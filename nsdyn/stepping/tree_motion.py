@@ -15,8 +15,6 @@ from nsdyn.stepping.scene_state import SceneState
 from nsdyn.stepping.step_result import tree_works
 from nsdyn.tools.arrays import Array
 
-__all__ = ["TreeMotion"]
-
 
 class TreeMotion:
     """Motion of one step, or of one move, of a scene with trees or under forces of the user.

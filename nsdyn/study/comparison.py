@@ -11,8 +11,6 @@ from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.view.titles import differing
 
-__all__ = ["UNITS", "Comparison", "Differences", "compare", "differences"]
-
 UNITS = {"position": "m", "rotation": "rad", "velocity": "m/s, rad/s", "energy": "J"}
 """Compared quantities and their units."""
 

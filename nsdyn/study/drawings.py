@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from nsdyn.study.refinement import Refinement
     from nsdyn.study.sweep import Member
 
-__all__ = ["draw_refinement", "draw_sweep", "varied"]
-
 FOUND = {
     "displacement": "displacement [m]",
     "kinetic": "kinetic at the end [J]",

@@ -16,8 +16,6 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection
 from typing import Any
 
-__all__ = ["gather"]
-
 MESSAGES = 128
 """Largest number of messages with tasks to an executor. A message to a dask scheduler and back costs 10 ms of processor
 time, so that many short tasks share one. A message still has so few of all tasks that its loss or delay does not

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["told"]
-
 
 def told(value: Any) -> str:
     """Return the text of an argument: of numbers and texts themselves, else a name and a checksum of all that it uses.

@@ -20,8 +20,6 @@ from nsdyn.tools import notebook
 from nsdyn.tools.arrays import numbers
 from nsdyn.tools.naming import check_known
 
-__all__ = ["Refinement", "Row", "order", "refine"]
-
 ROUND_OFF = 1e-11
 """Smallest error, in its unit, for which an order is computed."""
 

@@ -15,8 +15,6 @@ import numpy as np
 
 from nsdyn.tools import files
 
-__all__ = ["Store"]
-
 
 class Store:
     """JSON lines: the description of the sweep, then a line per point; after a kill the last line may be incomplete.

@@ -25,8 +25,6 @@ from nsdyn.study.store import Store
 from nsdyn.tools.callbacks import called, text
 from nsdyn.tools.naming import check_known
 
-__all__ = ["Member", "figures", "sweep"]
-
 
 @dataclass(frozen=True, eq=False)
 class Member:

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["from_text", "to_text"]
-
 
 def to_text(array: NDArray[Any], kind: str) -> str:
     """Return the text of an array, with its numbers converted to a type of NumPy, for instance "<f4"."""

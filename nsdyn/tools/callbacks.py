@@ -11,8 +11,6 @@ from typing import Any, TypeVar
 
 from nsdyn.tools.naming import counted
 
-__all__ = ["below", "called", "line", "misfit", "source_line", "takes", "text"]
-
 T = TypeVar("T")
 
 

@@ -15,8 +15,6 @@ from typing import Any
 
 import h5py
 
-__all__ = ["MULTIPLE", "check_heaps", "created", "dataset"]
-
 MULTIPLE = 1100
 """Largest number of bytes from one byte of a compressed file: gzip makes up to 1032."""
 

@@ -10,8 +10,6 @@ import pinocchio as pin
 
 from nsdyn.tools.arrays import Array
 
-__all__ = ["displacement", "integrate", "turns"]
-
 
 def displacement(model: pin.Model, q0: Array, q1: Array) -> Array:
     """Return the displacement d from q0 to q1, shape (nv,): `integrate(model, q0, d)` is q1.

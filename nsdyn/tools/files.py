@@ -16,29 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = [
-    "FILM",
-    "FRAME",
-    "PAGE",
-    "PARQUET",
-    "PICTURE",
-    "PROBLEM",
-    "RECORDING",
-    "SCENE",
-    "STDOUT",
-    "STORE",
-    "TABLE",
-    "Kind",
-    "as_path",
-    "check_folder",
-    "check_writable",
-    "is_file",
-    "is_special",
-    "lock",
-    "resolved",
-    "writing",
-]
-
 
 @dataclass(frozen=True)
 class Kind:

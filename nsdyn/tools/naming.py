@@ -6,8 +6,6 @@ from collections.abc import Container, Iterable
 from difflib import get_close_matches
 from typing import Any
 
-__all__ = ["check_known", "choice", "counted", "unknown", "unused"]
-
 MANY = 12
 """Largest number of names that are all listed."""
 

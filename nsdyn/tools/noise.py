@@ -8,8 +8,6 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["caught", "told"]
-
 
 @contextmanager
 def caught() -> Iterator[list[str]]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-__all__ = ["ROWS", "figures", "table"]
-
 ROWS = 20
 """Largest number of rows of a table in a notebook; the object itself has all rows."""
 

@@ -12,8 +12,6 @@ import numpy as np
 
 from nsdyn.tools.naming import choice
 
-__all__ = ["Allowed", "Count", "NonNegative", "Options", "Positive", "Whole", "is_number"]
-
 
 class Allowed(NamedTuple):
     """Numbers allowed for an option: the requirement in words, and a function that tests a number."""

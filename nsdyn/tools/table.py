@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from nsdyn.tools import files, notebook
 from nsdyn.tools.naming import choice, counted, unknown
 
-__all__ = ["Table", "matches", "matching"]
-
 SHOWN = 40
 """Largest number of rows that are printed."""
 

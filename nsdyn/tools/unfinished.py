@@ -25,8 +25,6 @@ from typing import Any
 
 import h5py
 
-__all__ = ["open_to_read"]
-
 SUPERBLOCK = 48
 """Bytes of a superblock of version 3 with addresses and lengths of 8 bytes."""
 

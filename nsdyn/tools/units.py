@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["with_unit"]
-
 PREFIXES = {1e9: "G", 1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
 
 

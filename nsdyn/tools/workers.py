@@ -9,8 +9,6 @@ import subprocess
 import time
 from typing import Any
 
-__all__ = ["Worker"]
-
 LOADING = 300.0
 """Time limit in s for all work that is not timed: imports, reading, building."""
 

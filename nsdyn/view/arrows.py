@@ -15,8 +15,6 @@ from nsdyn.tools.arrays import Array, Index
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["Forces", "between"]
-
 
 class Forces(NamedTuple):
     """Mean forces of the steps before each keyframe.

@@ -19,8 +19,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Browser", "browsing", "chromium"]
-
 PATIENCE = 120.0
 """Longest time of an answer, s: software rendering of a large page is slow."""
 

@@ -11,19 +11,6 @@ import umsgpack
 
 from nsdyn.tools.arrays import Array
 
-__all__ = [
-    "Json",
-    "UPRIGHT",
-    "as_buffer",
-    "as_hex",
-    "as_three",
-    "by_columns",
-    "set_object",
-    "set_property",
-    "shaded",
-    "uuid_of",
-]
-
 Json = dict[str, Any]
 
 UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

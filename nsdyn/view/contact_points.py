@@ -14,8 +14,6 @@ from nsdyn.view import payload
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["EDGE", "at", "axes", "counts", "identities"]
-
 EDGE = 4
 """Added to the state of a contact whose impulse is at the edge of its friction cone."""
 

@@ -24,8 +24,6 @@ from nsdyn.view.stage import BACKGROUND, FIELD_OF_VIEW, View, stage_commands
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["packed"]
-
 MAX_CONTACTS = 150_000
 """Most contacts in all frames of a page, up to 10 MB; with more, only every second, third, ... frame has contacts."""
 

@@ -17,8 +17,6 @@ from nsdyn.view.keyframes import thinned
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["MAX_POINTS", "bodies", "joints", "ledger"]
-
 MAX_POINTS = 2000
 """Most points of a curve."""
 

@@ -12,8 +12,6 @@ from nsdyn.view.viewer import html
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["LARGEST", "iframe"]
-
 LARGEST = 2_000_000
 """Most characters of a page in a notebook; the notebook file grows by as many."""
 

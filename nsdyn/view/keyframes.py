@@ -9,8 +9,6 @@ import numpy as np
 
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["choose", "nearest", "thinned"]
-
 
 def choose(t: Array, fps: float, max_frames: int, wanted: Sequence[int]) -> Index:
     """Choose rows of the times `t`: about `fps` per second, and the first of `wanted` as far as `max_frames` allows.

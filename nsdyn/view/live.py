@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from nsdyn.stepping.state import Step
     from nsdyn.stepping.stepper import Stepper
 
-__all__ = ["Live"]
-
 
 class Live:
     """A window that follows a `Stepper`, with the same initial camera as the page.

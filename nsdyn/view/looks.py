@@ -11,8 +11,6 @@ from nsdyn.tools.array_text import from_text
 from nsdyn.view.commands import Json, as_buffer, by_columns, set_object
 from nsdyn.view.solids import body_path, solid, surface
 
-__all__ = ["look_path", "mesh_arrays", "veiled", "visual_commands"]
-
 PLAIN = (0.72, 0.73, 0.75)
 """Colour if the file gives none."""
 

@@ -13,8 +13,6 @@ from nsdyn.view.contact_points import identities
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["Impacts", "find"]
-
 HELD = 1e-6
 """m/s, a hundred times the solver's default tolerance: a contact that separates no faster stays closed."""
 

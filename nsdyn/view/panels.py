@@ -19,8 +19,6 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.units import with_unit
 from nsdyn.view.solids import PALETTE
 
-__all__ = ["LEDGER", "OTHERS", "PALETTE", "Curve", "Panel", "draw", "look", "looks"]
-
 LEDGER = {name: layer.colour for name, layer in LAYERS.items()}
 """Colours of energies and works."""
 

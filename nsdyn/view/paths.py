@@ -14,8 +14,6 @@ from nsdyn.view.solids import body_path
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["keys", "start_commands"]
-
 INVISIBLE = 1e-6
 """Differences below this fraction of the scene's radius, or of a unit quaternion, are invisible."""
 

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["pack", "rounded", "unpack"]
-
 ALIGNMENT = 8
 """Arrays begin at multiples of this number of bytes, as views of a browser's buffers require."""
 

@@ -11,8 +11,6 @@ from pathlib import Path
 from nsdyn.tools import files
 from nsdyn.view.browser import browsing
 
-__all__ = ["FRAME", "FilmLook", "check_film", "film", "screenshot"]
-
 FRAME = {"format": "jpeg", "quality": 97}
 """Format of the pictures of a film: PNG takes browser and ffmpeg twice the time, with no visible gain in H.264."""
 

@@ -17,7 +17,8 @@ from nsdyn.tools.table import Table
 from nsdyn.tools.units import with_unit
 from nsdyn.view import panels
 from nsdyn.view.curves import ledger
-from nsdyn.view.panels import LEDGER, OTHERS, PALETTE, Curve, Panel
+from nsdyn.view.panels import LEDGER, OTHERS, Curve, Panel
+from nsdyn.view.solids import PALETTE
 
 __all__ = ["KINDS", "draw", "usual"]
 

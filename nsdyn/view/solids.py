@@ -10,8 +10,6 @@ from nsdyn.tools.arrays import Array
 from nsdyn.view.commands import UPRIGHT, Json, as_buffer, as_hex, by_columns, set_object, shaded
 from nsdyn.view.stage import BEHIND_LINES, GROUND, View, corner_object, halfspace_object, halfspaces
 
-__all__ = ["FIXED_COLOUR", "PALETTE", "body_path", "colour", "geom_path", "shape_commands", "solid", "surface"]
-
 # Paul Tol's "bright" scheme, whose colours colour-blind readers can tell apart.
 PALETTE = [(68, 119, 170), (238, 102, 119), (34, 136, 51), (204, 187, 68), (102, 204, 238), (170, 51, 119)]
 

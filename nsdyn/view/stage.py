@@ -19,18 +19,6 @@ from nsdyn.view.commands import Json, as_buffer, as_hex, as_three, by_columns, s
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = [
-    "BACKGROUND",
-    "BEHIND_LINES",
-    "FIELD_OF_VIEW",
-    "GROUND",
-    "View",
-    "corner_object",
-    "halfspace_object",
-    "halfspaces",
-    "stage_commands",
-]
-
 BACKGROUND = (0.945, 0.955, 0.965)
 
 GROUND = (0.83, 0.845, 0.86)

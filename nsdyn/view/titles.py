@@ -13,8 +13,6 @@ from nsdyn.problem.solution import TOLD, Status
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
-__all__ = ["differing", "document", "labels", "parameters", "words"]
-
 UNTOLD = {"parameters", "command", "checksums"}
 """Attributes of a recording that are not options of its run."""
 

@@ -27,8 +27,6 @@ from nsdyn.view import titles
 from nsdyn.view.contents import packed
 from nsdyn.view.stage import View
 
-__all__ = ["PageOptions", "html", "write_html"]
-
 
 class PageOptions(TypedDict, total=False):
     """Keywords of `html`."""

@@ -16,8 +16,6 @@ import numpy as np
 from nsdyn.scene.mesh_files.numbers import fans, numbers, whole
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["read"]
-
 DEEPEST = 100
 """Greatest depth of nested nodes in a scene; deeper nodes refer to each other in a circle."""
 

@@ -6,8 +6,6 @@ import numpy as np
 
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["fans", "numbers", "whole"]
-
 
 def fans(corners: Index, sizes: Index) -> Index:
     """Cut polygons into triangles; `corners` holds the corners of all polygons in a row, `sizes` their numbers."""

@@ -7,8 +7,6 @@ import numpy as np
 from nsdyn.scene.mesh_files.numbers import fans, numbers
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["read"]
-
 
 def read(data: bytes) -> tuple[Array, Index]:
     """Return vertices (nv, 3) and triangles (nt, 3)."""

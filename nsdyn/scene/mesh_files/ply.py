@@ -15,8 +15,6 @@ import numpy as np
 from nsdyn.scene.mesh_files.numbers import fans, numbers, whole
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["read"]
-
 _NAMES = {
     "i1": "char int8",
     "u1": "uchar uint8",

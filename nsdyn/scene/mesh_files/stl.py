@@ -9,8 +9,6 @@ import numpy as np
 from nsdyn.scene.mesh_files.numbers import numbers
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = ["binary", "read"]
-
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
 """Layout of a facet of a binary STL, which begins with 80 bytes of text and 4 bytes for the number of facets."""
 

@@ -8,8 +8,6 @@ from xml.etree.ElementTree import Element
 
 from nsdyn.scene.robot_files.xml import Report
 
-__all__ = ["POSE", "Rules", "changes_nothing", "tell"]
-
 POSE = "pos quat axisangle xyaxes zaxis euler"
 """Attributes of MJCF that place an element."""
 

@@ -7,8 +7,6 @@ import numpy as np
 from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 
-__all__ = ["check_mass", "flaw"]
-
 ROUNDING = 1e-2
 """Relative violation of the triangle inequality that is allowed, because files may round to two digits."""
 

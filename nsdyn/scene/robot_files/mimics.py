@@ -9,8 +9,6 @@ import pinocchio as pin
 
 from nsdyn.scene.gears import Gear, following, gear
 
-__all__ = ["unfolded"]
-
 MIMIC = "JointModelMimic"
 OF_V = (
     *("armature", "damping", "rotorInertia", "rotorGearRatio", "lowerVelocityLimit", "upperVelocityLimit"),

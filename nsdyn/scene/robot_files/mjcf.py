@@ -34,8 +34,6 @@ from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, pars
 from nsdyn.tools import noise
 from nsdyn.tools.naming import choice, unused
 
-__all__ = ["read_mjcf"]
-
 PASSIVE = {"range", "stiffness", "damping", "frictionloss", "armature"}
 """Attributes by which a tendon acts by itself; without them it only acts through an actuator."""
 

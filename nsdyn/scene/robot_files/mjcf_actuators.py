@@ -15,8 +15,6 @@ from nsdyn.scene.robot_files.mjcf_elements import DRIVES, over
 from nsdyn.scene.robot_files.xml import Notes, numbers, range_of
 from nsdyn.tools.arrays import Array
 
-__all__ = ["ACTUATORS", "actuators_of", "laid_over"]
-
 OWN = {
     "motor": set(),
     "position": {"kp", "kv", "inheritrange", "timeconst", "dampratio"},

@@ -4,8 +4,6 @@ from collections.abc import Mapping
 
 from nsdyn.scene.robot_files.elements import POSE, Rules
 
-__all__ = ["DRIVES", "MACROS", "ORIENTATIONS", "TABLE", "over"]
-
 ORIENTATIONS = {*POSE.split()} - {"pos"}
 """Attributes that give an orientation; an element has at most one of them."""
 

@@ -15,8 +15,6 @@ from nsdyn.scene.robot_files.xml import Notes, numbers
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["gears_of", "loops_of"]
-
 
 def loops_of(root: Element, model: Any, q: Array, missing: Notes) -> Iterator[Loop]:
     """Yield the loops of <connect> and <weld>; if the file gives no second point, they are closed at q."""

@@ -17,8 +17,6 @@ from nsdyn.scene.robot_files.xml import Notes, Report, numbers
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["Geoms", "mesh_name"]
-
 SIZES = {"plane": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "mesh": 0}
 """Number of sizes of the types of geoms that have a `Shape`."""
 

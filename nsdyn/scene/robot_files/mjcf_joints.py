@@ -20,8 +20,6 @@ from nsdyn.scene.robot_files.xml import Report, numbers, range_of
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice, unused
 
-__all__ = ["SIZES", "joints_of", "place_joints", "set_joints", "single", "start_of"]
-
 SIZES = {"free": (7, 6), "ball": (4, 3), "hinge": (1, 1), "slide": (1, 1)}
 """(nq, nv) of every type of joint."""
 

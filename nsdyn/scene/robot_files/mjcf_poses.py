@@ -12,8 +12,6 @@ import pinocchio as pin
 from nsdyn.scene.robot_files.xml import numbers
 from nsdyn.tools.arrays import Array
 
-__all__ = ["along", "write_quaternions"]
-
 COUNTS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
 """How many numbers each form of an orientation has."""
 

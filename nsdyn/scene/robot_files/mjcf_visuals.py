@@ -17,8 +17,6 @@ from nsdyn.scene.visuals import Colour, Visual, mesh_visual
 if TYPE_CHECKING:
     from nsdyn.scene.robot_files.mjcf_geoms import Geoms
 
-__all__ = ["Look", "look_of", "visuals_of"]
-
 SHOWN = 2
 """Last group that MuJoCo shows by default."""
 

@@ -18,8 +18,6 @@ from nsdyn.scene.robot_files.xml import Notes
 from nsdyn.scene.shapes import Shape
 from nsdyn.tools.arrays import Array
 
-__all__ = ["from_coal", "links_of", "read_model"]
-
 
 def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     """Describe a pinocchio.Model made by hand and its collision shapes, a pinocchio.GeometryModel or None."""

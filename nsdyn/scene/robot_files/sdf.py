@@ -32,8 +32,6 @@ from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["read_sdf"]
-
 FRICTION = "surface/friction/ode"
 """Path of the coefficients of friction in a <collision>."""
 

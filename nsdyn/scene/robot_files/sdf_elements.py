@@ -2,8 +2,6 @@
 
 from nsdyn.scene.robot_files.elements import Rules
 
-__all__ = ["TABLE"]
-
 HARD = {"soft_cfm": "0", "soft_erp": "0.2", "kp": "1e12", "kd": "1", "max_vel": "0.01", "min_depth": "0"}
 """Default values of Gazebo's law of soft contact; in nsdyn contact is hard."""
 

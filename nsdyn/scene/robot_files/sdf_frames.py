@@ -13,8 +13,6 @@ from nsdyn.scene.robot_files.xml import UNLIMITED, numbers
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["AXES", "Frames", "Joint", "is_true"]
-
 AXES = {
     "fixed": (),
     "ball": (),

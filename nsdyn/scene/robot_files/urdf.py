@@ -23,8 +23,6 @@ from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
-__all__ = ["read_urdf"]
-
 TABLE = {
     "robot": Rules(
         "name version link joint material gazebo",

@@ -16,8 +16,6 @@ from nsdyn.scene.checks import LARGEST
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import is_file
 
-__all__ = ["UNLIMITED", "Notes", "Report", "inside", "is_limit", "mesh_file", "numbers", "parse", "range_of"]
-
 DEEPEST = 400
 """Greatest depth of nested elements: readers recurse into each, and some thousands of levels end the process."""
 
