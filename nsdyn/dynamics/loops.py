@@ -32,6 +32,9 @@ STEPS = 50
 CLOSED = 1e-12
 """Gap below which a loop is closed, m and rad: a hundredth of a millionth of the accuracy that a long run must keep."""
 
+ROUNDED = 16.0 * np.finfo(float).eps
+"""The same as a fraction of the largest coordinate, of a joint or of its place in the world: no gap is known better."""
+
 
 def supports(model: pin.Model) -> NDArray[np.bool_]:
     """Boolean table of shape (njoints, nv): entry (k, j) is true if coordinate j moves joint k."""
@@ -152,7 +155,8 @@ class Closures:
         for _ in range(STEPS):
             phi, G = self.at(q)
             gap = _reductions.largest(phi)
-            if gap <= CLOSED:
+            # `at` has placed the joints.
+            if gap <= CLOSED or gap <= ROUNDED * max(_reductions.largest(q), np.abs(self._tree[0]).max()):
                 return q
             if N is None:
                 _, F, N = factored(self._model, self._data, q)

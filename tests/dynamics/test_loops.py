@@ -327,3 +327,32 @@ def test_loops_that_cannot_close_are_refused():
     add(scene, "a", model, loops=[Loop("pin", 0, at((3, 0, 0)), 1, at((0, 0, -1)))])
     with pytest.raises(ValueError, match=r"loops or gears \['pin'\] do not close: they are apart by 2"):
         nd.Stepper(scene)
+
+
+def test_a_linkage_far_from_the_origin_moves_as_at_it():
+    """There its loop is closed but for the round-off of 1e5 m, 1e-11 m."""
+    turns = []
+    for base in (np.zeros(3), np.array((7e4, -8e4, 3e4))):
+        model, joint, place = limit(pin.Model()), 0, base
+        for name, end in (("crank", (0, 0, 0.5)), ("coupler", (1.1, 0, 0.2)), ("rocker", (0.1, 0, -0.7))):
+            joint = model.addJoint(joint, pin.JointModelRY(), at(place), name)
+            model.appendBodyToJoint(joint, rod(end), pin.SE3.Identity())
+            place = end
+        scene = nd.Scene()
+        foot = Loop("foot", 0, at(base + np.array((1.2, 0, 0))), joint, at(end))
+        add(scene, "bars", limit(model), v=(3.0, 0.0, 0.0), loops=[foot])
+        turns.append(nd.simulate(scene, 0.2, 5e-3).q)
+    np.testing.assert_allclose(turns[1], turns[0], rtol=0, atol=1e-9)
+
+
+def test_wheels_that_have_turned_far_keep_their_gear():
+    """After 1e4 rad the gear is known to 4e-12 rad."""
+    model = limit(pin.Model())
+    for name in ("motor", "wheel"):
+        joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), name)
+        model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
+    scene = nd.Scene()
+    add(scene, "wheels", model, q=(1e4, 2.7e4), v=(300.0, 810.0))
+    scene.add_gear("wheels", "motor", "wheel", 2.7)
+    run = nd.simulate(scene, 0.1, 5e-3)
+    np.testing.assert_allclose(run.q @ (2.7, -1.0), 0.0, rtol=0, atol=1e-10)
