@@ -12,7 +12,7 @@ from nsdyn._kernels import reductions as _reductions
 from nsdyn.dynamics.values import TreeLoads
 from nsdyn.scene.actuation import Actuation, Actuator
 from nsdyn.scene.control import PD, Axes
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.arrays import Array, Bools, floats
 
 
 class Control(NamedTuple):
@@ -69,10 +69,7 @@ class Actuators:
             return self._last[1]
         law = self._none.copy()
         named, what = isinstance(given, Mapping), "joint forces of controller"
-        try:
-            tau = np.array(list(given.values() if named else given), dtype=float)
-        except (TypeError, ValueError):
-            tau = np.array(np.nan)
+        tau = floats(list(given.values()) if named else given)
         if tau.ndim != 1 or not np.isfinite(tau).all():
             wanted = self._axes.wanted()
             raise ValueError(f"{what} of {self._axes.owner!r} must be finite: {wanted}, got {given!r}")

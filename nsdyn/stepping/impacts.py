@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -26,7 +26,8 @@ from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Solver
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Array, Bools, Index, floats
+from nsdyn.tools.callbacks import called
 from nsdyn.tools.naming import choice
 
 __all__ = ["LAWS", "Dissipative", "Fremond", "Law", "Newton", "Poisson", "Round", "as_law"]
@@ -238,3 +239,33 @@ def as_law(given: str | Law) -> Law:
     if isinstance(given, type) or not callable(given) or not hasattr(given, "takes_part"):
         raise ValueError(f"impact must be one of {', '.join(LAWS)}, or an object of these; got {given!r}")
     return given
+
+
+def takes_part(law: Law, hit: Bools, restitution: Array) -> Bools:
+    """Return `Law.takes_part`; ValueError naming a law of the user whose answer does not fit."""
+    if type(law) in LAWS.values():
+        return law.takes_part(hit, restitution)
+
+    def fit(given: Any) -> Bools:
+        part = np.asarray(given)
+        if part.dtype != np.bool_ or part.shape != hit.shape:
+            raise ValueError(f"takes_part of {type(law).__name__} must return {hit.size} booleans, got {given!r}")
+        return part
+
+    return called(law.takes_part, f"takes_part of {type(law).__name__}", fit, hit, restitution)
+
+
+def answer(law: Law, impact: Round) -> Given:
+    """Return the impulses of a law and its problems; ValueError naming a law of the user whose answer does not fit."""
+    if type(law) in LAWS.values():
+        return law(impact)
+
+    def fit(given: Any) -> Given:
+        r, solved = given if isinstance(given, tuple) and len(given) == 2 else (np.nan, None)
+        r = floats(r)
+        if r.shape != impact.before.shape or not np.isfinite(r).all() or not (isinstance(solved, list) and solved):
+            wanted = f"({impact.before.size} finite impulses, a list of the problems solved and their solutions)"
+            raise ValueError(f"{type(law).__name__} must return {wanted}, got {given!r}")
+        return r, solved
+
+    return called(law, type(law).__name__, fit, impact)

@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.stepping.impacts import Dissipative, Law, Round
+from nsdyn.stepping.impacts import Dissipative, Law, Round, answer, takes_part
 from nsdyn.tools.arrays import Array
 
 ROUNDS = 60
@@ -74,11 +74,11 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
             # Without rebounds an island comes to rest in one round: one by one, contacts would strike in many rounds.
             rebounds = np.zeros(label.size + 1, np.bool_)
             rebounds[label[e > 0.0]] = True
-            part &= law.takes_part(hit, restitution) | ~rebounds[label]
+            part &= takes_part(law, hit, restitution) | ~rebounds[label]
         else:
             law = Dissipative()
         impact = at._replace(before=u, e=e, hit=hit).of(part)
-        own, solved = law(impact)
+        own, solved = answer(law, impact)
         r = np.zeros_like(u)
         r[np.repeat(part, 3)] = own
         after = u + blocks.relative_velocity(blocks.velocity_change(r))

@@ -15,18 +15,19 @@ Bools = NDArray[np.bool_]
 def numbers(value: ArrayLike, words: str, what: str) -> Array:
     """Return a value as an array of floats, unchanged if it is one; else a ValueError says that it must be `words`."""
     try:
-        if isinstance(value, np.ndarray) and value.dtype.kind == "c":  # NumPy would drop the imaginary part
+        given = np.asarray(value)
+        if given.dtype.kind == "c":  # NumPy would drop the imaginary part
             raise TypeError
-        return np.asarray(value, dtype=float)
+        return np.asarray(given, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"{what} must be {words}, got {value!r}") from None
 
 
 def floats(value: Any) -> Array:
-    """Return a new array of floats; NaN, without dimensions, for what is no numbers."""
+    """Return a new array of floats; NaN, without dimensions, for what is no real numbers."""
     try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError):
+        return numbers(value, "numbers", "value").copy()
+    except ValueError:
         return np.array(np.nan)
 
 

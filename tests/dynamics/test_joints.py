@@ -167,6 +167,7 @@ def test_pd_is_the_formula():
         ),
         ((1.0, np.nan, 0.0), "joint forces of controller of 'a' must be finite"),
         ("up", "joint forces of controller of 'a' must be finite"),
+        (1j * np.ones(3), "joint forces of controller of 'a' must be finite"),
         (
             nd.PD(1.0, 1.0, np.zeros(2)),
             r"target of the PD control of 'a' must be \{joint: number\}, or 3 numbers, .* got shape \(2,\)",

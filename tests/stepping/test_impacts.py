@@ -402,6 +402,42 @@ def test_what_is_no_law_is_refused(given):
         nd.Stepper(nd.scenes.load("bounce")(), impact=given)
 
 
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (lambda r, solved: (np.nan * r, solved), r"must return \(3 finite impulses, .*\), got \(array\(\[nan"),
+        (lambda r, solved: (r[:2], solved), "must return .3 finite impulses"),
+        (lambda r, solved: (1j * r, solved), "must return .3 finite impulses"),
+        (lambda r, solved: (r, []), "must return .3 finite impulses, a list of the problems solved"),
+        (lambda r, solved: None, "must return .3 finite impulses, .* got None"),
+    ],
+)
+def test_what_a_law_of_the_user_answers_is_checked(answer, words):
+    class Own(nd.impacts.Newton):
+        def __call__(self, impact):
+            return answer(*super().__call__(impact))
+
+    with pytest.raises(ValueError, match=rf"^test_impacts\.py, line \d+: Own {words}"):
+        nd.simulate(nd.scenes.load("bounce")(height=0.01), 0.2, dt=1e-2, impact=Own())
+
+
+def test_errors_of_a_law_of_the_user_are_its_own():
+    class Own(nd.impacts.Newton):
+        def takes_part(self, hit, restitution):
+            return 1
+
+    class Broken(nd.impacts.Newton):
+        def __call__(self, impact):
+            return 1 / 0
+
+    bounce = nd.scenes.load("bounce")
+    with pytest.raises(ValueError, match=r"takes_part of Own must return 1 booleans, got 1"):
+        nd.simulate(bounce(height=0.01), 0.2, dt=1e-2, impact=Own())
+    with pytest.raises(ZeroDivisionError) as failure:
+        nd.simulate(bounce(height=0.01), 0.2, dt=1e-2, impact=Broken())
+    assert "in Broken" in failure.value.__notes__[0]
+
+
 def test_a_law_is_an_object():
     """As solvers are: equal where their options are, told by a recording."""
     run = nd.simulate(nd.scenes.load("bounce")(), 0.01, dt=1e-3, impact=nd.impacts.Poisson())

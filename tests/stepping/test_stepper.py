@@ -306,6 +306,8 @@ def test_callbacks_are_called_twice_a_step(drag):
         ({"controller": lambda t, q, v: np.zeros(2)}, "controller must return a mapping of names"),
         ({"external_force": lambda t, q, v: {"box": (0, 1)}}, "external_force on 'box'"),
         ({"external_force": lambda t, q, v: {"box": (0, 0, np.nan)}}, "external_force on 'box'"),
+        ({"external_force": lambda t, q, v: {"box": np.array((1j, 0, 0))}}, "external_force on 'box'"),
+        ({"external_force": lambda t, q, v: {"box": [np.complex128(1j), 0, 0]}}, "external_force on 'box'"),
         (
             {"controller": lambda t, q, v: {"arm": [1.0]}},
             "joint forces of controller of 'arm' must be .* or 2 numbers, .*, got shape",
