@@ -90,23 +90,24 @@ class Dynamics(Kinematics):
             return forces
         return self._with_trees(forces.v.copy(), forces.load, motions)
 
-    def struck(self, middle: MidpointState, forces: Forces, kick: Array) -> tuple[Forces, Array]:
-        """Return the forces of a step after impacts at the midpoint that change v by `kick` (n,), and their drag.
+    def drag(self, middle: MidpointState, forces: Forces, v: Array) -> Array:
+        """Part of the change of velocity by damping, springs and control that is due to the velocity v (n,) before."""
+        out = np.zeros(self.n)
+        for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
+            if free.loads.implicit:
+                out[tree.coordinates] = tree.drag(half, free, v[tree.coordinates])
+        return out
+
+    def struck(self, middle: MidpointState, forces: Forces, kick: Array) -> Forces:
+        """Return the forces of a step after impacts at the midpoint that change v by `kick` (n,).
 
         Impacts take no time: damping, springs and control give no impulse in them, and see the velocity that they
-        leave. The drag (2, n) is the part of the change of v by these forces that is due to this velocity, and to the
-        kick alone; it is empty without such forces.
+        leave.
         """
-        if not any(free.loads.implicit for free in forces.trees):
-            return forces._replace(v=forces.v + kick), np.empty((2, 0))
-        before, drag, motions = middle.v + kick, np.zeros((2, self.n)), []
-        for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
-            k = tree.coordinates
-            if free.loads.implicit:
-                drag[:, k] = tree.drag(half, free, before[k]), tree.drag(half, free, kick[k])
-                free = free._replace(before=before[k])
-            motions.append(free)
-        return forces._replace(v=forces.v + kick + drag[1], trees=tuple(motions)), drag
+        before, motions = middle.v + kick, []
+        for tree, free in zip(self.trees, forces.trees, strict=True):
+            motions.append(free._replace(before=before[tree.coordinates]) if free.loads.implicit else free)
+        return forces._replace(v=forces.v + kick + self.drag(middle, forces, kick), trees=tuple(motions))
 
     def inertia(self, position: Position, v: Array) -> Forces:
         """Mass matrices at a position where no forces act, as the law of impact needs them."""

@@ -34,7 +34,7 @@ class Captured(NamedTuple):
     forces : Forces
         The forces of the move, which see the velocity after the impacts.
     unbooked : float
-        Work of the impacts beyond that of `impact`, J: numerical, since it balances that of the forces.
+        Work of the impacts beyond that of `impact`, J: they act before the forces, half of which they have met.
     """
 
     impact: Impact
@@ -48,9 +48,8 @@ def captured_impacts(
 ) -> tuple[ContactKinematics, Captured | None]:
     """Apply impacts in no time, at the midpoint, of contacts that close within the move; their frames are `there`.
 
-    On average an impact happens in the middle of the move: half of what forces do to part bodies is done before it.
-    Without that, an elastic limit would gain h f v from a spring that draws the joint away. Forces that press bodies
-    together do not take the rebound back, see `ContactKinematics.u_after_impact`.
+    On average an impact happens in the middle of the move: it meets the velocity that half of the forces leave. So an
+    elastic ball keeps its energy, though it falls on a floor, or from a roof that it has struck, for the whole move.
 
     Return the kinematics for the other impulses, and the impacts, if there are any.
     """
@@ -64,20 +63,19 @@ def captured_impacts(
     if any(free.loads.implicit for free in mid.forces.trees):
         # Damping, springs and controls take time: they add no mass to what strikes.
         rows, _ = d.rows(kin.contacts, there, d.inertia(mid.state.position, mid.state.v), kin.joints)
-    _, drag = d.struck(mid.state, mid.forces, np.zeros(d.n))
-    given = mid.forces.v - mid.state.v - (drag[0] if drag.size else 0.0)
-    parting = 0.5 * np.maximum(rows.full.relative_velocity(given)[0::3], 0.0)
+    middle = mid.state
+    given = mid.forces.v - middle.v - d.drag(middle, mid.forces, middle.v)
+    half = 0.5 * rows.full.relative_velocity(given)
     while True:
-        before, against = kin.u.copy(), np.where(struck, parting, 0.0)
-        before[0::3] += against
-        impact = _strike(s, kin._replace(rows=rows), before, closed, resting, resting)
+        met = np.where(np.repeat(struck, 3), half, 0.0)
+        impact = _strike(s, kin._replace(rows=rows), kin.u + met, closed, resting, resting)
         kick = rows.velocity_change(impact.r)
-        forces, drag = d.struck(mid.state, mid.forces, kick)
-        after = kin.changed(kick, drag, struck)
+        forces = d.struck(middle, mid.forces, kick)
+        after = kin.changed(kick, forces.v - mid.forces.v, struck)
         # Contacts that these impacts make approach and close strike, too.
         driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, mid.h)
         if not driven.any():
-            return after, Captured(impact, kick, forces, -float(against @ impact.r[0::3]))
+            return after, Captured(impact, kick, forces, -float(met @ impact.r))
         closed, struck = closed | driven, struck | driven
 
 

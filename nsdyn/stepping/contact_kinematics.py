@@ -73,11 +73,8 @@ class ContactKinematics(NamedTuple):
     surface_velocity : ndarray, shape (2, 3 rows)
         Velocities that moving surfaces add to u⁻ and u⁺, and those they would add at the end of the step, m/s; empty if
         none move.
-    u_after_impact : ndarray, shape (rows,)
-        u_N after impacts in this move, m/s; empty if there were none. The rest of the step does not take it back:
-        Newton's u_N⁺ = -e u_N⁻ holds for its impulses and forces together. An impact has no time of its own, so the
-        fall after it would be one too many, and an elastic ball would lose m g h v. Only what damping takes of it is
-        lost, since that is lost before the impact as after it.
+    struck : ndarray of bool, shape (rows,)
+        Rows in which an impact acts in this move; empty if there are none.
     stays, sticks, was : ndarrays of bool, bool and int8, shapes (rows,), (nc,), (nc,)
         Rows that persist along their normals, contacts that persist across them, and the status of contacts in the last
         move: `nsdyn._kernels.stepping.persistence.persists`.
@@ -96,7 +93,7 @@ class ContactKinematics(NamedTuple):
     local: Array
     end_gap: Array
     surface_velocity: Array = NO_TRANSPORT
-    u_after_impact: Array = NOTHING
+    struck: Bools = NEVER
     stays: Bools = NEVER
     sticks: Bools = NEVER
     was: NDArray[np.int8] = UNKNOWN
@@ -133,31 +130,24 @@ class ContactKinematics(NamedTuple):
             slid = (joints.mu > 0.0) & ~joints.actuated & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
         return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, surface_velocity, slid=slid)
 
-    def changed(self, dv: Array, drag: Array, struck: Bools) -> ContactKinematics:
-        """Return the kinematics after impacts that change v by dv (n,): the rows they affect lose their drift c.
+    def changed(self, dv: Array, dv_free: Array, struck: Bools) -> ContactKinematics:
+        """Return the kinematics after impacts, in the rows `struck`: the rows they affect lose their drift c.
 
-        Forces then change v by drag[0] because of the velocity after the impacts, and by drag[1] because of dv; `drag`
-        is that of `Dynamics.struck`.
+        They change v by dv (n,), and by dv_free (n,) with the forces that see the velocity after them.
         """
-        full = self.rows.full
-        du, local = full.relative_velocity(dv), self.local.copy()
-        local[1:3] += du
-        if drag.size:
-            local[2] += full.relative_velocity(drag[1])
+        du, local = self.rows.full.relative_velocity(dv), self.local.copy()
+        local[1] += du
+        local[2] += self.rows.full.relative_velocity(dv_free)
         # The rest of a velocity that impacts have stopped is round-off, which no contact need resist.
         local[1:3][np.abs(local[1:3]) <= STOPPED * np.abs(du)] = 0.0
         local[3, np.repeat(np.abs(du).reshape(-1, 3).max(axis=1, initial=0.0) > 0.0, 3)] = 0.0
         end_gap = np.where(struck, np.minimum(self.end_gap, 0.0), self.end_gap)
-        kept = local[1, 0::3]
-        if drag.size:
-            kept = np.minimum(kept, kept + full.relative_velocity(drag[0])[0::3])
-        u_after_impact = np.where(struck, np.maximum(kept, 0.0), 0.0)
-        return self._replace(local=local, end_gap=end_gap, u_after_impact=u_after_impact)
+        return self._replace(local=local, end_gap=end_gap, struck=struck)
 
     def offsets(self, sliding: Bools, gap_rule: GapRule) -> Array:
         """Return b, shape (3 rows,), m/s, where the contacts `sliding` (nc,) slide through the move."""
         b = np.empty(self.local.shape[1])
-        laws = self.end_gap, self.restitution, self.u_after_impact, self.excess_speed, gap_rule
+        laws = self.end_gap, self.restitution, self.struck, self.excess_speed, gap_rule
         _law.offsets(self.local, laws, self.stays, sliding, b)
         return b
 

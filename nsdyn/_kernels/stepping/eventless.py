@@ -178,7 +178,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
     for c in range(nc):
         keys[c], pairs[c] = names[4, c], names[0, c] * geoms + names[1, c]
     persists(names, geoms, warm, begin, (none, sliding[:0]), local, end_gap, False, (stays, sticks, was))
-    law.offsets(local, (end_gap, scalars[2], none, excess_speed, gap_rule), stays, sliding, q)
+    law.offsets(local, (end_gap, scalars[2], sliding[:0], excess_speed, gap_rule), stays, sliding, q)
     norm, good = _blocks.size_of(q, scalars[1])
     if not (good and _blocks.in_range(scales)):
         return OTHERWISE

@@ -64,7 +64,7 @@ def pose_anew(scene, rows, active, flags, head, room):
     (num, size), (blocks, _, _), (out, w, own, a), nc = scene, rows, room, active[0].shape[1]
     alone, local, (r, u, b) = col.local(own, col.ALONE, nc), col.local(own, col.LOCAL, nc), col.answer(a, nc)
     kept, excess_speed = own[col.KEPT * nc : (col.KEPT + 6) * nc], col.column(own, col.EXCESS_SPEED, nc)
-    laws = col.column(own, col.FORESEEN, nc), active[2][2], own[:0], excess_speed, gap_rule_of(num)
+    laws = col.column(own, col.FORESEEN, nc), active[2][2], flags[0, :0], excess_speed, gap_rule_of(num)
     copy(r, kept[: 3 * nc])
     copy(u, kept[3 * nc :])
     for k in range(4):

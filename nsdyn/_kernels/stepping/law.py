@@ -249,20 +249,19 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, excess_speed):
 def offsets(local, laws, stays, sliding, b):
     """Velocities b without impulses for which y = W r + b obeys the contact law, into b (3 rows,).
 
-    Normal: u_free + drift, plus the speed at which an open gap closes, minus the velocity kept from an impact
-    (`u_after_impact`, empty for none). Where a row `stays` (rows,; empty for none) its gap closes with either sign,
-    except for the part `left_open`. Tangential: u_free + drift for slip at the end of the step; u + u_free, twice the
-    mean slip without impulses, where a contact slides through. A contact that separates at u - drift and gets an
-    impulse nevertheless comes back no faster than it separated, unless an impact gave it its velocity: its normal
-    impulse does no positive work.
+    Normal: u_free + drift, plus the speed at which an open gap closes. Where a row `stays` (rows,; empty for none) its
+    gap closes with either sign, except for the part `left_open`. Tangential: u_free + drift for slip at the end of the
+    step; u + u_free, twice the mean slip without impulses, where a contact slides through. A contact that separates at
+    u - drift and gets an impulse nevertheless comes back no faster than it separated: its normal impulse does no
+    positive work. Where it was `struck` (rows,; empty for none) it does not come back.
 
-    `local` is the result of `local_velocities`. laws = (end_gap, restitution, u_after_impact, excess_speed, rule) with
+    `local` is the result of `local_velocities`. laws = (end_gap, restitution, struck, excess_speed, rule) with
     `excess_speed` of `ContactKinematics` and rule = (closed, shallow, ahead, until) as in `GapRule`: gaps up to
     `closed` count as none; gaps up to `shallow` close when the next impulses act, `until` seconds later; larger ones,
     and those that may rebound, close within the step.
     """
     u, u_free, jacobian_drift = local[1], local[2], local[3]
-    end_gap, restitution, u_after_impact, excess_speed, (closed, shallow, ahead, until) = laws
+    end_gap, restitution, struck, excess_speed, (closed, shallow, ahead, until) = laws
     for c in range(end_gap.size):
         i = 3 * c
         b[i] = u_free[i] + jacobian_drift[i]
@@ -272,9 +271,8 @@ def offsets(local, laws, stays, sliding, b):
         else:
             gap = end_gap[c] if end_gap[c] > closed else 0.0
         close, part = gap / (ahead if soon else until), u[i] - jacobian_drift[i]
-        given = u_after_impact[c] if u_after_impact.size > 0 else 0.0
-        parts = not (stays.size > c and stays[c]) and given == 0.0 and ahead * part > closed
-        b[i] += (max(close, part) if parts else close) - given
+        returns = not ((stays.size > c and stays[c]) or (struck.size > c and struck[c]))
+        b[i] += max(close, part) if returns and ahead * part > closed else close
         if sliding.size > c and sliding[c]:
             b[i + 1], b[i + 2] = u[i + 1] + u_free[i + 1], u[i + 2] + u_free[i + 2]
         else:
