@@ -35,7 +35,8 @@ Moment = tuple[Pose, Pose]
 """World poses of the first and of the second shapes of contacts."""
 
 PARTING = 1e-4
-"""m/s: a contact with restitution that separates faster rebounds. Equals the residual of an accepted solve."""
+"""m/s: a contact with restitution that approaches faster strikes, and one that separates faster rebounds. Equals the
+residual of an accepted solve."""
 
 
 def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
@@ -165,7 +166,7 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
     yield worst_of("axes", skew, skew, step, names)
     most = mu * np.maximum(r[:, 0], 0.0)
     # An impulse that sums several impacts opposes the slip of each impact; these slips are not recorded.
-    several = _rebounding(poses)
+    several = _struck(poses, flight)
     if parted is not None:
         several |= poses.beside(parted)
     fremond = by_fremond(poses)
@@ -255,14 +256,17 @@ def _round_off(poses: Poses) -> Array:
     return out
 
 
-def _rebounding(poses: Poses) -> NDArray[np.bool_]:
-    """Contacts of islands of moving bodies in which, in that step, a contact with restitution rebounds."""
+def _struck(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
+    """Contacts of islands of moving bodies in which, in that step, a contact with restitution strikes or rebounds."""
     c, step, count = poses.contacts, poses.step + 1, poses.x.shape[1]
     frames = poses.frame[poses.pair]
     first, second = (step * count + frame for frame in frames)
     free1, free2 = (frame >= 0 for frame in frames)
     pushes = c["impulse"][:, 0] > 0.0
-    rebounds = pushes & (c["restitution"] > 0.0) & (c["u"][:, 0] > PARTING)
+    bounces = c["u"][:, 0] > PARTING
+    if flight is not None and flight.timed:
+        bounces |= flight.met.before[:, 0] < -PARTING
+    rebounds = pushes & (c["restitution"] > 0.0) & bounces
     both, nodes = free1 & free2 & pushes, (poses.trajectory.steps + 1) * count
     graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes, nodes))
     island = connected_components(graph, directed=False)[1]

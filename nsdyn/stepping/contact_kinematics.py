@@ -250,6 +250,16 @@ class ContactKinematics(NamedTuple):
         _law.end_otherwise(off, gap, *own, end_gap, excess_speed)
         return self._replace(end_gap=end_gap, excess_speed=excess_speed)
 
+    def unforeseen(self) -> ContactKinematics:
+        """Return the kinematics without what is foreseen of the second half: rows do not turn, and none is pushed out.
+
+        Drifts are extrapolated from the first half. Where bodies grip another from two sides, contacts may ask of each
+        other, by O(h²), what no velocity obeys; of rows that do not turn some velocity obeys all.
+        """
+        local = self.local.copy()
+        local[3] = 0.0
+        return self._replace(local=local, end_gap=np.maximum(self.end_gap, 0.0))
+
     def sharing(self, angle: Array, r: Array) -> ContactKinematics:
         """Return the kinematics with ball-joint friction split by angles (balls,), and impulses r to start from."""
         rows, local = self.rows.sharing(angle), self.local.copy()

@@ -48,7 +48,11 @@ def solve(
         return problem, _held(kin, solver, problem, solution)
 
     if not kin.rows.balls.size:
-        return kin, *once(kin, last, off)
+        problem, solution = once(kin, last, off)
+        if shares and not solution.accepted:
+            kin = kin.unforeseen()
+            problem, solution = once(kin, last, off)
+        return kin, problem, solution
     rows = kin.rows
     pushed, free = rows.ball_axes(kin.r_last), rows.ball_axes(kin.u_free)
     split = angles(np.where(pushed.any(axis=1, keepdims=True), pushed, free))

@@ -5,7 +5,8 @@ import pytest
 
 import nsdyn as nd
 from nsdyn._kernels.stepping import law
-from nsdyn.stepping import substepping
+from nsdyn.stepping import move, substepping
+from nsdyn.stepping.move_kernel import MoveKernel
 
 
 def contacts(frame1, point, normal):
@@ -90,3 +91,29 @@ def test_the_problem_of_a_move_is_that_of_the_slip_it_ends_with(monkeypatch):
     for _ in range(75):
         stepper.step()
     assert any(loose)
+
+
+def test_contacts_that_grip_a_body_do_not_ask_what_no_motion_obeys(monkeypatch):
+    """A ball between two walls of which both foresee to be 0.1 mm too near: the motion is as without that.
+
+    Friction holds the ball against any impulse of the walls, so that none solves the problem of what is foreseen.
+    """
+    scene, material = nd.Scene(), nd.Material(mu=1.0)
+    for side in (-1.0, 1.0):
+        scene.add_box(f"wall{side:+.0f}", (0.2, 1, 1), fixed=True, position=(0.2 * side, 0, 0), material=material)
+    scene.add_sphere("ball", 0.1, 1.0, linear_velocity=(0, 0, 0.5), material=material)
+    made, found = move.solve, []
+
+    def foreseen(kin, *given):
+        squeezed = kin._replace(end_gap=np.full(2, -1e-4), stays=np.ones(2, np.bool_))
+        found.append((made(kin, *given), made(squeezed, *given)))
+        return found[-1][1]
+
+    monkeypatch.setattr(move, "solve", foreseen)
+    monkeypatch.setattr(MoveKernel, "ready", False)
+    stepper = nd.Stepper(scene, dt=5e-3)
+    monkeypatch.setattr(stepper, "_eventless", None)
+    stepper.step()
+    (_, _, without), (kin, problem, solution) = found[0]
+    assert problem.nc == 2 and not kin.end_gap.any() and solution.converged
+    np.testing.assert_allclose(solution.u, without.u, rtol=0, atol=1e-8)
