@@ -10,7 +10,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import solving as _solving
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.problem.solution import Solution
+from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Graded, Solver
 from nsdyn.stepping.ball_joints import SHARES, Search, angles
 from nsdyn.stepping.contact_kinematics import ContactKinematics, GapRule
@@ -49,7 +49,7 @@ def solve(
 
     if not kin.rows.balls.size:
         problem, solution = once(kin, last, off)
-        if shares and not solution.accepted:
+        if shares and solution.status is Status.NO_SLATER_POINT:
             kin = kin.unforeseen()
             problem, solution = once(kin, last, off)
         return kin, problem, solution
