@@ -21,7 +21,7 @@ from nsdyn.stepping.flat_state import Acted, Found, detected_at, local, packed, 
 from nsdyn.stepping.kernel_result import KernelResult
 from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.scene_state import STILL, SceneState, System
-from nsdyn.stepping.solving import again
+from nsdyn.stepping.solving import again, grips
 from nsdyn.stepping.tree_motion import TreeMotion
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -275,7 +275,7 @@ class MoveKernel:
         problem, _ = solved(floats, a, active, active.blocks(self._dynamics, (masses[0], masses[1])), self._solver.tol)
         last = self._solution if made.head[_col.SOLVED] else None
         solution = self._solution = again(self._solver, last, problem, start, begun, math.inf)
-        if not solution.accepted:
+        if not solution.accepted or grips(problem, solution):
             return False
         made.head[_col.SOLVED] = 1
         a[_col.IMPULSE * nc : _col.U * nc], a[_col.U * nc : _col.FREE * nc] = solution.r, solution.u

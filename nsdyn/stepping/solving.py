@@ -18,6 +18,9 @@ from nsdyn.tools.arrays import Array, Bools
 
 ALL = np.empty(0, np.bool_)
 
+CANCEL = 1e-4
+"""Share of the velocity change of the largest impulse alone below which that of all impulses together is none."""
+
 
 def solve(
     kin: ContactKinematics,
@@ -49,7 +52,7 @@ def solve(
 
     if not kin.rows.balls.size:
         problem, solution = once(kin, last, off)
-        if shares and solution.status is Status.NO_SLATER_POINT:
+        if shares and grips(problem, solution):
             kin = kin.unforeseen()
             problem, solution = once(kin, last, off)
         return kin, problem, solution
@@ -81,6 +84,15 @@ def update_sliding(
     shown = solution.r, solution.u, problem.q, kin.mu
     _solving.update_sliding(kin.rows.full.arrays, shown, kin.local, sliding, back, some, out)
     return out
+
+
+def grips(problem: FC3D, solution: Solution) -> bool:
+    """Return whether no motion obeys a problem: no velocity opens its contacts, or impulses grow that move nothing."""
+    if solution.converged:
+        return False
+    alone = problem.scales * np.linalg.norm(solution.r.reshape(-1, 3), axis=1)
+    still = np.abs(solution.u - problem.q).max(initial=0.0) < CANCEL * alone.max(initial=0.0)
+    return solution.status is Status.NO_SLATER_POINT or bool(still)
 
 
 def _held(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution) -> Solution:

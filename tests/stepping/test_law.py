@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
+from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
 from nsdyn._kernels.stepping import law
@@ -117,3 +119,30 @@ def test_contacts_that_grip_a_body_do_not_ask_what_no_motion_obeys(monkeypatch):
     (_, _, without), (kin, problem, solution) = found[0]
     assert problem.nc == 2 and not kin.end_gap.any() and solution.converged
     np.testing.assert_allclose(solution.u, without.u, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("mu", [0.8, 1.5])
+def test_a_ball_that_friction_grips_between_rails_rolls_on(mu):
+    """Each contact is inside the friction cone of the other, so impulses of any size cancel.
+
+    What their extrapolated drifts ask of each other, 1e-7 m/s, no velocity obeys: impulses had grown to 1e5 N·s.
+    """
+    scene, material, rails = nd.Scene(), nd.Material(mu), []
+    for side, angle, height in ((1.0, 0.06, 0.005), (-1.0, 0.04, -0.008)):
+        along = np.array((np.cos(angle), -side * np.sin(angle), 0.0))
+        turn = Rotation.align_vectors([along], [(0, 0, 1)])[0].as_quat()
+        place = np.array((0.0, side * 0.09, height))
+        scene.add_capsule(f"rail{side:+.0f}", 0.01, 1.2, fixed=True, position=place, quaternion=turn, material=material)
+        rails.append((place, along))
+
+    def gaps(yz):
+        return [np.linalg.norm(np.cross((0.0, *yz) - place, along)) - 0.11 for place, along in rails]
+
+    centre = np.array((0.0, *fsolve(gaps, (0.0, 0.06), xtol=1e-14)))
+    arms = [0.1 / 0.11 * (place + along * ((centre - place) @ along) - centre) for place, along in rails]
+    spin = 4.0 * (arms[0] - arms[1]) / np.linalg.norm(arms[0] - arms[1])
+    moves = {"linear_velocity": -np.cross(spin, arms[0]), "angular_velocity": spin}
+    scene.add_sphere("ball", 0.1, 1.0, position=centre, material=material, **moves)
+    stepper = nd.Stepper(scene, dt=5e-3)
+    steps = [stepper.step() for _ in range(10)]
+    assert max(np.abs(step.r).max() for step in steps) < 100.0  # its weight gives 0.05 N·s
