@@ -37,7 +37,8 @@ def solve(
     Return the kinematics, the problem and the solution. The `last` solution is of the same move with other contacts, or
     rough. If it has not converged, the accuracy of `Graded.loosely` is enough; if there is none, and `effort` is
     bounded, that of `Graded.roughly`. The solution differs from the last one only in islands with a row that is `off`
-    (rows,). With `shares`, the split of the friction of ball joints is found, by further solves.
+    (rows,). With `shares`, the split of the friction of ball joints is found, by further solves; and where no motion
+    obeys what the kinematics foresee, they are returned without it, as the problem then solved.
     """
 
     def once(kin: ContactKinematics, last: Solution | None, off: Bools | None) -> tuple[FC3D, Solution]:
