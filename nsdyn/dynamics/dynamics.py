@@ -91,7 +91,10 @@ class Dynamics(Kinematics):
         return self._with_trees(forces.v.copy(), forces.load, motions)
 
     def drag(self, middle: MidpointState, forces: Forces, v: Array) -> Array:
-        """Part of the change of velocity by damping, springs and control that is due to the velocity v (n,) before."""
+        """Part of the change of v (n,) by damping, springs and control that is due to the velocity v before them, (n,).
+
+        In m/s and rad/s; linear in v.
+        """
         out = np.zeros(self.n)
         for tree, half, free in zip(self.trees, middle.trees, forces.trees, strict=True):
             if free.loads.implicit:
