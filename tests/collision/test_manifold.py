@@ -8,6 +8,7 @@ from test_contacts import BOX, CYLINDER, PRISM, ROCK, about, detector, random_ro
 
 from nsdyn.audit import overlap
 from nsdyn.audit.touching import from_surface
+from nsdyn.collision.candidates import MARGIN
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene import shapes
 
@@ -174,6 +175,19 @@ def test_what_overlaps_is_parted_along_the_normals(seed):
         c = detector(A, B).find(x, R, reach, ContactSet.empty())
         assert min(separation(a, b, x, R, n) for n in c.normal[c.gap < 0.0]) > before - 1e-5 * size, (a, b)
     assert tried > 100
+
+
+@pytest.mark.parametrize("reach", [0.0, 1e-3, 1e-2])
+def test_normals_are_those_along_which_a_motion_may_bring_the_bodies_to_touch(reach, rng):
+    """Elsewhere they overlap along them farther than the motion goes: as of an end of a rod near an edge, beside it."""
+    for _ in range(300):
+        a, b = rng.choice(list(SHAPES), size=2)
+        x, R = close_pair(a, b, 1e-4, rng)
+        c = detector(SHAPES[a], SHAPES[b]).find(x, R, np.full(2, reach), ContactSet.empty())
+        sizes = [SHAPES[name].bounding_radius for name in (a, b)]
+        farthest = (2.0 * reach + MARGIN * min(sizes)) * max(sizes) / min(sizes)
+        least = min((separation(a, b, x, R, n) for n in c.normal), default=0.0)
+        assert least > min(c.gap.min(initial=0.0), 0.0) - farthest - 1e-9, (a, b)
 
 
 CUBE = shapes.box((1.0, 1.0, 1.0))

@@ -41,7 +41,7 @@ from nsdyn._kernels.collision.kinds import (
 )
 from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, closest, crossing, edge, ends, segments, touch
-from nsdyn._kernels.collision.separation import SAME, SHARP, separation
+from nsdyn._kernels.collision.separation import SAME, SHARP, may_meet, separation
 from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_local, to_world, unit
 
@@ -243,17 +243,21 @@ def pair_contacts(geometry, i, j, given, room, out, at):
     count = merge(room.points, room.heights, count, SAME * smaller(geometry, i, j))
     if count > room.limit - first:
         count = reduce(room.points, room.heights, count, m, room.limit - first, margin, given.base)
+    reached, total = not tilted or count == 0 or may_meet(geometry, i, j, m, deepest, margin), first
     for k in range(count):
         p, height, n = row(room.points, k), room.heights[k], m
         if first > 0 and (height < 0.0 or on_border(geometry, g, face, p, near)):
             n = row(out.normal, at)
             height = min(height, height * dot(n, m))
+        elif not reached:
+            continue
         elif overlap < 0.0:
             height -= overlap * dot(row(out.normal, at), m)
-        put(out.point, at + first + k, p)
-        put(out.normal, at + first + k, n)
-        out.gap[at + first + k] = height
-    return first + count
+        put(out.point, at + total, p)
+        put(out.normal, at + total, n)
+        out.gap[at + total] = height
+        total += 1
+    return total
 
 
 @no_alloc

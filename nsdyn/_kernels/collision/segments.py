@@ -2,7 +2,7 @@
 
 from nsdyn._kernels.collision.geometry import smaller
 from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_corner, has_rim, is_round, segment, side
-from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, separation
+from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, may_meet, separation
 from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, row, times, to_local, to_world, unit
 
@@ -189,6 +189,8 @@ def ends(geometry, i, j, n, margin, out, at, count):
         foot = along(c, s, f)
         m, distance = unit(minus(foot, a))
         if not (s > 0.0 and s < length and opposite > 0.0) or sign * dot(m, n) < 0.5:
+            continue
+        if not may_meet(geometry, i, j, times(sign, m), out.gap[at], margin):
             continue
         height = distance - radius - other
         middle = times(0.5, along(along(a, radius, m), 1.0, along(foot, -other, m)))

@@ -21,6 +21,17 @@ def separation(geometry, i, j, n):
 
 
 @no_alloc
+def may_meet(geometry, i, j, n, gap, margin):
+    """True if two geoms, now at the signed distance `gap`, may touch along n after a motion that closes the margin.
+
+    In the motion n turns with one of them. The margin bounds how far its points move; those of the other geom, seen
+    from it, move farther if that is larger.
+    """
+    one, other = geometry.radius[i], geometry.radius[j]
+    return separation(geometry, i, j, n)[0] >= min(gap, 0.0) - margin * max(one, other) / min(one, other)
+
+
+@no_alloc
 def gap_along(geometry, i, j, n):
     """`separation` of two geoms along n; if one geom is a half-space, along the normal of the half-space."""
     for h, g in ((i, j), (j, i)):
