@@ -56,43 +56,49 @@ def captured_impacts(
     struck = striking(s, kin, mid)
     if struck is None:
         return kin, None
-    # The drift of rows that turn with their bodies is no approach.
-    resting = s.resting(kin, mid.state, mid.rate, mid.surface_acceleration)
-    resting = np.where(struck, resting, resting + 2.0 * np.abs(kin.jacobian_drift[0::3]))
-    closed, d, rows = struck | (kin.end_gap <= s.gap_tol), s.dynamics, kin.rows
+    closed, d, rows = kin.end_gap <= s.gap_tol, s.dynamics, kin.rows
     if any(free.loads.implicit for free in mid.forces.trees):
         # Damping, springs and controls take time: they add no mass to what strikes.
         rows, _ = d.rows(kin.contacts, there, d.inertia(mid.state.position, mid.state.v), kin.joints)
     middle = mid.state
     given = mid.forces.v - middle.v - d.drag(middle, mid.forces, middle.v)
     half = 0.5 * rows.full.relative_velocity(given)
-    while True:
-        met = np.where(np.repeat(struck, 3), half, 0.0)
-        impact = _strike(s, kin._replace(rows=rows), kin.u + met, closed, resting, resting)
-        kick = rows.velocity_change(impact.r)
-        forces = d.struck(middle, mid.forces, kick)
-        after = kin.changed(kick, forces.v - mid.forces.v, struck)
-        # Contacts that these impacts make approach and close strike, too.
-        driven = ~closed & (kin.restitution > 0.0) & (after.u[0::3] < -resting) & _closes(s, after, mid.h)
-        if not driven.any():
-            return after, Captured(impact, kick, forces, -float(met @ impact.r))
-        closed, struck = closed | driven, struck | driven
+    # Resting contacts carry their load: the forces do not drive them.
+    met = np.where(np.repeat(struck | ~closed, 3), half, 0.0)
+    slow = _striking_speeds(s, kin, mid, struck, closed, half[0::3])
+    impact = _strike(s, kin._replace(rows=rows), kin.u + met, closed, slow, slow)
+    if impact.solved is None:
+        return kin, None
+    kick = rows.velocity_change(impact.r)
+    forces = d.struck(middle, mid.forces, kick)
+    after = kin.changed(kick, forces.v - mid.forces.v, struck | (~closed & (impact.r[0::3] > 0.0)))
+    return after, Captured(impact, kick, forces, -float(met @ impact.r))
 
 
-def _closes(s: System, kin: ContactKinematics, h: float) -> Bools:
-    """Mark the gaps that close within a move of h s if no impulse acts."""
-    u_free, jacobian_drift = kin.u_free[0::3], kin.jacobian_drift[0::3]
-    out: Bools = kin.end_gap + s.theta * h * (u_free + jacobian_drift) <= 0.0
-    return out
+def _striking_speeds(
+    s: System, kin: ContactKinematics, mid: Midpoint, struck: Bools, closed: Bools, half: Array
+) -> Array:
+    """Return the speeds of approach above which rows strike in a captured move, (rows,), m/s.
+
+    Rows that are `closed` strike if they do not rest; the drift of those that turn with their bodies is no approach.
+    Open rows that may rebound strike if they close within the move: the rows `struck`, and others that impacts drive.
+    They meet the velocity `half` (rows,) that half of the forces leave; the other half follows.
+    """
+    resting, drift = s.resting(kin, mid.state, mid.rate, mid.surface_acceleration), kin.jacobian_drift[0::3]
+    turns = np.where(struck, 0.0, 2.0 * np.abs(drift))
+    ahead = (kin.u_free - kin.u)[0::3] - half + np.where(struck, drift, 0.0)
+    closing = np.maximum(resting - np.where(struck, 0.0, half), kin.end_gap / (s.theta * mid.h) + ahead)
+    return np.where(closed, resting + turns, np.where(kin.restitution > 0.0, closing, np.inf))
 
 
 def striking(s: System, kin: ContactKinematics, mid: Midpoint) -> Bools | None:
     """Mark the rows that strike within a move, for `captured_impacts`; None if none does."""
     if not s.elastic or not kin.mu.size:
         return None
-    u_begin, u = kin.begun[0, 0::3], kin.u[0::3]
+    u_begin, u, drift = kin.begun[0, 0::3], kin.u[0::3], kin.jacobian_drift[0::3]
     resting = s.resting(kin, mid.state, mid.rate, mid.surface_acceleration)
-    struck: Bools = (kin.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & _closes(s, kin, mid.h)
+    closes = kin.end_gap + s.theta * mid.h * (kin.u_free[0::3] + drift) <= 0.0
+    struck: Bools = (kin.restitution > 0.0) & (u_begin < -resting) & (u < 0.0) & closes
     return struck if struck.any() else None
 
 
@@ -121,7 +127,8 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
         # has just closed its gap still approaches, and where that gains energy it is stopped first.
         depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
     slow = np.where(kin.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
-    impact = _strike(s, kin, kin.u, kin.end_gap <= s.gap_tol, resting, slow)
+    closed = kin.end_gap <= s.gap_tol
+    impact = _strike(s, kin, kin.u, closed, resting, np.where(closed, slow, np.inf))
     if impact.solved is None:
         return None
     v = at.v + kin.rows.velocity_change(impact.r)

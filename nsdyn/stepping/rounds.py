@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.stepping.impacts import Dissipative, Law, Round, answer, takes_part
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools, Index
 
 ROUNDS = 60
 """Most rounds of impacts at one instant. The last round takes all closed contacts at once, by `Dissipative`; after it
@@ -50,21 +50,26 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
     ----------
     law : Law
     at : Round
-        State of all contacts, with their restitutions e; `hit` are those that are closed and may carry impulses.
+        State of all contacts, with their restitutions e; `hit` are those that are closed and may carry impulses. Others
+        strike, and are then closed, where no closed contact strikes.
     resting : ndarray, shape (rows,)
         Speeds of approach [m/s] below which a contact rests: a slower impact does not rebound.
     slow : ndarray, shape (rows,)
-        Speeds of approach below which a contact does not strike at all.
+        Speeds of approach below which a contact does not strike at all; infinite for one that stays open.
     """
     blocks, u, _, restitution, closed, solver = at
-    label = np.full(closed.size, -1)
-    label[closed] = at.of(closed).islands()
+    label = _islands(at, closed)
     total, works, bounced = np.zeros_like(u), np.zeros_like(u), np.zeros(closed.size, np.bool_)
     created, worst = 0.0, None
     for k in range(ROUNDS):
-        hit = closed & (u[0::3] < -slow)
+        hit = u[0::3] < -slow
         if not hit.any():
             break
+        if (hit & closed).any():
+            hit &= closed
+        else:
+            closed = closed | hit
+            label = _islands(at, closed)
         # An island without an impact takes no part.
         struck = np.zeros(label.size + 1, np.bool_)
         struck[label[hit]] = True
@@ -96,3 +101,10 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
     # A loose solution leaves velocities that may strike again. Without rebound, take the work of the summed impulses.
     works = np.where(np.repeat(bounced, 3), works, 0.5 * (at.before + u) * total)
     return Impact(total, u, works[0::3], works[1::3] + works[2::3], created, worst)
+
+
+def _islands(at: Round, closed: Bools) -> Index:
+    """Return the island of each closed contact, numbered from 0, and -1 for the others, (rows,)."""
+    label = np.full(closed.size, -1)
+    label[closed] = at.of(closed).islands()
+    return label
