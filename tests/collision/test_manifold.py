@@ -393,3 +393,21 @@ def test_points_of_nearly_flush_boxes_are_on_both(seed):
             outside = (np.abs(local) - shape.size / 2).max(initial=0.0)
             assert outside <= depth + 1e-6 * size
     assert tried > 300
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_edges_side_by_side_do_not_touch(swapped, rng):
+    """A bar on a plate, over its border and tilted by round-off: edges with no height between them are apart."""
+    order = [1, 0] if swapped else [0, 1]
+    for _ in range(100):
+        plate, bar = shapes.box((rng.uniform(0.5, 2.0), 0.1, 0.1)), shapes.box((rng.uniform(0.01, 0.05), 0.1, 0.1))
+        tilt = 10.0 ** rng.uniform(-7.0, -6.0) * rng.choice((-1.0, 1.0))
+        R = np.array([np.eye(3), about((0, 1, 0), tilt)])
+        beyond = rng.uniform(0.1, 0.9) * bar.size[0]
+        x = np.array([(0.0, 0.0, 0.0), (0.5 * (plate.size[0] - bar.size[0]) + beyond, 1e-9 * rng.normal(), 0.1)])
+        both = [(plate, bar)[k] for k in order]
+        c = detector(*both).find(x[order], R[order], np.zeros(2), ContactSet.empty())
+        assert len(c.gap) >= 2
+        for shape, at, turned in zip((plate, bar), x, R, strict=True):
+            outside = np.abs((c.point - at) @ turned) - shape.size / 2
+            assert outside.max() <= 1e-3 * bar.inscribed_radius

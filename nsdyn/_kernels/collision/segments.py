@@ -4,7 +4,20 @@ from nsdyn._kernels.collision.geometry import smaller
 from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_corner, has_rim, is_round, segment, side
 from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, may_meet, separation
 from nsdyn._kernels.compiled import no_alloc
-from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, put, row, times, to_local, to_world, unit
+from nsdyn._kernels.vectors import (
+    along,
+    cross,
+    dot,
+    minus,
+    perpendicular,
+    put,
+    row,
+    square,
+    times,
+    to_local,
+    to_world,
+    unit,
+)
 
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
 ANGLE = 2e-4  # rad; a face whose normal is this close to Coal's (accurate to 1e-5) is the feature that Coal found
@@ -82,7 +95,11 @@ def segments(geometry, i, j, lines, n, out, at):
                 a = along(p1, s, d)
                 b = along(p2, dot(e, minus(a, p2)), e)
                 touch(a, radius1, b, radius2, across, out, at + count)
-                apart = not rounded or out.gap[at + count] + radius1 + radius2 > tiny
+                if rounded:
+                    apart = out.gap[at + count] + radius1 + radius2 > tiny
+                else:  # edges that touch lie one above the other, not side by side in almost parallel faces
+                    gap, away = out.gap[at + count], minus(b, a)
+                    apart = dot(away, away) <= square(gap) + square(ANGLE * abs(gap) + tiny)
                 if apart and (not known or dot(row(out.normal, at + count), n) > 0.5):
                     count += 1
             if count == 2:
