@@ -26,7 +26,7 @@ from nsdyn.stepping.ball_joints import unbalanced
 from nsdyn.stepping.collisions import limits_struck, striking
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Loads, Midpoint, midpoint
-from nsdyn.stepping.move import try_islands
+from nsdyn.stepping.move import NO_SLOTS, try_move
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.slip_reversal import endings
 from nsdyn.stepping.state import State
@@ -72,8 +72,8 @@ class Islands:
         if self.count < 2:
             return integrate(self.whole, state, loads, begun)
         begin, h, t = state.instant, state.dt, state.next_t - state.dt
-        callbacks, (mid, made) = loads(t + (1.0 - s.theta) * h), parted(begun)
-        mid = mid or midpoint(s, begin, t, h, callbacks)
+        mid, made = parted(begun)
+        mid = mid or midpoint(s, begin, t, h, loads(t + (1.0 - s.theta) * h))
         label, count = self._labels_ahead(begin, mid)
         (opened, meets), tried = np.zeros((2, count), np.bool_), None
         opened[label[self._striking_nodes(begin, mid)]] = True
@@ -86,7 +86,7 @@ class Islands:
         if count < 2:
             return integrate(self.whole, state, loads, made or mid, meets=bool(meets[0]))
         if not (skipped := opened.copy()).all():
-            tried = try_islands(s, begin, mid, callbacks, label, opened[label], made)
+            tried = try_move(s, loads, begin, t, h, NO_SLOTS, made or mid, label, opened[label])
             self._open_events(begin, tried, label, opened, large)
             meets |= self._islands_hit(tried, label, ~skipped)
             opened |= meets

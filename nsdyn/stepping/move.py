@@ -28,14 +28,14 @@ from nsdyn.stepping.active_set import (
 from nsdyn.stepping.attempt import Attempt, Known, parted
 from nsdyn.stepping.collisions import Captured, captured_impacts
 from nsdyn.stepping.contact_kinematics import ContactKinematics, predict_sliding
-from nsdyn.stepping.midpoint import Callbacks, Loads, Midpoint, corrected, midpoint
+from nsdyn.stepping.midpoint import Loads, Midpoint, corrected, midpoint
 from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.stepping.solving import solve, update_sliding
 from nsdyn.tools.arrays import Array, Bools, Index
 
-NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
+NOTHING, NO_SLOTS, NOBODY = np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_)
 
 
 Needs = tuple[ContactSet, JointRows | None]
@@ -57,6 +57,8 @@ def try_move(
     h: float,
     located: Index | None,
     begun: Known = None,
+    label: Index | None = None,
+    skip: Bools = NOBODY,
 ) -> Attempt:
     """Move for h seconds from the time t.
 
@@ -71,27 +73,35 @@ def try_move(
     `located` holds codes, as in `missed_impacts`, of contacts and joint limits whose impacts are to be located. The
     move leaves these out while they are open, and also all contacts that would become deep or strike. The result then
     says which contacts the move runs into. With None, all contacts are captured. `begun` is the known part of the move.
+
+    With a `label` (nodes,), that of its island for each node, all islands move at once, and none changes because of
+    another; bodies that pass others unseen are then left to the caller. The result is no motion of the nodes `skip`
+    (nodes,), whose contacts are left out.
     """
     (mid, made), callbacks = parted(begun), loads(t + (1.0 - s.theta) * h)
     if mid is None and (s.dynamics.trees or callbacks is not None):
         mid = midpoint(s, begin, t, h, callbacks)
-    if located is None:
+    if located is None or skip.any():
         made = None
     elif made is None and s.mover is not None:
         made = s.mover.respond(s, begin, t, h, located, mid)
     if made is None:
-        made = _by_stages(s, begin, mid or midpoint(s, begin, t, h, callbacks), located)
+        made = _by_stages(s, begin, mid or midpoint(s, begin, t, h, callbacks), located, label, skip)
     if located is not None:
-        made = _updated(s, begin, made, located)
+        made = _updated(s, begin, made, located, label)
     if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
-        return try_move(s, lambda _: None, begin, t, h, located, again)
-    return _with_hits(s, begin, made, located)
+        return try_move(s, lambda _: None, begin, t, h, located, again, label, skip)
+    return made if located is None else _with_hits(s, begin, made, located, label is None)
 
 
-def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> Attempt:
+def _by_stages(
+    s: System, begin: SceneState, mid: Midpoint, located: Index | None, label: Index | None, skip: Bools
+) -> Attempt:
     """Compute the move from its first half, in stages; update the active set where all contacts are captured."""
     there, needs = _detect_at_midpoint(s, begin, mid, located)
-    m = _response(s, begin, mid, there, needs, located, None)
+    if skip.any():
+        needs = take(needs[0], ~skip[s.nodes(needs[0])]), needs[1]
+    m = _response(s, begin, mid, there, needs, located, None, label)
     kept = NO_SLOTS
     for update in range(1, UPDATES if located is None else 0):
         mid, ends = m.mid, (begin, m.moved)
@@ -103,7 +113,7 @@ def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | Non
     return m
 
 
-def _updated(s: System, begin: SceneState, m: Attempt, located: Index, label: Index | None = None) -> Attempt:
+def _updated(s: System, begin: SceneState, m: Attempt, located: Index, label: Index | None) -> Attempt:
     """Return the move with the active set that its motion shows: missed contacts added, those left behind dropped.
 
     The added contacts stay among those found as long as nothing moves.
@@ -128,57 +138,23 @@ def _updated(s: System, begin: SceneState, m: Attempt, located: Index, label: In
     return m
 
 
-def _with_hits(s: System, begin: SceneState, m: Attempt, located: Index | None) -> Attempt:
-    """Return the move with the contacts and joint limits that it runs into, and with its time of touch."""
-    if located is None:
-        return m
+def _with_hits(s: System, begin: SceneState, m: Attempt, located: Index, unseen: bool) -> Attempt:
+    """Return the move with the contacts and joint limits that it runs into.
+
+    With `unseen`, and no impacts `located`, also with the time at which a pair touches unseen.
+    """
     mid, moved = m.mid, m.moved
-    limits = moved.limits
+    limits, slots = moved.limits, NO_SLOTS if m.kin.joints is None else m.kin.joints.slot
     if limits.size and not located.size and _reductions.least(limits) >= -s.gap_tol:
         limits = NOTHING
-    m = _run_into(s, m, limits)
-    if not mid.fast or located.size:
+    hits, limit = missed_impacts(s, moved.contacts, m.kin.contacts, m.normal_impulses, limits, slots)
+    m = m._replace(hits=hits, limit=limit)
+    if not unseen or not mid.fast or located.size:
         return m
     contacts = begin.contacts, take(m.kin.contacts, m.normal_impulses > 0.0), moved.contacts
     places = begin.placement, mid.state.placement, moved.placement
     own = contacts, places, mid.turns(begin, moved), moved.memory
     return m._replace(touch_time=time_of_impact(s, *own, mid.h, mid.reach / mid.ahead))
-
-
-def _run_into(s: System, m: Attempt, limits: Array) -> Attempt:
-    """Return the move with its hits: contacts, and joint limits with the gaps `limits`, that strike at its end."""
-    slots = NO_SLOTS if m.kin.joints is None else m.kin.joints.slot
-    hits, limit = missed_impacts(s, m.moved.contacts, m.kin.contacts, m.normal_impulses, limits, slots)
-    return m._replace(hits=hits, limit=limit)
-
-
-def try_islands(
-    s: System,
-    begin: SceneState,
-    mid: Midpoint,
-    callbacks: Callbacks,
-    label: Index,
-    skip: Bools,
-    made: Attempt | None = None,
-) -> Attempt:
-    """Move all islands at once, and leave out contacts that may strike, as `try_move` does with an empty `located`.
-
-    Each node has the label of its island (nodes,); no island changes because of another. The result is no motion of the
-    nodes `skip`, whose contacts are left out. An attempt `made` by the kernel is used if no node is skipped.
-    """
-    if skip.any():
-        made = None
-    elif made is None and s.mover is not None:
-        made = s.mover.respond(s, begin, mid.end - mid.h, mid.h, NO_SLOTS, mid)
-    if made is None:
-        there, (contacts, joints) = _detect_at_midpoint(s, begin, mid, NO_SLOTS)
-        if skip.any():
-            contacts = take(contacts, ~skip[s.nodes(contacts)])
-        made = _response(s, begin, mid, there, (contacts, joints), NO_SLOTS, None, label)
-    made = _updated(s, begin, made, NO_SLOTS, label)
-    if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
-        return try_islands(s, begin, again, None, label, skip)
-    return _run_into(s, made, made.moved.limits)
 
 
 def _detect_at_midpoint(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> tuple[SceneState, Needs]:
