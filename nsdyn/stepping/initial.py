@@ -13,7 +13,7 @@ from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.scene import checks
 from nsdyn.scene.bodies import Geom
-from nsdyn.stepping.projection import project
+from nsdyn.stepping.projection import overlaps, project
 from nsdyn.stepping.scene_state import SceneState, System, WarmStart
 from nsdyn.tools.arrays import Array
 
@@ -59,8 +59,8 @@ def begin(
     if where and not lift:
         warnings.warn(f"{where}; the first step moves them apart", stacklevel=3)
     if lift:
-        out, clear = project(s, out, d.inertia(position, velocity))
-        if not clear:
+        out = project(s, out, d.inertia(position, velocity))
+        if overlaps(s, out):
             raise ValueError(f"{where}, and nothing moves them apart: they are squeezed")
         out = out._replace(twists=d.twists(out.placement, velocity))
     return out._replace(energies=d.tree_energies(out.position, velocity))

@@ -49,8 +49,7 @@ class Islands:
     def __init__(self, whole: System) -> None:
         d = whole.dynamics
         self.whole, self.count = whole, d.offset.size - 1
-        frame = whole.detector.frame
-        self._node = np.where(frame >= 0, d.node[frame], -1)
+        self._node = d.node[whole.detector.frame]
         self._parts: dict[tuple[int, ...], Subsystem] = {}
         self._kept = 0  # their nodes
 
@@ -141,7 +140,7 @@ class Islands:
             opened = again
         made = [done[tuple(np.flatnonzero(label == k).tolist())] for k in np.flatnonzero(opened).tolist()]
         left = ~opened[label]
-        out = StepResult(begin, mid.rate.copy(), True, [])
+        out = StepResult(begin, mid.rate.copy(), [])
         if tried is not None and left.any():
             kept = self._of_nodes(tried, left, key)
             move, count = finish(s, begin, kept, left), opened.sum()
@@ -154,7 +153,7 @@ class Islands:
             out.rate[part.coordinates] = p.rate
             out.done.extend(part.impulses(a) for a in p.done)
         end = merged(s, out.end, left, [(part, p.end) for part, p in made])
-        return out._replace(end=end, clear=out.clear and all(p.clear for _, p in made))
+        return out._replace(end=end)
 
     def _part(self, name: tuple[int, ...], nodes: Index) -> Subsystem:
         """Return the subsystem of some nodes, whose indices are its `name`; subsystems are kept for later steps."""
@@ -213,40 +212,43 @@ class Islands:
             strikes = (c.gap <= s.gap_tol) & (u < -limit)
             if strikes.any():  # contacts that pressed before turn with their bodies
                 strikes &= (c.restitution > 0.0) | (s.last_status(c, begin.warm) == 0)
-            out += self._nodes(c, strikes)
+            out.append(self._nodes(c, strikes))
         return np.concatenate(out)
 
     def _closing_nodes(self, begin: SceneState, mid: Midpoint) -> Index:
         """Return nodes of open contacts that become deep within the move at the velocities where it begins."""
         s, c = self.whole, begin.contacts
         deep = c.gap + mid.h * normal_velocities(s.dynamics, c, begin, mid.surfaces[0]) < -s.penetration_tol(c)
-        (out,) = self._nodes(c, deep & (c.gap > s.gap_tol))
-        return out
+        return self._nodes(c, deep & (c.gap > s.gap_tol))
 
     def _large(self, contacts: ContactSet, label: Index, count: int) -> Bools:
         """Mark islands (count,) with so many contacts that their impacts and reversals of slip are not located."""
         out: Bools = OPTIONS.event * np.bincount(label[self.whole.nodes(contacts)], minlength=count) > OPTIONS.work
         return out
 
-    def _nodes(self, c: ContactSet, which: Bools) -> list[Index]:
-        """Return the nodes of the contacts marked by `which`, as a list of one array."""
+    def _nodes(self, c: ContactSet, which: Bools | slice = slice(None)) -> Index:
+        """Return the nodes of the contacts marked by `which`."""
         node = self.whole.dynamics.node
         both = np.concatenate((node[c.frame1[which]], node[c.frame2[which]]))
-        return [both[both >= 0]]
+        return both[both >= 0]
 
-    def _of_rows(self, kin: ContactKinematics, which: Bools) -> list[Index]:
-        """Return the nodes of the rows marked by `which`, contacts first, then joint rows, as a list of arrays."""
-        out, nc = self._nodes(kin.contacts, which[: kin.contacts.gap.size]), kin.contacts.gap.size
-        if kin.joints is not None:
-            out.append(self.whole.dynamics.joints.block[kin.joints.slot[which[nc:]]])
-        return out
+    def _of_rows(self, kin: ContactKinematics, which: Bools) -> Index:
+        """Return the nodes of the rows marked by `which`, contacts first, then joint rows."""
+        nc, out = kin.contacts.gap.size, self._nodes(kin.contacts, which[: kin.contacts.gap.size])
+        if kin.joints is None:
+            return out
+        return np.concatenate((out, self.whole.dynamics.joints.block[kin.joints.slot[which[nc:]]]))
+
+    def _of_codes(self, codes: Index) -> Index:
+        """Return the nodes of pairs of shapes by their codes."""
+        both = self._node[np.concatenate(np.divmod(codes, self._node.size))]
+        return both[both >= 0]
 
     def _islands_hit(self, tried: Attempt, label: Index, of: Bools) -> Bools:
         """Mark the islands, among those in `of` (islands,), that run into contacts or limits left out of the move."""
         out, hit, joints = np.zeros_like(of), tried.hits, self.whole.dynamics.joints
-        if hit.size:
-            nodes = self._node[np.concatenate(np.divmod(hit[hit >= 0], self._node.size))]
-            out[label[nodes[nodes >= 0]]] = out[label[joints.block[joints.limits[-1 - hit[hit < 0]]]]] = True
+        slots = joints.limits[-1 - hit[hit < 0]]
+        out[label[self._of_codes(hit[hit >= 0])]] = out[label[joints.block[slots]]] = True
         return out & of
 
     def _open_events(self, begin: SceneState, a: Attempt, label: Index, opened: Bools, large: Bools) -> None:
@@ -255,21 +257,19 @@ class Islands:
         In `large` islands (islands,) reversals of slip do not count.
         """
         s, d = self.whole, self.whole.dynamics
-        out = [np.empty(0, np.int64)]
         c, found, limits = a.kin.contacts, a.moved.contacts, a.moved.limits
-        out += self._nodes(found, found.gap < -s.gap_tol)
-        out.append(d.joints.block[d.joints.limits[limits < -s.gap_tol]])
+        out = [self._nodes(found, found.gap < -s.gap_tol), d.joints.block[d.joints.limits[limits < -s.gap_tol]]]
         if (ends := endings(a.kin, a.problem, a.solution)) is not None:
             ends[: c.gap.size][large[label[s.nodes(c)]]] = 0
-            out += self._of_rows(a.kin, ends > 0)
+            out.append(self._of_rows(a.kin, ends > 0))
         if a.kin.joints is not None and (balls := a.kin.rows.balls).size:
             off = unbalanced(a.kin.rows, a.solution.r, a.solution.u, a.problem.scales)
             out.append(d.joints.block[a.kin.joints.slot[balls[off] - c.gap.size]])
         if not a.solution.converged:
-            out += self._nodes(c, np.ones(c.gap.size, np.bool_))
+            out.append(self._nodes(c))
         mid = a.mid
         if (struck := striking(s, a.kin, mid)) is not None:
-            out += self._of_rows(a.kin, struck)
+            out.append(self._of_rows(a.kin, struck))
         limited = d.within_limits(a.mid.state, a.mid.forces, a.v)
         changed = [x is not y for x, y in zip(limited.trees, a.mid.forces.trees, strict=True)]
         out.append(d.free + np.flatnonzero(changed))
@@ -283,9 +283,7 @@ class Islands:
             turns = mid.turns(begin, a.moved)
             for (one, other), together, turn in zip(pairwise(poses), (closed, pressed), turns, strict=True):
                 touches = s.touches(one, other, a.moved.memory, known, together, turn)
-                nodes = self._node[np.concatenate(np.divmod(touches.far, self._node.size))]
-                (kin,) = self._nodes(touches.contacts, np.ones(touches.fraction.size, np.bool_))
-                opened[label[np.concatenate((kin, nodes[nodes >= 0]))]] = True
+                opened[label[self._of_codes(touches.far)]] = opened[label[self._nodes(touches.contacts)]] = True
 
     def _open_gaining(self, begin: SceneState, made: StepResult, tried: Attempt, label: Index, opened: Bools) -> None:
         """Mark in `opened` the islands that gain energy in the move `made`, or whose bodies turn far.

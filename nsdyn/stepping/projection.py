@@ -35,8 +35,8 @@ def found(s: System, at: SceneState, detected_at: DetectionPose) -> SceneState:
     )
 
 
-def project(s: System, at: SceneState, forces: Forces) -> tuple[SceneState, bool]:
-    """Return the closest position without overlap, and whether no overlap exceeds the gap tolerance.
+def project(s: System, at: SceneState, forces: Forces) -> SceneState:
+    """Return the closest position where no overlap exceeds the gap tolerance, as far as there is one: see `overlaps`.
 
     Closest in the kinetic metric: min ½‖δ‖²_M̃ under g + H_Nᵀ δ ≥ 0. Each pass solves a frictionless contact problem
     for the shift δ, with the gaps g of shapes and joint limits at the position of the last pass. The mass matrices of
@@ -47,7 +47,7 @@ def project(s: System, at: SceneState, forces: Forces) -> tuple[SceneState, bool
     for _ in range(PASSES):
         deepest = _least(at)
         if deepest >= -closed:
-            return at, True
+            break
         contacts = take(at.contacts, at.contacts.gap < -FAR * deepest)
         gap = contacts.gap
         joints = None
@@ -68,7 +68,12 @@ def project(s: System, at: SceneState, forces: Forces) -> tuple[SceneState, bool
         there = d.place(moved)
         detected_at = DetectionPose(there.x, there.R, np.full(d.frames, -deepest))
         at = found(s, at._replace(position=moved, placement=there), detected_at)
-    return at, _least(at) >= -closed
+    return at
+
+
+def overlaps(s: System, at: SceneState) -> bool:
+    """Return whether any overlap exceeds the gap tolerance."""
+    return _least(at) < -s.gap_tol
 
 
 def _without_squeezed(blocks: DelassusFactors, solution: Solution) -> Array:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.dynamics.ledger import Ledger
-from nsdyn.dynamics.values import Energies
 from nsdyn.problem import gauss
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -59,11 +58,6 @@ class State(NamedTuple):
     def t(self) -> float:
         """Time in s."""
         return self.origin + self.count * self.dt
-
-    @property
-    def of_trees(self) -> Energies:
-        """Energies of the trees, J."""
-        return self.instant.energies
 
     def __repr__(self) -> str:
         return f"<State at t = {self.t:.6g} s, {counted(self.instant.v.size, 'velocity', 'velocities')}>"

@@ -29,8 +29,6 @@ class StepResult(NamedTuple):
     end : SceneState
     rate : ndarray, shape (n,)
         Last free acceleration, m/s² and rad/s².
-    clear : bool
-        Whether the end is without overlap.
     done : list of Impulses
     path : sequence of Placement
         Placements of the frames on their way. Between two of them bodies move straight and turn at constant rates.
@@ -40,7 +38,6 @@ class StepResult(NamedTuple):
 
     end: SceneState
     rate: Array
-    clear: bool
     done: list[Impulses]
     path: Sequence[Placement] = ()
     strays: Sequence[bool] = ()
@@ -49,7 +46,7 @@ class StepResult(NamedTuple):
 def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) -> StepResult:
     """Project the end of a move to a position without overlap, and book the move; only the nodes `left`, if given."""
     d, mid = s.dynamics, a.mid
-    end, clear = project(s, a.moved, mid.forces)
+    end = project(s, a.moved, mid.forces)
     v = mid.state.v
     impact, struck = (None, v) if a.captured is None else (a.captured.impact, v + a.captured.kick)
     velocities = v, struck, a.v
@@ -80,7 +77,7 @@ def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) 
         works.append(Works(integration=a.captured.unbooked))
     end = end._replace(warm=warm, energies=energies)
     done = [impulses._replace(works=Works.total([own, *works]))]
-    return StepResult(end, mid.rate, clear, done, strays=strays)
+    return StepResult(end, mid.rate, done, strays=strays)
 
 
 def tree_works(

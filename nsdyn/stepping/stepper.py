@@ -37,6 +37,7 @@ from nsdyn.stepping.indeterminacy import Paradoxes
 from nsdyn.stepping.initial import begin
 from nsdyn.stepping.islands import Islands
 from nsdyn.stepping.lazy_step import LazyStep
+from nsdyn.stepping.projection import overlaps
 from nsdyn.stepping.recorded_step import recorded
 from nsdyn.stepping.state import Names, State, Step
 from nsdyn.stepping.system import check_options, system_of
@@ -320,10 +321,11 @@ class Stepper:
             return step
         s = self._now = self.get_state()
         begun = None if self._eventless is None else self._eventless.begun(s)
-        now, rate, clear, done, *_ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
+        now, rate, done, *_ = self._islands.step(s, lambda t: self.functions.at(t, s.last), begun)
+        sunk = overlaps(self.system, now)
         if self._prescribed is not None:
             depth = self._prescribed.check(s.instant.position, now.position, now.placement, (s.t, s.t + s.dt))
-            clear = clear and depth <= self.gap_tol
+            sunk = sunk or depth > self.gap_tol
         solved = [acted.solved for acted in done]
         k = worst(solved)
         if not solved[k][1].accepted:
@@ -344,7 +346,7 @@ class Stepper:
             if odd is not None and solution.converged:
                 solution = solution._replace(status=odd)
         ledger = Ledger.of(s.energies, energies, total)
-        if solution.accepted and not clear:
+        if solution.accepted and sunk:
             solution = solution._replace(status=Status.OVERLAP)
         problem.kept.clear()  # as large as the problem, and of no use after the step
         certified = {"ledger": ledger, "gauss": certificate, "problem": problem, "solution": solution}

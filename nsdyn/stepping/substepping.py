@@ -48,9 +48,9 @@ class Budget:
     def __init__(self) -> None:
         self.left = OPTIONS.work
 
-    def affords(self, begin: SceneState, moves: int) -> bool:
-        """Return whether the island may try so many moves from an instant."""
-        return moves * _contacts(begin) <= self.left
+    def affords(self, begin: SceneState) -> bool:
+        """Return whether the island may try the moves from an instant that locating one event takes."""
+        return OPTIONS.event * _contacts(begin) <= self.left
 
     def spend(self, begin: SceneState) -> None:
         """Subtract the cost of one move from an instant."""
@@ -69,7 +69,7 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
     `nsdyn.stepping.midpoint`. `begun` is the known part of the step as one move; `meets` says whether the step as one
     move is known to meet an event.
     """
-    now, rate, clear, at, cut = state.instant, state.rate, True, 0.0, False
+    now, rate, at, cut = state.instant, state.rate, 0.0, False
     s = system.during(state.next_t - state.dt, state.dt, now.position)
     budget, pieces = Budget(), [(s.dt, 0)]
     done: list[Impulses] = []
@@ -86,11 +86,11 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
             continue
         done += [_later(acted, at) for acted in move.done]
         path += move.path
-        now, rate, clear, at = move.end, move.rate, move.clear, at + length
+        now, rate, at = move.end, move.rate, at + length
         cut = end - at > LEAST * s.dt
         if not cut:
             pieces.pop()
-    return StepResult(now, rate, clear, done, path)
+    return StepResult(now, rate, done, path)
 
 
 def _substep(
@@ -126,7 +126,7 @@ def _substep(
     meets : bool
         As in `integrate`.
     """
-    (t, h), locates, now, done = span, budget.affords(begin, OPTIONS.event), begin, []
+    (t, h), locates, now, done = span, budget.affords(begin), begin, []
     meets = meets or (not locates and s.striking_speed(begin) < -s.least_penetration / h)
     if (struck := collide(s if locates else s.capturing, begin, t, h, rate)) is not None:
         now, begun, done = struck[0], None, [struck[1]]
@@ -147,7 +147,7 @@ def _refines(s: System, begin: SceneState) -> bool:
     Many balls, whose impacts are captured, are not: in halves 200 of them err as much in position. With corners a gain
     also tells of corners that pass each other.
     """
-    return OPTIONS.event * _contacts(begin) <= OPTIONS.work or not s.detector.of_balls(begin.contacts).all()
+    return Budget().affords(begin) or not s.detector.of_balls(begin.contacts).all()
 
 
 def _gains_energy(s: System, begin: SceneState, m: StepResult, mid: Midpoint) -> bool:
@@ -227,7 +227,7 @@ def _to_event(
         return h, try_move(s.capturing, loads, begin, t, h, None, begun)
 
     # The first move is tried however many contacts it has: most first moves meet no event.
-    if not (affords := budget.affords(begin, OPTIONS.event)) and (meets or budget.left < OPTIONS.work):
+    if not (affords := budget.affords(begin)) and (meets or budget.left < OPTIONS.work):
         return capture(begun)
     budget.spend(begin)
     m = try_move(s, loads, begin, t, h, NONE, begun)
