@@ -111,8 +111,8 @@ class Kinematics(Layout):
 
         `twist` (surfaces, 2, 3) is as in `reach`.
         """
-        driven = self.frames - self.radii.size
-        return np.concatenate((angular[: self.radii.size], twist[:driven, 1])) if driven else angular
+        driven = self._driven
+        return np.concatenate((angular[:-driven], twist[:driven, 1])) if driven else angular
 
     def reach(self, place: Placement, v: Array, h: float, dt: float, twist: Array) -> Array:
         """Bound on the way of any point of each frame's shapes in h s, m, shape (frames,).
@@ -125,10 +125,10 @@ class Kinematics(Layout):
         if self.free:
             _motion.reach(v, h, fall, self.radii[: self.free], out)
         if self.trees:
-            trees, last = (*self.linkages, place.fields), self.radii.size
-            _links.reach(trees, place.x[:last], v, h, self.radii[self.free :], fall, out[self.free : last])
+            trees, links = (*self.linkages, place.fields), slice(self.free, self.frames - self._driven)
+            _links.reach(trees, place.x[: links.stop], v, h, self.radii[links], fall, out[links])
         if self.surfaces.count:
-            self.surfaces.reach(h * np.abs(twist), out)
+            self.surfaces.reach(h * np.abs(twist), self.radii, out)
         return out
 
     def angles(self, place: Placement) -> Array:

@@ -41,8 +41,8 @@ class Layout:
         entry.
     linkages : two ndarrays of int
         Table and support of the trees, as `nsdyn._kernels.dynamics.links.rows` takes them.
-    radii : ndarray
-        Radii of spheres about the origins of the frames of free bodies and links, which contain their shapes, m.
+    radii : ndarray, shape (frames,)
+        Radii of spheres about the origins of the frames, which contain their shapes, m.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -50,6 +50,7 @@ class Layout:
         self.gravity: Array = np.array(scene.gravity)
         self.weight = float(np.linalg.norm(self.gravity))
         self.surfaces, self._driven = Surfaces(scene), len(driven)
+        self._driven_radii = np.array([b.shape.bounding_radius for b in driven])
         self.names = {b.name: k for k, b in enumerate(bodies)}
         self._forests: dict[str, tuple[int, Actuators]] = {}
         trees = self._planted(scene)
@@ -135,7 +136,7 @@ class Layout:
         table = [(t.frames.start, len(t.joints), t.coordinates.start, t.model.nv) for t in self.trees]
         supports = [t.support.astype(np.int64).ravel() for t in self.trees]
         self.linkages = np.array(table, np.int64).ravel(), np.concatenate([np.empty(0, np.int64), *supports])
-        self.radii = np.concatenate([radius, *(t.radius for t in self.trees)])
+        self.radii = np.concatenate([radius, *(t.radius for t in self.trees), self._driven_radii])
         self.constrained = any(t.constrained for t in trees)
         sizes = [6] * self.free + [t.model.nv for t in trees]
         self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
@@ -147,7 +148,7 @@ class Layout:
         self._m, self._minv = m.ravel(), minv.ravel()
         self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
-        self.bodies = *self._principal, self._inverse_mass, self.inverse_J, self.radii
+        self.bodies = *self._principal, self._inverse_mass, self.inverse_J
         self.no_impulses = NO_VECTORS, np.zeros((8, self.n - 6 * self.free))
         self.links, self.no_push = sum(t.model.njoints - 1 for t in self.trees), np.zeros((0, 6))
         self.joints = JointLaws(self.trees, self.free)

@@ -27,7 +27,6 @@ class Surfaces:
         self._driven = len(scene.driven_bodies)
         self._slides = np.array([m.kind == "surface" for m in self._motions], dtype=bool)
         self._origin = np.array([scene.bodies[name].position for name in names]).reshape(-1, 3)
-        self._radius = np.array([b.shape.bounding_radius for b in scene.driven_bodies])
         place = {name: k for k, name in enumerate(names)}
         self._motion_of_geom = np.array([place.get(g.body, -1) for g in scene.geoms()], dtype=np.int64)
 
@@ -84,11 +83,11 @@ class Surfaces:
         h = t - begin
         return self.advance(*self.advance(*self._begun, (1.0 - theta) * h * begun), theta * h * self.twists(t))
 
-    def reach(self, step: Array, out: Array) -> None:
-        """Bound on the way of any point of the kinematic bodies, written into the last entries of `out`, m."""
+    def reach(self, step: Array, radii: Array, out: Array) -> None:
+        """Bound on the way of any point of the kinematic bodies, the last of all frames, into `out` (frames,), m."""
         if self._driven:
             length = np.linalg.norm(step[: self._driven], axis=2)
-            out[-self._driven :] = length[:, 0] + length[:, 1] * self._radius
+            out[-self._driven :] = length[:, 0] + length[:, 1] * radii[-self._driven :]
 
     def surface_velocity(
         self, contacts: ContactSet, frame: Array, driven_x: Array, rows: int, begun: Array, ended: Array

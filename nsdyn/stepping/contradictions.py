@@ -33,12 +33,11 @@ STAYS: Way = 0.0, lambda part, x, R: None
 class Prescribed:
     """Bodies, links and joints of a scene that only prescribed motion moves, and the fixed bodies that they may hit.
 
-    Shapes reach `arm` (frames,) from the origins of their frames, m. The deepest `overlap` that is accepted is a
-    fraction of the inscribed radius of the smaller body, for joint limits a fraction of `Options.joint`. ValueError, as
-    in `check`, if the initial poses contradict each other.
+    The deepest `overlap` that is accepted is a fraction of the inscribed radius of the smaller body, for joint limits a
+    fraction of `Options.joint`. ValueError, as in `check`, if the initial poses contradict each other.
     """
 
-    def __init__(self, scene: Scene, dynamics: Dynamics, arm: Array, overlap: float) -> None:
+    def __init__(self, scene: Scene, dynamics: Dynamics, overlap: float) -> None:
         held, geoms = dynamics.held, scene.geoms()
         chosen = [k for k, g in enumerate(geoms) if g.frame < 0 or held[g.frame]]
         self._geoms = [geoms[k] for k in chosen]
@@ -47,9 +46,8 @@ class Prescribed:
         self._detector = Detector(self._geoms, pairs.pair_material(scene, self._geoms), apart)
         self._radius = np.array([g.shape.inscribed_radius if g.frame >= 0 else math.inf for g in self._geoms])
         self._frames = np.unique([g.frame for g in self._geoms if g.frame >= 0]).astype(np.int64)
-        self._arm, self._still = arm, np.zeros(dynamics.frames)
-        self._dynamics, self._overlap = dynamics, overlap
-        self._span = [_span(tree, arm[tree.frames]) for tree in dynamics.trees]
+        self._still, self._dynamics, self._overlap = np.zeros(dynamics.frames), dynamics, overlap
+        self._span = [_span(tree) for tree in dynamics.trees]
         start = dynamics.start()[0]
         self.check(start, start, dynamics.place(start), (0.0, 0.0))
 
@@ -109,7 +107,7 @@ class Prescribed:
             x[own] = begin.driven_x + part * way
             R[own] = [pin.exp3(part * angle) @ R_body for angle, R_body in zip(turn, R0, strict=True)]
 
-        length = np.linalg.norm(way, axis=1) + self._arm[own] * np.linalg.norm(turn, axis=1)
+        length = np.linalg.norm(way, axis=1) + self._dynamics.radii[own] * np.linalg.norm(turn, axis=1)
         return float(length.max()), place
 
     def _check_limits(self, there: Placement, t: float) -> None:
@@ -138,10 +136,10 @@ class Prescribed:
         return max(depth, 0.0)
 
 
-def _span(tree: Tree, arm: Array) -> float:
+def _span(tree: Tree) -> float:
     """Farthest distance of shapes of prescribed links from a joint before them, m, without translations of joints."""
     placements, out = tree.model.jointPlacements, 0.0
-    for joint, far in zip(np.array(tree.joints)[tree.held_links].tolist(), arm[tree.held_links], strict=True):
+    for joint, far in zip(np.array(tree.joints)[tree.held_links].tolist(), tree.radius[tree.held_links], strict=True):
         between = list(tree.model.supports[joint])[2:]  # the world, and the first joint
         out = max(out, far + sum(float(np.linalg.norm(placements[j].translation)) for j in between))
     return out

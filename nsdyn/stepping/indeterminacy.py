@@ -28,13 +28,13 @@ class Paradoxes:
 
     A body of mass m, whose least moment of inertia is J and whose shapes reach b from its centre, has W_NN - μ‖W_NT‖ ≥
     1/m - μ² b²/4 J: friction turns it fast enough for a paradox only if μ > 2 (J/m)^½/b. For articulations no such
-    bound is known in advance. Shapes reach `arm` (frames,) from the origins of their frames, m, and μ is at most `mu`.
+    bound is known in advance. The largest μ is `mu`.
     """
 
-    def __init__(self, dynamics: Dynamics, solver: Solver, arm: Array, mu: float) -> None:
+    def __init__(self, dynamics: Dynamics, solver: Solver, mu: float) -> None:
         self._solver, free = solver, dynamics.free
         radius = np.sqrt(np.linalg.eigvalsh(dynamics.J)[:, 0] / dynamics.mass) if free else np.empty(0)
-        steep = 2.0 * radius / np.maximum(arm[:free], 1e-300)
+        steep = 2.0 * radius / np.maximum(dynamics.radii[:free], 1e-300)
         self.possible = mu > 0.0 and bool(dynamics.trees or (mu > steep).any())
 
     def paradox(self, problem: FC3D, solution: Solution, dt: float, rate: Array) -> bool:

@@ -196,7 +196,7 @@ class Islands:
         lower, upper = s.detector.boxes(*path[0][:2])
         wide = np.zeros(s.dynamics.frames)
         for one, other in pairwise(path):
-            _islands.sweep(s.detector.fields, one[:2], other[:2], s.arm, (free, BENT), (lower, upper), wide)
+            _islands.sweep(s.detector.fields, one[:2], other[:2], s.dynamics.radii, (free, BENT), (lower, upper), wide)
         more = np.where(frame >= 0, wide[frame], 0.0)[:, None]
         return lower - more, upper + more
 

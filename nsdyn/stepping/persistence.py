@@ -79,7 +79,7 @@ def turned(
         rows.arrays,
         c[:3],
         0.5 * (mid.state.v + v),
-        (mid.state.placement.R, d.inverse_J, s.arm, mid.h),
+        (mid.state.placement.R, d.inverse_J, d.radii, mid.h),
         (solution.r, solution.u, kin.mu, kin.surface_velocity[0], exact),
         (kin.stays, kin.sticks, sliding),
         (impulse, dv, left, other),

@@ -48,8 +48,6 @@ class System(NamedTuple):
         Inscribed radii of the shapes, m; infinite for shapes that never move.
     smallest : float
         Least inscribed radius, m.
-    arm : ndarray, shape (frames,)
-        How far shapes reach from the origins of their frames, m.
     impact : Law
         Law of impact.
     elastic : bool
@@ -68,7 +66,6 @@ class System(NamedTuple):
     gap_tol: float
     inscribed: Array
     smallest: float
-    arm: Array
     impact: Law
     elastic: bool
     depth: float = OPTIONS.depth_located
@@ -121,8 +118,8 @@ class System(NamedTuple):
         allows.
         """
         out = DetectionPose(np.empty_like(now.x), np.empty_like(now.R), np.empty_like(reach))
-        there = now.x, now.R, reach
-        return None if _touching.detection_pose(tuple(last), there, self.arm, STILL * self.gap_tol, tuple(out)) else out
+        there, radii = (now.x, now.R, reach), self.dynamics.radii
+        return None if _touching.detection_pose(tuple(last), there, radii, STILL * self.gap_tol, tuple(out)) else out
 
     def penetration_tol(self, contacts: ContactSet) -> Array:
         """Return the penetrations, m, that a move may capture: deeper contacts are impacts to be located.
@@ -204,7 +201,7 @@ class System(NamedTuple):
             return False
         # A small turn changes the quaternion by half its angle.
         turn = 2.0 * np.linalg.norm(after.quaternion - before.quaternion, axis=1)
-        moved = np.linalg.norm(after.x - before.x, axis=1) + self.arm[:free] * turn
+        moved = np.linalg.norm(after.x - before.x, axis=1) + self.dynamics.radii[:free] * turn
         return float(moved.max()) > OPTIONS.unseen * self.smallest
 
 

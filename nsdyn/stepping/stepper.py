@@ -163,7 +163,7 @@ class Stepper:
         self.gap_tol = self.system.gap_tol
         own = (mu for mu, _ in scene.pairs.values() if mu is not None)
         steepest = max([0.0, *(g.material.mu for g in geoms), *own])
-        self._paradoxes = Paradoxes(self.dynamics, solver, self.system.arm, steepest)
+        self._paradoxes = Paradoxes(self.dynamics, solver, steepest)
         off = [f"{a.name}/{one.name}" for a in scene.articulations.values() for one in a.actuators if one.acts]
         if off and controller is None:
             warnings.warn(f"without a controller these actuators are off: {', '.join(off)}", stacklevel=2)
@@ -171,7 +171,7 @@ class Stepper:
             warnings.warn("the scene has nothing that moves: all its bodies are fixed, if any", stacklevel=2)
         self._prescribed = None
         if self.dynamics.prescribed:
-            self._prescribed = Prescribed(scene, self.dynamics, self.system.arm, float(overlap))
+            self._prescribed = Prescribed(scene, self.dynamics, float(overlap))
         self._islands = Islands(self.system)
         self._eventless: EventlessSteps | None = None
         if (mover := self.system.mover) is not None and not self.functions.take_last:

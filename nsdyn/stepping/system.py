@@ -16,7 +16,6 @@ from nsdyn.solvers import Solver
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.move_kernel import MoveKernel
 from nsdyn.stepping.scene_state import System
-from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import is_number
 
 
@@ -63,15 +62,6 @@ def system_of(
     inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
     rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
     elastic = any(e > 0.0 for e in rebounds) or bool(dynamics.joints.restitution.any())
-    smallest, arm = float(inscribed.min(initial=np.inf)), _arms(geoms, dynamics.frames)
-    out = System(dynamics, detector, solver, *scheme, closed, inscribed, smallest, arm, law, elastic)
+    smallest = float(inscribed.min(initial=np.inf))
+    out = System(dynamics, detector, solver, *scheme, closed, inscribed, smallest, law, elastic)
     return out._replace(mover=MoveKernel(out)) if dynamics.n and not dynamics.surfaces.count else out
-
-
-def _arms(geoms: list[Geom], frames: int) -> Array:
-    """How far shapes reach from the origins of the moving frames, m."""
-    out = np.zeros(frames)
-    for g in geoms:
-        if g.frame >= 0:
-            out[g.frame] = max(out[g.frame], float(np.linalg.norm(g.placement_t)) + g.shape.bounding_radius)
-    return out

@@ -9,8 +9,8 @@ from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.packing import indices, matrices, numbers, triples
 
 # The packed arrays of the system: floats, then integers.
-MOMENTS, AXES, INVERSE_MASS, INVERSE_J, RADIUS, MASS, INERTIA, M, MINV, GRAVITY, NO_LOAD = range(11)
-ARM, NOWHERE, INSCRIBED, JACOBIAN, BEGUN, NUMBERS, SYSTEM = range(11, 18)
+MOMENTS, AXES, INVERSE_MASS, INVERSE_J, MASS, INERTIA, M, MINV, GRAVITY, NO_LOAD = range(10)
+RADII, NOWHERE, INSCRIBED, JACOBIAN, BEGUN, NUMBERS, SYSTEM = range(10, 17)
 BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
 
 # The last array of the floats: numbers with the names that they have in `System` and `GapRule`, then in `Auto` and
@@ -68,13 +68,13 @@ SLIDES, STAYS, STICKS, OTHER, OFF, FLAGS = range(6)
 def opened(system):
     """Views of the packed arrays of a system.
 
-    (numbers, size); (arm, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹, radii) of bodies; (gravity, no
+    (numbers, size); (radii, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹) of bodies; (gravity, no
     load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as in `links.rows`) at
     the midpoint, and the same at the beginning of the move.
     """
     sf, si = system
     num, mass, J = numbers(sf, si, NUMBERS), numbers(sf, si, MASS), matrices(sf, si, INERTIA)
-    near = numbers(sf, si, ARM), numbers(sf, si, NOWHERE), numbers(sf, si, INSCRIBED)
+    near = numbers(sf, si, RADII), numbers(sf, si, NOWHERE), numbers(sf, si, INSCRIBED)
     offset = indices(si, OFFSET, SYSTEM)
     trees = indices(si, TREES, SYSTEM), indices(si, SUPPORT, SYSTEM)
     bodies = (
@@ -82,7 +82,6 @@ def opened(system):
         matrices(sf, si, AXES),
         numbers(sf, si, INVERSE_MASS),
         matrices(sf, si, INVERSE_J),
-        numbers(sf, si, RADIUS),
     )
     masses = (
         indices(si, BLOCK_OF_FRAME, SYSTEM),

@@ -42,8 +42,8 @@ def depart(s, old, f, w):
     With trees, and under forces of the user, Python has already computed the motion. s is the result of
     `columns.opened`, here and in the functions below.
     """
-    (num, size), _, _, bodies, (gravity, load), _, (free, trees), _ = s
-    n, h, theta, (moments, axes, inverse_mass, inverse_J, radius) = size[0], num[col.STEP], num[col.THETA], bodies
+    (num, size), (radii, _, _), _, bodies, (gravity, load), _, (free, trees), _ = s
+    n, h, theta, (moments, axes, inverse_mass, inverse_J) = size[0], num[col.STEP], num[col.THETA], bodies
     (x, R), reach, rate = col.poses(w, n), col.column(w, col.REACH, n), col.velocity(f, col.RATE, size)
     v, v_free = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)
     if num[col.GIVEN] == 0.0:
@@ -54,9 +54,9 @@ def depart(s, old, f, w):
     for i in range(rate.size):
         rate[i] = (v_free[i] - v[i]) / h
     ahead, fallen = theta * h, theta * h * h * num[col.WEIGHT]
-    motion.reach(v_free, ahead, fallen, radius[:free], reach)
+    motion.reach(v_free, ahead, fallen, radii[:free], reach)
     if free < n:
-        links.reach(trees, x, v_free, ahead, radius[free:], fallen, reach[free:])
+        links.reach(trees, x, v_free, ahead, radii[free:], fallen, reach[free:])
     return most(reach)
 
 
@@ -67,7 +67,7 @@ def set_out(s, first, warm, next_key, located, asks, step, room):
     first = contacts where the move begins, warm = (keys, pairs, states) of the contacts that acted last; room = (old
     state, results, state, work array, integers).
     """
-    (num, size), (arm, nowhere, _), _, _, _, _, _, movers_begun = s
+    (num, size), (radii, nowhere, _), _, _, _, _, _, movers_begun = s
     (b_old, out, b, w, head), n = room, size[0]
     if step and strikes_at_once(num, first, warm, b_old, n):
         return OTHERWISE
@@ -80,7 +80,7 @@ def set_out(s, first, warm, next_key, located, asks, step, room):
         near[k] = 2.0 * reach[k] if located.size else nowhere[k]
     there = *col.poses(w, n), reach
     detected_at = col.placed(b_old, col.DETECTED_AT, n)
-    same = touching.detection_pose(detected_at, there, arm, num[col.STILL], col.placed(w, col.DETECTED_THERE, n))
+    same = touching.detection_pose(detected_at, there, radii, num[col.STILL], col.placed(w, col.DETECTED_THERE, n))
     out[col.WENT], out[col.GOES], out[col.TIME] = 0.0 if same else 1.0, 0.0, 0.0
     return DETECT if asks and not same else DONE
 
@@ -221,11 +221,11 @@ def solved(s, rows, active, flags, known, label, head, room):
 @kernel(inline="always")
 def goes(s, b, w, out):
     """Whether the end of the move needs a new detection after that at the midpoint; sets the poses for it."""
-    (num, size), (arm, _, _) = s[0], s[1]
+    (num, size), (radii, _, _) = s[0], s[1]
     n = size[0]
     there = *col.poses(b, n), col.column(w, col.NEAR, n)
     detected_at = col.placed(w, col.DETECTED_THERE, n)
-    same = touching.detection_pose(detected_at, there, arm, num[col.STILL], col.placed(b, col.DETECTED_AT, n))
+    same = touching.detection_pose(detected_at, there, radii, num[col.STILL], col.placed(b, col.DETECTED_AT, n))
     out[col.GOES] = 0.0 if same else 1.0
     return out[col.GOES] > 0.0
 
