@@ -86,12 +86,9 @@ class Impulses(NamedTuple):
     @staticmethod
     def joined(done: list[Impulses]) -> Impulses:
         """Join the contacts of all impulses of a step, one after the other, and add up what acted on coordinates."""
-        columns = list(zip(*done, strict=True))
-        frame, u, r, status, couple, *works = (np.concatenate(parts) for parts in columns[1:8])
-        out = done[-1]._replace(contacts=joined(columns[0]), frame=frame, u=u, r=r, status=status, couple=couple)
-        joints, links = (np.sum(parts, axis=0) for parts in columns[8:10])
-        out = out._replace(work_normal=works[0], work_friction=works[1])
-        return out._replace(joints=joints, links=links, created=sum(columns[10]))
+        contacts, *columns = zip(*done, strict=True)
+        of_contacts, summed = map(np.concatenate, columns[:7]), (np.sum(parts, axis=0) for parts in columns[7:9])
+        return Impulses._make((joined(contacts), *of_contacts, *summed, sum(columns[9]), *done[-1][11:]))
 
 
 def book(

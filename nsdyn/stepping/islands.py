@@ -241,7 +241,7 @@ class Islands:
 
     def _of_codes(self, codes: Index) -> Index:
         """Return the nodes of pairs of shapes by their codes."""
-        both = self._node[np.concatenate(np.divmod(codes, self._node.size))]
+        both: Index = self._node[np.concatenate(np.divmod(codes, self._node.size))]
         return both[both >= 0]
 
     def _islands_hit(self, tried: Attempt, label: Index, of: Bools) -> Bools:

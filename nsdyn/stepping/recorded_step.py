@@ -10,6 +10,9 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.scene_state import System
 from nsdyn.stepping.state import Names, OnBodies, Pieces, State, Step
 
+SAME = "contacts", "frame", "u", "r", "couple", "work_normal", "work_friction", "links", "created"
+"""Results of a step that are those of its impulses, by their common names."""
+
 
 def recorded(s: System, names: Names, now: State, done: list[Impulses], **certified: Any) -> Step:
     """Return the step that ends `now`; `certified` are its ledger and certificate, a problem and its solution."""
@@ -27,25 +30,17 @@ def recorded(s: System, names: Names, now: State, done: list[Impulses], **certif
         v=v,
         frames_x=x,
         frames_quat=quaternion,
-        contacts=acted.contacts,
         gap=gap,
-        frame=acted.frame,
-        u=acted.u,
-        r=acted.r,
-        couple=acted.couple,
         contact_status=acted.status,
         contact_time=np.repeat(times, sizes),
         contact_duration=np.repeat([a.duration for a in done], sizes),
-        work_normal=acted.work_normal,
-        work_friction=acted.work_friction,
         joints=acted.joints if d.trees else None,
-        links=acted.links,
         pieces=Pieces.of(done) if d.trees and len(done) > 1 else None,
         wrenches=OnBodies.of([(t, a.duration, a.wrench) for t, a in zip(times, done, strict=True)]),
         lifts=OnBodies.of([(t, a.duration, a.lift) for t, a in zip(times, done, strict=True)]),
-        created=acted.created,
         twists=end.twists,
         dt=now.dt,
         names=names,
+        **{name: getattr(acted, name) for name in SAME},
         **certified,
     )
