@@ -197,7 +197,7 @@ class Dynamics(Kinematics):
         nc = contacts.gap.size
         frame, block, start = np.empty((nc, 3, 3)), np.empty((nc, 2), np.int64), np.empty((nc, 2), np.int64)
         found = contacts[:3]
-        size = _motion.contact_layout(found, self.block_of_frame, self.offset, frame, block, start)
+        size = _motion.contact_layout(found, self.node, self.offset, frame, block, start)
         H = np.zeros(size)
         if self.free:
             _motion.free_rows(found, frame, place.x, place.R, self.free, start, H)

@@ -142,11 +142,10 @@ class Layout:
         self.offset = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
         self.m_start = np.concatenate(([0], np.cumsum(np.square(sizes)))).astype(np.int64)[:-1]
         owner = [self.free + k for k, t in enumerate(trees) for _ in t.joints]
-        self.block_of_frame = np.array([*range(self.free), *owner, *([-1] * self._driven)], dtype=np.int64)
-        self.node = np.append(self.block_of_frame, -1)
+        self.node = np.array([*range(self.free), *owner, *([-1] * self._driven), -1], dtype=np.int64)
         self.n = int(self.offset[-1])
         self._m, self._minv = m.ravel(), minv.ravel()
-        self.masses = self.block_of_frame, self.offset, self.m_start, self._m, self._minv
+        self.masses = self.node, self.offset, self.m_start, self._m, self._minv
         self.inverse_J = np.ascontiguousarray(minv[:, 3:, 3:])
         self.bodies = *self._principal, self._inverse_mass, self.inverse_J
         self.no_impulses = NO_VECTORS, np.zeros((8, self.n - 6 * self.free))

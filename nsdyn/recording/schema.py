@@ -55,6 +55,17 @@ MODEL = {
 }
 """Pattern of the return value of `nsdyn.scene.tree_description.describe_tree`."""
 
+DRAWN = {
+    "frame": int,
+    "placement": PLACEMENT,
+    "colour": object,
+    "shape": str,
+    "size": TRIPLE,
+    "?vertices": (TRIPLE,),
+    "?faces": ((int,),),
+}
+"""Pattern of what is drawn of a shape."""
+
 # A pattern is a type, a list of patterns for a list of as many values, (pattern,) for a list of any length,
 # {name: pattern}, or {"?name": pattern} if the name may be missing.
 SCENE: dict[str, Any] = {
@@ -68,34 +79,16 @@ SCENE: dict[str, Any] = {
             "name": str,
             "?body": str,
             "?link": str,
-            "frame": int,
-            "placement": PLACEMENT,
+            **DRAWN,
             "?mu": float,
             "?restitution": float,
-            "colour": object,
-            "shape": str,
-            "size": TRIPLE,
             "?offset": float,
-            "?vertices": (TRIPLE,),
-            "?faces": ((int,),),
         },
     ),
     "?excluded": ([int, int],),
     "frames": (str,),
     "?links": ({"name": str, "frame": int, "placement": PLACEMENT},),
-    "?visuals": (
-        {
-            "link": str,
-            "frame": int,
-            "placement": PLACEMENT,
-            "colour": object,
-            "shape": str,
-            "size": TRIPLE,
-            "?vertices": (TRIPLE,),
-            "?faces": ((int,),),
-            "?mesh": int,
-        },
-    ),
+    "?visuals": ({"link": str, **DRAWN, "?mesh": int},),
     "?meshes": ({"vertices": str, "triangles": str},),
     "?motions": dict,
     "free": int,

@@ -58,7 +58,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     _check_choices(name, limits, o["clip"], o["self_collisions"])
     links, bodies = _collisions(name, description, o["collisions"])
     at = checks.placement(o["position"], o["quaternion"], repr(name))
-    q0 = _normalized(name, model, of_joints(o["q"], "q", description.q, 7))
+    q0 = checks.configuration(model, of_joints(o["q"], "q", description.q, 7), repr(name))
     if o["clip"]:
         _clip(model, q0)
     links, loops = _moved(model, q0, links, description.loops, at)
@@ -160,13 +160,6 @@ def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | 
             raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
     if not isinstance(self_collisions, bool) and self_collisions != "apart":
         raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
-
-
-def _normalized(name: str, model: Any, q: Array) -> Array:
-    """Normalise the quaternions and pairs (cos, sin) of a configuration; ValueError where their norm is far from 1."""
-    if not pin.isNormalized(model, q, checks.NORMALISED):
-        raise ValueError(f"q of {name!r} must have unit quaternions and unit pairs (cos, sin), got {q.tolist()}")
-    return np.array(pin.normalize(model, q))
 
 
 def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:

@@ -103,6 +103,13 @@ def rotation(quaternion: Array) -> Array:
     return out
 
 
+def configuration(model: Any, q: Array, what: str) -> Array:
+    """Return a configuration of a Pinocchio model with normalised quaternions and pairs (cos, sin)."""
+    if not pin.isNormalized(model, q, NORMALISED):
+        raise ValueError(f"q of {what} must have unit quaternions and unit pairs (cos, sin), got {q.tolist()}")
+    return np.array(pin.normalize(model, q))
+
+
 def placement(position: Any, turn: Any, what: str) -> Any:
     """Return the SE3 of a position and a unit quaternion x y z w, those of `what`."""
     return pin.SE3(rotation(quaternion(turn, f"quaternion of {what}")), vector(position, 3, f"position of {what}"))

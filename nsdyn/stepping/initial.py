@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from nsdyn.collision.contacts import ContactSet, DetectionPose
@@ -80,12 +79,8 @@ def _chosen(d: Dynamics, q: ArrayLike | None, v: ArrayLike | None) -> tuple[Posi
     for k, quaternion in enumerate(turned):
         velocity[6 * k : 6 * k + 3] = checks.rotation(quaternion) @ v[6 * k : 6 * k + 3]
     for tree in d.trees:
-        own = q[row : row + tree.model.nq]
-        if not pin.isNormalized(tree.model, own, checks.NORMALISED):
-            raise ValueError(
-                f"q of {tree.name!r} must have unit quaternions and unit pairs (cos, sin), got {own.tolist()}"
-            )
-        place, velocity[tree.coordinates] = tree.start(np.array(pin.normalize(tree.model, own)), v[tree.coordinates])
+        own = checks.configuration(tree.model, q[row : row + tree.model.nq], repr(tree.name))
+        place, velocity[tree.coordinates] = tree.start(own, v[tree.coordinates])
         trees.append(place)
         row += tree.model.nq
     x, quaternions = places[:, :3].copy(), turned.reshape(-1, 4)

@@ -50,7 +50,7 @@ class MoveKernel:
     def __init__(self, s: System) -> None:
         d, solver = s.dynamics, s.solver
         _, shallow, _, until = s.gap_rule(s.dt, False)
-        block_of_frame, offset, m_start, m, minv = d.masses
+        node, offset, m_start, m, minv = d.masses
         self.wide = 6 * int(np.diff(offset).max())
         own, aims = (True, solver.aims) if isinstance(solver, Auto) else (False, (solver.tol, solver.tol))
         scheme = d.weight, s.dt, s.theta, s.gap_tol, shallow, until, s.depth
@@ -62,7 +62,7 @@ class MoveKernel:
         fields = np.empty((d.n - 6 * d.free, 6))
         floats += [d.gravity, d.no_load[0], d.radii, d.nowhere, s.inscribed, fields, fields]
         floats.append(np.array(numbers, dtype=float))
-        *packed, views, _ = pack(floats, [block_of_frame, offset, m_start, *d.linkages])
+        *packed, views, _ = pack(floats, [node, offset, m_start, *d.linkages])
         self._arrays, self.numbers = tuple(packed), views[-1]
         self._views = views
         for view, given in zip(views[_col.M : _col.MINV + 1], (m, minv), strict=True):

@@ -84,7 +84,7 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
         if rejected and _contacts(now) << halvings <= OPTIONS.work:
             pieces[-1:] = [(end, halvings + 1), (at + 0.5 * length, halvings + 1)]
             continue
-        done += [_later(acted, at) for acted in move.done]
+        done += [acted._replace(begin=at + acted.begin) for acted in move.done]
         path += move.path
         now, rate, at = move.end, move.rate, at + length
         cut = end - at > LEAST * s.dt
@@ -181,11 +181,6 @@ def turns_far(s: System, h: float, acted: Impulses, begin: SceneState, end: Scen
 def _jammed(solution: Solution) -> bool:
     """Return whether no velocity opens the contacts: locating events more closely then gains nothing."""
     return solution.status is Status.NO_SLATER_POINT
-
-
-def _later(acted: Impulses, begun: float) -> Impulses:
-    """Return the impulses of a part that began `begun` s after the whole, with times counted from the whole."""
-    return acted._replace(begin=begun + acted.begin) if begun > 0.0 else acted
 
 
 def _to_event(

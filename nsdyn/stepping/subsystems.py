@@ -39,8 +39,8 @@ class Subsystem:
         d, frame_of_geom = whole.dynamics, whole.detector.frame
         self.nodes, self._bodies, self._trees = nodes, nodes[nodes < d.free], nodes[nodes >= d.free] - d.free
         self._whole = d
-        mine = among(d.block_of_frame, nodes)
-        self._frames = np.append(np.flatnonzero(mine | (d.block_of_frame < 0)), -1)
+        mine = among(d.node[:-1], nodes)
+        self._frames = np.append(np.flatnonzero(mine | (d.node[:-1] < 0)), -1)
         self._moved, frames = np.flatnonzero(mine), self._frames[:-1]
         self._frame = np.full(d.frames + 1, -1)
         self._frame[frames] = np.arange(frames.size)

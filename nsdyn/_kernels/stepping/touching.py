@@ -55,35 +55,20 @@ def pressed(key, old_key, states, out):
 
 
 @no_alloc
-def unmoved(detected_at, now, arm, tol):
-    """Whether no point of the frames moved by more than tol, and no reach of detection grew by more than tol.
+def detection_pose(detected_at, now, arm, tol, out):
+    """Poses for contact detection, into out = (x, R, reach); whether all frames keep their pose.
 
-    Points are at most `arm` (n,) from the origins of their frames. `detected_at` and `now` are (x, R, reach).
+    Each frame keeps its earlier pose until one of its points, at most `arm` (n,) from its origin, moves by tol, or its
+    reach grows by tol. The contacts found of a pair therefore depend on its two frames alone.
     """
-    (x, R, reach), (x_now, R_now, reach_now) = detected_at, now
+    (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out), every = detected_at, now, out, True
     for f in range(arm.size):
         shift, turn = 0.0, 0.0
         for i in range(3):
             shift = max(shift, abs(x[f, i] - x_now[f, i]))
             for j in range(3):
                 turn = max(turn, abs(R[f, i, j] - R_now[f, i, j]))
-        if shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f] + tol:
-            return False
-    return True
-
-
-@no_alloc
-def detection_pose(detected_at, now, arm, tol, out):
-    """Poses for contact detection, into out = (x, R, reach); whether all frames keep their pose.
-
-    Each frame keeps its earlier pose until it moves by tol, or needs a longer reach, as in `unmoved`. The contacts
-    found of a pair therefore depend on its two frames alone.
-    """
-    (x, R, reach), (x_now, R_now, reach_now), (x_out, R_out, reach_out), every = detected_at, now, out, True
-    for f in range(arm.size):
-        own = slice(f, f + 1)
-        there, here = (x[own], R[own], reach[own]), (x_now[own], R_now[own], reach_now[own])
-        same = unmoved(there, here, arm[own], tol)
+        same = not (shift + 3.0 * turn * arm[f] > tol or reach_now[f] > reach[f] + tol)
         for i in range(3):
             x_out[f, i] = x[f, i] if same else x_now[f, i]
             for j in range(3):
