@@ -75,15 +75,7 @@ SCENE: dict[str, Any] = {
     "?restitution_rule": str,
     "?pairs": ({"first": str, "second": str, "mu": object, "restitution": object},),
     "geoms": (
-        {
-            "name": str,
-            "?body": str,
-            "?link": str,
-            **DRAWN,
-            "?mu": float,
-            "?restitution": float,
-            "?offset": float,
-        },
+        {"name": str, "?body": str, "?link": str, **DRAWN, "?mu": float, "?restitution": float, "?offset": float},
     ),
     "?excluded": ([int, int],),
     "frames": (str,),

@@ -125,12 +125,7 @@ class EventlessSteps:
         return made
 
     def _told(
-        self,
-        old: FlatState,
-        made: KernelResult,
-        like: SceneState,
-        motion: TreeMotion | None,
-        certify: Certify,
+        self, old: FlatState, made: KernelResult, like: SceneState, motion: TreeMotion | None, certify: Certify
     ) -> FlatState | None:
         """Return the kernel's result as a state with its certificate; None if bodies pass through each other.
 

@@ -24,26 +24,8 @@ class Impulses(NamedTuple):
 
     Attributes
     ----------
-    contacts : ContactSet
-    frame : ndarray, shape (nc, 3, 3)
-    u, r : ndarray, shape (nc, 3)
-        Relative velocities afterwards [m/s], and impulses on body 2 [N·s], normal first.
-    status : ndarray of int8, shape (nc,)
-        0 open, 1 stick, 2 slip.
-    couple : ndarray, shape (nc, 3)
-        On body 2, world axes, N·m·s: `nsdyn.stepping.persistence`.
-    work_normal, work_friction : ndarray, shape (nc,)
-        Works, J; that of the couple is included in the normal one.
-    joints : ndarray, shape (8, nv)
-        On the coordinates of trees: impulses of actuation, of joint limits, of dry joint friction and of external
-        wrenches, N m s or N s; displacement by the position projection, rad or m; the most that actuators may give,
-        N m s or N s, infinite where they have no limit; the change of velocity of driven joints, and that by captured
-        impacts which damping, springs and control see, rad/s or m/s.
-    links : ndarray, shape (links, 6)
-        Impulses of external wrenches on the links of trees, one by joint: force and moment about the world's origin,
-        N·s, N m s.
-    created : float
-        Energy that impacts created, J.
+    contacts, frame, u, r, status, couple, work_normal, work_friction, joints, links, created
+        As in `Step`, whose `contact_status` is `status`.
     begin, duration : float
         When the move begins, s after the beginning of the step, and how long it is, s; 0 for impacts in no time. The
         impulses of a move act (1 - θ) of it after its beginning.

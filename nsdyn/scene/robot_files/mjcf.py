@@ -30,7 +30,7 @@ from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, place_joints, 
 from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
 from nsdyn.scene.robot_files.model import links_of
-from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Report, inside, mesh_file, numbers, parse, scalar
 from nsdyn.tools import noise
 from nsdyn.tools.naming import choice, unused
 
@@ -331,10 +331,10 @@ def _flaws(body: Element) -> Iterator[str]:
     inertial, where = body.find("inertial"), f"body {body.get('name')!r}"
     for geom in body.findall("geom"):
         for attribute in ("mass", "density"):
-            check_mass(float(numbers(geom.get(attribute), 1, (0.0,), f"{attribute} of {where}")[0]), where)
+            check_mass(scalar(geom.get(attribute), 0.0, f"{attribute} of {where}"), where)
     if inertial is None:
         return
-    check_mass(float(numbers(inertial.get("mass"), 1, None, f"mass of {where}")[0]), where)
+    check_mass(scalar(inertial.get("mass"), None, f"mass of {where}"), where)
     xx, yy, zz = numbers(inertial.get("diaginertia"), 3, (0, 0, 0), f"diaginertia of {where}")
     full = numbers(inertial.get("fullinertia"), 6, (xx, yy, zz, 0, 0, 0), f"fullinertia of {where}")
     xx, yy, zz, xy, xz, yz = full

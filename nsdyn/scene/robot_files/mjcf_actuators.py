@@ -12,7 +12,7 @@ import numpy as np
 
 from nsdyn.scene.actuation import Actuator
 from nsdyn.scene.robot_files.mjcf_elements import DRIVES, over
-from nsdyn.scene.robot_files.xml import Notes, numbers, range_of
+from nsdyn.scene.robot_files.xml import Notes, numbers, range_of, scalar
 from nsdyn.tools.arrays import Array
 
 OWN = {
@@ -66,7 +66,7 @@ def actuators_of(
         q, v = places[joint]
         a = _read(element, label, joint, v, autolimits)._replace(control=control)
         if element.get("inheritrange"):
-            share = float(numbers(element.get("inheritrange"), 1, None, f"inheritrange of actuator {label!r}")[0])
+            share = scalar(element.get("inheritrange"), None, f"inheritrange of actuator {label!r}")
             low, high = model.lowerPositionLimit[q], model.upperPositionLimit[q]
             if not math.isfinite(low):
                 raise ValueError(f"inheritrange of actuator {label!r} needs a range of joint {joint!r}")

@@ -13,7 +13,7 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.elements import POSE
 from nsdyn.scene.robot_files.mjcf_poses import along
 from nsdyn.scene.robot_files.mjcf_visuals import Look, look_of
-from nsdyn.scene.robot_files.xml import Notes, Report, numbers
+from nsdyn.scene.robot_files.xml import Notes, Report, numbers, scalar
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -162,4 +162,4 @@ def _material(geom: Element, label: str) -> Material | None:
     given = geom.get("friction")
     if given is None:
         return None
-    return Material(mu=float(numbers(" ".join(given.split()[:1]), 1, None, f"friction of geom {label!r}")[0]))
+    return Material(mu=scalar(" ".join(given.split()[:1]), None, f"friction of geom {label!r}"))

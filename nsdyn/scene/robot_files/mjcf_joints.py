@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene.exclusions import FREE
-from nsdyn.scene.robot_files.xml import Report, numbers, range_of
+from nsdyn.scene.robot_files.xml import Report, numbers, range_of, scalar
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice, unused
 
@@ -100,7 +100,7 @@ def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]
             continue
 
         def value(attribute: str, label: str = label, element: Element = element) -> float:
-            return float(numbers(element.get(attribute), 1, (0.0,), f"{attribute} of {label}")[0])
+            return scalar(element.get(attribute), 0.0, f"{attribute} of {label}")
 
         damping[rows], friction[rows], armature[rows] = value("damping"), value("frictionloss"), value("armature")
         factor = unit if kind == "hinge" else 1.0

@@ -25,7 +25,7 @@ from nsdyn.scene.robot_files.elements import changes_nothing, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.sdf_elements import TABLE
 from nsdyn.scene.robot_files.sdf_frames import AXES, Frames, Joint, is_true
-from nsdyn.scene.robot_files.xml import Report, is_limit, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import Report, is_limit, mesh_file, numbers, parse, scalar
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
@@ -160,7 +160,7 @@ class _Reader:
             for mimic in joint.element.iterfind(f"{tag}/mimic"):
                 label, pair = f"mimic of {joint.name!r}", (mimic.get("joint", ""), joint.name)
                 ratio, offset, zero = (
-                    float(numbers(mimic.findtext(what), 1, (default,), f"{what} of {label}")[0])
+                    scalar(mimic.findtext(what), default, f"{what} of {label}")
                     for what, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
                 )
                 word = choice(mimic.get("axis", "axis"), ("axis", "axis2"), f"axis of {label}")
@@ -240,7 +240,7 @@ class _Reader:
             self.bodies.append(link)
             mu = collision.findtext(f"{FRICTION}/mu")
             if mu is not None:
-                self.materials[label] = Material(float(numbers(mu, 1, None, f"mu of link {link!r}")[0]))
+                self.materials[label] = Material(scalar(mu, None, f"mu of link {link!r}"))
         for visual in element.findall("visual"):
             try:
                 self.visuals += self._visual(link, joint, pose, visual)
@@ -281,7 +281,7 @@ class _Reader:
 
         def value(where: str, default: float) -> float:
             text = None if element is None else element.findtext(where)
-            return float(numbers(text, 1, (default,), f"{where} of link {link!r}")[0])
+            return scalar(text, default, f"{where} of link {link!r}")
 
         xx, yy, zz = (value(f"inertia/i{a}", 1.0) for a in ("xx", "yy", "zz"))
         xy, xz, yz = (value(f"inertia/i{a}", 0.0) for a in ("xy", "xz", "yz"))

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.scene.robot_files.xml import UNLIMITED, numbers
+from nsdyn.scene.robot_files.xml import UNLIMITED, numbers, scalar
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
@@ -119,7 +119,7 @@ class Frames:
                     return float(np.copysign(np.inf, float(text or "")))
             except ValueError:  # `numbers` raises below
                 pass
-            return float(numbers(text, 1, (default,), f"{where} of joint {joint.name!r}")[0])
+            return scalar(text, default, f"{where} of joint {joint.name!r}")
 
         limits = (-np.inf, np.inf)
         if joint.kind != "continuous":

@@ -16,7 +16,7 @@ from nsdyn.scene.articulations import Description, Link, describe_model
 from nsdyn.scene.gears import Gear, following, gear
 from nsdyn.scene.robot_files.elements import Rules, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import XACRO, Report, is_limit, mesh_file, numbers, parse
+from nsdyn.scene.robot_files.xml import XACRO, Report, is_limit, mesh_file, numbers, parse, scalar
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import Colour, MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
@@ -171,7 +171,7 @@ def _mimics(joints: Sequence[Element], model: Any) -> tuple[Array, tuple[Gear, .
         for mimic in joint.findall("mimic") if joint.get("type") not in ("planar", "floating") else ():
             label = f"mimic of {joint.get('name')!r}"
             ratio, offset = (
-                float(numbers(mimic.get(what), 1, (default,), f"{what} of {label}")[0])
+                scalar(mimic.get(what), default, f"{what} of {label}")
                 for what, default in (("multiplier", 1.0), ("offset", 0.0))
             )
             pair = mimic.get("joint", ""), joint.get("name", "")
@@ -236,10 +236,9 @@ def _flaws(link: Element) -> Iterator[str]:
         return
     where = f"link {link.get('name')!r}"
     mass, inertia = (Element(tag) if (e := inertial.find(tag)) is None else e for tag in ("mass", "inertia"))
-    check_mass(float(numbers(mass.get("value"), 1, None, f"mass of {where}")[0]), where)
+    check_mass(scalar(mass.get("value"), None, f"mass of {where}"), where)
     xx, yy, zz, xy, xz, yz = (
-        float(numbers(inertia.get(f"i{axes}"), 1, None, f"i{axes} of {where}")[0])
-        for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
+        scalar(inertia.get(f"i{axes}"), None, f"i{axes} of {where}") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
     )
     _pose(inertial.find("origin"), f" of <inertial> of {where}")  # urdfdom drops the mass with a wrong origin
     if fault := flaw(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), where):
@@ -291,7 +290,7 @@ def _shape(geometry: Element | None, folders: Sequence[Path]) -> tuple[Shape, Ar
     (shape,), origin = geometry, np.zeros(3)
 
     def length(attribute: str) -> float:
-        return float(numbers(shape.get(attribute), 1, None, f"{attribute} of <{shape.tag}>")[0])
+        return scalar(shape.get(attribute), None, f"{attribute} of <{shape.tag}>")
 
     match shape.tag:
         case "box":
