@@ -106,18 +106,17 @@ def contact_frames(normal, frame):
 
 
 @no_alloc
-def contact_layout(contacts, block_of_frame, offset, frame, block, start):
+def contact_layout(contacts, node, offset, frame, block, start):
     """Write `contact_frames`, the blocks of every contact (side 0: minus, side 1: plus), and the starts of their rows.
 
     Two links of one tree share its block and are merged into side 0. Returns the size of H. Contacts are those of
-    `nsdyn.collision.contacts.ContactSet`, (names, points, scalars).
+    `nsdyn.collision.contacts.ContactSet`, (names, points, scalars), and `node` is that of `Layout`.
     """
     names, points, _ = contacts
     contact_frames(points[1], frame)
     size = 0
     for c in range(names.shape[1]):
-        a = block_of_frame[names[2, c]] if names[2, c] >= 0 else -1
-        b = block_of_frame[names[3, c]] if names[3, c] >= 0 else -1
+        a, b = node[names[2, c]], node[names[3, c]]
         block[c, 0], block[c, 1] = a, (-1 if a == b else b)
         for s in range(2):
             start[c, s] = size

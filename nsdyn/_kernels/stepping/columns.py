@@ -11,7 +11,7 @@ from nsdyn._kernels.packing import indices, matrices, numbers, triples
 # The packed arrays of the system: floats, then integers.
 MOMENTS, AXES, INVERSE_MASS, INVERSE_J, MASS, INERTIA, M, MINV, GRAVITY, NO_LOAD = range(10)
 RADII, NOWHERE, INSCRIBED, JACOBIAN, BEGUN, NUMBERS, SYSTEM = range(10, 17)
-BLOCK_OF_FRAME, OFFSET, M_START, TREES, SUPPORT = range(5)
+NODE, OFFSET, M_START, TREES, SUPPORT = range(5)
 
 # The last array of the floats: numbers with the names that they have in `System` and `GapRule`, then in `Auto` and
 # `gauss`; then the number of geoms, the most numbers in H per contact, up to how many contacts other solutions are
@@ -59,7 +59,7 @@ def opened(system):
     """Views of the packed arrays of a system.
 
     (numbers, size); (radii, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹) of bodies; (gravity, no
-    load); masses = (block_of_frame, offset, m_start, m, minv); movers = (free bodies, trees as in `links.rows`) at
+    load); masses = (node, offset, m_start, m, minv); movers = (free bodies, trees as in `links.rows`) at
     the midpoint, and the same at the beginning of the move.
     """
     sf, si = system
@@ -74,7 +74,7 @@ def opened(system):
         matrices(sf, si, INVERSE_J),
     )
     masses = (
-        indices(si, BLOCK_OF_FRAME, SYSTEM),
+        indices(si, NODE, SYSTEM),
         offset,
         indices(si, M_START, SYSTEM),
         numbers(sf, si, M),

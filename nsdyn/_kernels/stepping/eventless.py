@@ -145,10 +145,10 @@ def posed(s, first, last, active, rows, acted, flags, room):
     (num, size), (_, _, radii), _, _, _, masses, (free_bodies, trees), _ = s
     (warm, force), (frame, block, start, H, scales, made), (names, _, scalars) = last, rows, active
     (b_old, out, a, w, own, place, head), (keys, pairs, was), nc, n = room, acted, acted[2].size, size[0]
-    b, q, none, (block_of_frame, offset, m_start, m, minv) = out[col.RESULTS :], a[col.FREE * nc :], own[:0], masses
+    b, q, none, (node, offset, m_start, m, minv) = out[col.RESULTS :], a[col.FREE * nc :], own[:0], masses
     q, x, again = q[: 3 * nc], col.vectors(w, col.DETECTED_THERE, n), made[col.MADE] > 0
     if not again:
-        made[col.SIZE] = motion.contact_layout(active, block_of_frame, offset, frame, block, start)
+        made[col.SIZE] = motion.contact_layout(active, node, offset, frame, block, start)
         if free_bodies < n:
             H[: made[col.SIZE]] = 0.0
         motion.free_rows(active, frame, x, col.rotations(w, col.DETECTED_THERE + 3, n), free_bodies, start, H)

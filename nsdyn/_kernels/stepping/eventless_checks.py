@@ -62,11 +62,11 @@ def turns_round(solution, mu, local, was, active, first, node):
     ends = np.empty(was.size, np.int8)
     if slip_reversal.ending(*solution, mu, local, was, np.empty(0, np.bool_), ends) == 0:
         return False
-    seen = np.empty(node.max() + 1, np.bool_)
-    located(node, first[2:4], seen)
+    seen = np.zeros(node.max() + 2, np.bool_)  # The last one: what has no node.
+    located(node, first[2:4], seen[:-1])
     for c in range(was.size):
         for s in range(2):
-            if ends[c] > 0 and active[2 + s, c] >= 0 and node[active[2 + s, c]] >= 0 and seen[node[active[2 + s, c]]]:
+            if ends[c] > 0 and seen[node[active[2 + s, c]]]:
                 return True
     return False
 

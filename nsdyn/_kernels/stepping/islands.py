@@ -17,16 +17,16 @@ WORK, EVENT = OPTIONS.work, OPTIONS.event
 @kernel
 def located(node, frames, out):
     """Whether events are located in the island of each node, into out (nodes,), from frames (2, nc) of the contacts."""
-    parent, label, joined = np.arange(out.size), np.empty(out.size, np.int64), np.empty(frames.shape, np.int64)
+    parent, label = np.arange(out.size), np.empty(out.size, np.int64)
     for c in range(frames.shape[1]):
-        for s in range(2):
-            joined[s, c] = node[frames[s, c]] if frames[s, c] >= 0 else -1
-        if joined[0, c] >= 0 and joined[1, c] >= 0:
-            unite(parent, joined[0, c], joined[1, c])
+        a, b = node[frames[0, c]], node[frames[1, c]]
+        if a >= 0 and b >= 0:
+            unite(parent, a, b)
     size = np.zeros(number(parent, label), np.int64)
     for c in range(frames.shape[1]):
-        if joined[0, c] >= 0 or joined[1, c] >= 0:
-            size[label[max(joined[0, c], joined[1, c])]] += 1
+        k = max(node[frames[0, c]], node[frames[1, c]])
+        if k >= 0:
+            size[label[k]] += 1
     for k in range(out.size):
         out[k] = EVENT * size[label[k]] <= WORK
 
