@@ -84,6 +84,10 @@ class DelassusFactors(NamedTuple):
         _blocks.respond(self.arrays, r, p, dv)
         return dv
 
+    def product(self, r: Array) -> Array:
+        """Return W r, shape (3 nc,)."""
+        return self.relative_velocity(self.velocity_change(r))
+
     def response(self, r: Array, v_free: Array) -> tuple[Array, Array]:
         """Return (H r, v_free + M⁻¹ H r), shape (n,) each."""
         p, dv = np.empty(self.n), np.empty(self.n)

@@ -202,7 +202,7 @@ class FC3D:
         """Return W r, shape (3 nc,), m/s, without the round-off of q that `velocity` less q would have."""
         if self.blocks is None:
             return self.with_velocity(np.zeros_like(self.q)).velocity(r)
-        return self.blocks.relative_velocity(self.blocks.velocity_change(self.impulse(r)))
+        return self.blocks.product(self.impulse(r))
 
     def error(self, r: Any) -> float:
         """Return the error of the literature, ‖r - P_K(r - û)‖₂ / ‖q‖₂ (ρ = 1 in the given units).

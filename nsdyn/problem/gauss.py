@@ -34,6 +34,7 @@ import numpy as np
 
 from nsdyn._kernels.problem import gauss as _kernels
 from nsdyn._kernels.problem.cones import ROUNDING, into_cones
+from nsdyn.problem.cones import saxce
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
 from nsdyn.tools.arrays import Array
@@ -158,9 +159,7 @@ def certify(
             d = of_all(problem)
             wedged = 0 if d.size else problem.nc
         if not d.size:
-            hat = u.copy()
-            hat[0::3] += problem.mu * np.hypot(u[1::3], u[2::3])
-            d = of_own(problem, hat, speed)
+            d = of_own(problem, saxce(u.reshape(-1, 3), problem.mu).ravel(), speed)
         if d.size or step == math.inf:
             slater = SlaterDirection(d, problem.nc, speed, wedged)
             step, total, square = _along_direction(problem, u, impulse, d)[3:]

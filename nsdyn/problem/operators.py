@@ -164,11 +164,8 @@ class Velocity:
 
     def __init__(self, blocks: DelassusFactors) -> None:
         self.blocks, self.graph = blocks, _factor(get_ident(), blocks.offset.tobytes(), blocks.block.tobytes())
-        self.change, self.relative = blocks.velocity_change, blocks.relative_velocity  # y = M⁻¹ H r, and Hᵀ y
-
-    def product(self, r: Array) -> Array:
-        """Return W r."""
-        return self.relative(self.change(r))
+        # y = M⁻¹ H r, Hᵀ y and W r
+        self.change, self.relative, self.product = blocks.velocity_change, blocks.relative_velocity, blocks.product
 
     def factor(self, A: Array) -> Callable[[Array], Array]:
         """Return the function g ↦ W (I + A W)⁻¹ g."""

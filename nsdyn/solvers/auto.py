@@ -284,8 +284,7 @@ class Auto(Options):
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""
-        solution = self._solved(problem, r0, self.tol)
-        return solution if solution.status is CONVERGED else self._explained(problem, solution)
+        return self._explained(problem, self._solved(problem, r0, self.tol))
 
     def balanced(self, problem: FC3D, r0: Array, before: Array) -> Solution:
         """Solve the problem from r0; large islands also if r0 meets the tolerance but its impulses are out of balance.

@@ -76,7 +76,6 @@ class Path:
 
     Attributes
     ----------
-    problem : FC3D
     W : Operator
     q, mu, scales, q_norm
         Of the problem: m/s, -, λ_max(W_cc) in kg⁻¹ and m/s.
@@ -93,7 +92,7 @@ class Path:
     """
 
     def __init__(self, p: FC3D, W: Operator, r: Array, tau: float) -> None:
-        self.problem, self.W, self.q, self.mu, self.scales, self.q_norm = p, W, p.q, p.mu, p.scales, p.q_norm
+        self.W, self.q, self.mu, self.scales, self.q_norm = W, p.q, p.mu, p.scales, p.q_norm
         self.kappa = STRETCH / p.scales
         self.k = np.repeat(self.kappa, 3)
         self.obeyed = np.repeat(p.mu > 0.0, 3)

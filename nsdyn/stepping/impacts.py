@@ -65,7 +65,7 @@ class Round(NamedTuple):
 
     def after(self, r: Array) -> Array:
         """Return U⁺ = U⁻ + W r, m/s."""
-        return self.before + self.blocks.relative_velocity(self.blocks.velocity_change(r))
+        return self.before + self.blocks.product(r)
 
     def solved(self, b: Array) -> Solved:
         """Return the problem K* ∋ y + μ‖y_T‖ e_N ⟂ r ∈ K, y = W r + b, and its solution.

@@ -86,7 +86,7 @@ def strike(law: Law, at: Round, resting: Array, slow: Array) -> Impact:
         own, solved = answer(law, impact)
         r = np.zeros_like(u)
         r[np.repeat(part, 3)] = own
-        after = u + blocks.relative_velocity(blocks.velocity_change(r))
+        after = u + blocks.product(r)
         works += 0.5 * (u + after) * r
         bounced |= np.isin(label, label[e > 0.0])
         left = max(solver.tol, *(solution.residual for _, solution in solved))
