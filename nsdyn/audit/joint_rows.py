@@ -38,8 +38,6 @@ class Acted(NamedTuple):
     Attributes
     ----------
     m : Mechanism
-    label : list of str
-        Names of its coordinates.
     step : int
     kick : Kick
     along : ndarray, shape (6, nv)
@@ -56,7 +54,6 @@ class Acted(NamedTuple):
     """
 
     m: Mechanism
-    label: list[str]
     step: int
     kick: Kick
     along: Array
@@ -81,7 +78,7 @@ def on_joints(found: Retraced) -> Iterator[Found]:
 
 def _all(found: Retraced) -> Iterator[Acted]:
     for i, m in enumerate(found.trees.mechanisms):
-        label, rest = _labels(m), np.full(m.nv, np.inf)  # at the start nothing has moved yet
+        rest = np.full(m.nv, np.inf)  # at the start nothing has moved yet
         for k, way in enumerate(found.ways[i]):
             q, begin = found.trees.state(i, k)[:2]
             sizes = [m.mass(q) @ begin, *(kick.given[:4] for kick in way.kicks)]
@@ -91,7 +88,7 @@ def _all(found: Retraced) -> Iterator[Acted]:
                 doubt = doubt + first.doubted[1]
                 before, after = kick.before, kick.after
                 along = np.array([begin, before, after, last.v, 0.5 * (before + after), after + before - begin])
-                yield Acted(m, label, k + 1, kick, along, m.angle(last.q), rest, most, doubt)
+                yield Acted(m, k + 1, kick, along, m.angle(last.q), rest, most, doubt)
                 begin, doubt = last.v, doubt + last.doubted[1]
                 if kick.h:
                     rest = SOLVED + 2.0 * found.trees.trajectory.dt * np.abs(kick.rate)
@@ -106,7 +103,7 @@ def _stops(a: Acted, dt: float) -> Iterator[Row]:
     width = np.where(np.isfinite(m.upper - m.lower), m.upper - m.lower, 1.0)
     for j in np.flatnonzero(np.abs(a.kick.given[1]) > NOTHING * a.most):
         away = gaps[j] - travel[j] if a.kick.h > 0.0 else abs(gaps[j])
-        yield away / max(width[j], 1e-300), away, a.step, a.label[j]
+        yield away / max(width[j], 1e-300), away, a.step, m.labels[j]
 
 
 def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
@@ -135,7 +132,7 @@ def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
             elif abs(kick.before[j]) <= a.rest[j]:
                 off = min(off, abs(kick.after[j]))
             off -= (1.0 + e) * a.doubt[j]
-            rows.append((off / max(float(np.abs(a.along[:4]).max()), CREEP), off, a.step, a.label[j]))
+            rows.append((off / max(float(np.abs(a.along[:4]).max()), CREEP), off, a.step, a.m.labels[j]))
     yield _worst("rebounds", rows)
     if shared:
         reason = f"{shared} limits rebound together, or in a move, as often as is not recorded"
@@ -157,7 +154,7 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
         j, pull, speeds = on[0], drag[on], a.along[:, on]
         least, most = most_drag[on].min(), most_drag[on].max()
         over = float(np.linalg.norm(pull)) - least
-        bound = over / max(least, NOTHING * a.most, 1e-300), over, a.step, a.label[j]
+        bound = over / max(least, NOTHING * a.most, 1e-300), over, a.step, a.m.labels[j]
         # In a piece whose velocity changes sign, any friction may oppose the motion.
         speed = np.linalg.norm(speeds, axis=1)
         # A sticking joint may have any friction within the bound.
@@ -166,21 +163,12 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
         turns = j in a.m.driven or bool(((speeds.min(axis=0) <= 0.0) & (speeds.max(axis=0) >= 0.0)).all())
         largest = dt * a.m.friction[on].max() * (float(speed.max()) + CREEP)
         figure = 0.0 if turns else wasted / max(largest, 1e-300)
-        yield bound, (figure, wasted, a.step, a.label[j])
+        yield bound, (figure, wasted, a.step, a.m.labels[j])
 
 
 def _worst(name: str, rows: list[Row]) -> Found:
     figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T
     return worst_of(name, figure, amount, step.astype(int), lambda k: [rows[k][3]])
-
-
-def _labels(m: Mechanism) -> list[str]:
-    """Name of articulation and joint of every coordinate."""
-    return [
-        f"{m.name}/{name}"
-        for name, joint in zip(m.joints, list(m.model.joints)[1:], strict=True)
-        for _ in range(joint.nv)
-    ]
 
 
 def _acted(found: Retraced, name: str) -> tuple[Array, Index]:
@@ -194,7 +182,7 @@ def _pushes(found: Retraced) -> Found:
     """Effect of external wrenches on the coordinates, for steps of one move; wrenches of pieces are not recorded."""
     c, rows, first = found.trees.trajectory.columns, list[Row](), 0
     for m, ways in zip(found.trees.mechanisms, found.ways, strict=True):
-        links, label = m.model.njoints - 1, _labels(m)
+        links = m.model.njoints - 1
         for k, way in enumerate(ways if ON_LINKS in c else ()):
             if len(way.kicks) != 1:
                 continue
@@ -206,7 +194,7 @@ def _pushes(found: Retraced) -> Found:
             doubt = scale * sum(float(course.doubted[0].sum()) for course in way.flows)
             off = np.abs(m.pushed(wrenches) - kick.given[3]) - doubt
             j = int(off.argmax())
-            rows.append((off[j] / scale, off[j], k + 1, label[j]))
+            rows.append((off[j] / scale, off[j], k + 1, m.labels[j]))
         first += links
     return _worst("pushes", rows)
 
@@ -214,7 +202,7 @@ def _pushes(found: Retraced) -> Found:
 def _strength(found: Retraced) -> Found:
     """Check that no impulse of an actuator exceeds its limit times the time in which it acts."""
     (given, step), (most, _) = _acted(found, "actuation"), _acted(found, "strength")
-    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
+    labels = [label for m in found.trees.mechanisms for label in m.labels]
     k, j = np.nonzero(~np.isinf(most))
     over = np.abs(given[k, j]) - most[k, j]
     figure = over / np.maximum(most[k, j], 1e-300)
@@ -223,7 +211,7 @@ def _strength(found: Retraced) -> Found:
 
 def _loads(found: Retraced) -> Iterator[Found]:
     """Check for joint forces without a controller, and for external wrenches without a function that gives them."""
-    labels = [label for m in found.trees.mechanisms for label in _labels(m)]
+    labels = [label for m in found.trees.mechanisms for label in m.labels]
     for name, column, given, what in (
         ("loads", "actuation", "controller", "the controller's law and limits"),
         ("wrenches", "external", "external_force", "external forces"),

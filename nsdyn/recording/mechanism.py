@@ -78,6 +78,8 @@ class Mechanism:
         Laws of the joints; bounds are infinite for joints without limits.
     falling : float
         ‖g‖ √Σm, the largest rate at which weights change the velocity, in the norm of the mass matrix, √J/s.
+    labels : list of str
+        Name of articulation and joint of every coordinate.
     driven : ndarray of int
         Coordinates with prescribed motion.
     floats : bool
@@ -143,6 +145,7 @@ class Mechanism:
         )
         self.zero, self.flat = np.zeros(self.nv), self.model.nq == self.nv
         joints = list(self.model.joints)[1:]
+        self.labels = [f"{name}/{label}" for label, j in zip(self.joints, joints, strict=True) for _ in range(j.nv)]
         linear = [(j.idx_v + k, j.idx_q + k) for j in joints if j.nq == j.nv for k in range(j.nv)]
         self._linear = np.array(linear, np.int64).reshape(-1, 2).T
         self.winding = any(j.shortname() in WINDING for j in joints)
@@ -213,24 +216,25 @@ class Mechanism:
         """Return the frame of a joint at the configuration of the last `place`."""
         return self.data.oMi[joint] * self.turned[joint].inverse()
 
+    def _jacobian(self, joint: int) -> Any:
+        """Return the Jacobian of a link at the world's origin, (6, nv), at the configuration of `place`."""
+        return pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
+
     def push(self, joint: int, point: Array, impulse: Array) -> Array:
         """Return the generalised impulse of an impulse at a point of a link, at the configuration of `place`."""
-        J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
-        out: Array = J.T @ np.concatenate((impulse, np.cross(point, impulse)))
+        out: Array = self._jacobian(joint).T @ np.concatenate((impulse, np.cross(point, impulse)))
         return out
 
     def pushed(self, wrenches: Array) -> Array:
         """Return the generalised impulse of wrenches on the links about the world's origin (links, 6), as in `push`."""
         out: Array = np.zeros(self.nv)
         for joint in np.flatnonzero(wrenches.any(axis=1)).tolist():
-            J = pin.getJointJacobian(self.model, self.data, joint + 1, pin.WORLD).reshape(6, -1, order="A")
-            out += J.T @ wrenches[joint]
+            out += self._jacobian(joint + 1).T @ wrenches[joint]
         return out
 
     def carried(self, joint: int, point: Array, v: Array) -> tuple[Array, Array]:
         """Return velocity of a point of a link, m/s, and angular velocity, rad/s, at the configuration of `place`."""
-        J = pin.getJointJacobian(self.model, self.data, joint, pin.WORLD).reshape(6, -1, order="A")
-        twist = J @ v
+        twist = self._jacobian(joint) @ v
         return twist[:3] + np.cross(twist[3:], point), twist[3:]
 
     def momenta(self, q: Array, v: Array) -> Array:
