@@ -98,7 +98,8 @@ class Law(Protocol):
     """The interface of a law of impact: a frozen dataclass of its own options that is called on an impact."""
 
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
-        """Mark the closed contacts of a struck island that take part."""
+        """Mark the closed contacts of a struck island that take part: all, unless a law says otherwise."""
+        return np.ones_like(hit)
 
     def __call__(self, impact: Round) -> Given:
         """Return the impulses r, shape (3 rows,), N·s, and the problems that were solved for them."""
@@ -181,17 +182,13 @@ def _workless(impact: Round, label: Index, begin: Array, end: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Poisson:
+class Poisson(Law):
     """Compression with e = 0 gives r_c; expansion e r_c, and r' where bodies would collide else: r = r_c + e r_c + r'.
 
     K* ∋ U⁺ + μ‖U_T⁺‖ e_N ⟂ r' ∈ K. It never creates energy if all contacts have one e: the change is at most
     -½ ‖r_e - e r_c‖²_W - ½ (1 - e²) ‖r_c‖²_W with r_e = e r_c + r'. (F. Pfeiffer, C. Glocker, Multibody dynamics with
     unilateral contacts, 1996, chapter 8, with ε_T = ε_N.)
     """
-
-    def takes_part(self, hit: Bools, restitution: Array) -> Bools:
-        """Mark every closed contact."""
-        return np.ones_like(hit)
 
     def __call__(self, impact: Round) -> Given:
         """Solve two problems, one after the other."""
@@ -202,16 +199,12 @@ class Poisson:
 
 
 @dataclass(frozen=True)
-class Fremond:
+class Fremond(Law):
     """U_N⁺ ≥ -e U_N⁻ where bodies approach, U_N⁺ ≥ -U_N⁻ where they separate, friction opposes ½ (U_T⁺ + U_T⁻).
 
     No work is ever positive. Every closed contact takes part. Sticking reverses U_T, as on a superball. (M. Frémond,
     Rigid bodies collisions, Physics Letters A 204, 1995.)
     """
-
-    def takes_part(self, hit: Bools, restitution: Array) -> Bools:
-        """Mark every closed contact."""
-        return np.ones_like(hit)
 
     def __call__(self, impact: Round) -> Given:
         """Solve one problem: b_N = (1 + e) U_N⁻ where bodies approach, 2 U_N⁻ where they separate, b_T = 2 U_T⁻."""

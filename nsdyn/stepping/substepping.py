@@ -226,15 +226,15 @@ def _to_event(
         return capture(begun)
     budget.spend(begin)
     m = try_move(s, loads, begin, t, h, NONE, begun)
-    begun, kin = m.mid, bool(m.hits.size)
-    if _jammed(m.solution) or (not affords and (kin or m.touch_time < h or not m.solution.accepted)):
+    begun, meets = m.mid, bool(m.hits.size)
+    if _jammed(m.solution) or (not affords and (meets or m.touch_time < h or not m.solution.accepted)):
         return capture(begun)
     if m.touch_time < h:
         return _to_event(s, loads, begin, t, m.touch_time, soon, budget)
     turned = h * reversal(m.kin, s.solver, m.problem, m.solution, cut) if affords else h
     if soon < turned < (1.0 - SOON) * h:
         return _to_event(s, loads, begin, t, turned, soon, budget, cut=True)
-    if not kin:
+    if not meets:
         return h, m
     located = np.unique(m.hits)
     if (found := _locate(s, loads, begin, t, {h: m}, located, m.limit, budget)) is not None:
