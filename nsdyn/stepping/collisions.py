@@ -82,7 +82,15 @@ def _striking_speeds(
 
     Rows that are `closed` strike if they do not rest; the drift of those that turn with their bodies is no approach.
     Open rows that may rebound strike if they close within the move: the rows `struck`, and others that impacts drive.
-    They meet the velocity `half` (rows,) that half of the forces leave; the other half follows.
+
+    Parameters
+    ----------
+    s : System
+    kin : ContactKinematics
+    mid : Midpoint
+    struck, closed : ndarray of bool, shape (rows,)
+    half : ndarray, shape (rows,)
+        Change of the normal velocities by half of the forces, which impacts have met, m/s; the other half follows.
     """
     resting, drift = s.resting(kin, mid.state, mid.rate, mid.surface_acceleration), kin.jacobian_drift[0::3]
     turns = np.where(struck, 0.0, 2.0 * np.abs(drift))

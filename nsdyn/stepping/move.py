@@ -66,17 +66,28 @@ def try_move(
 
         q~, v⁻ = Φ(q_k, v_k, (1 - θ) h)     v⁺ = v⁻ + M̃⁻¹ (h f̃ + H r)     q_{k+1}, v_{k+1} = Φ(q~, v⁺, θ h)
 
-    and the contact law of `contact_kinematics`, for the active set that agrees with the motion. `loads` gives the
-    callbacks for a time [s]. Where they return another f̃ at the mean velocity ½ (v⁻ + v⁺), the motion is computed once
-    more, with that f̃.
+    and the contact law of `contact_kinematics`, for the active set that agrees with the motion. Where callbacks return
+    another f̃ at the mean velocity ½ (v⁻ + v⁺), the motion is computed once more, with that f̃.
 
-    `located` holds codes, as in `missed_impacts`, of contacts and joint limits whose impacts are to be located. The
-    move leaves these out while they are open, and also all contacts that would become deep or strike. The result then
-    says which contacts the move runs into. With None, all contacts are captured. `begun` is the known part of the move.
-
-    With a `label` (nodes,), that of its island for each node, all islands move at once, and none changes because of
-    another; bodies that pass others unseen are then left to the caller. The result is no motion of the nodes `skip`
-    (nodes,), whose contacts are left out.
+    Parameters
+    ----------
+    s : System
+    loads : callable
+        The callbacks for a time, s.
+    begin : SceneState
+    t, h : float
+        When the move begins and how long it lasts, s.
+    located : ndarray of int or None
+        Codes, as in `missed_impacts`, of contacts and joint limits whose impacts are to be located. The move leaves
+        these out while they are open, and also all contacts that would become deep or strike. The result then says
+        which contacts the move runs into. With None, all contacts are captured.
+    begun : Midpoint or Attempt, optional
+        The known part of the move.
+    label : ndarray of int, shape (nodes,), optional
+        The island of each node. All islands then move at once, and none changes because of another; bodies that pass
+        others unseen are left to the caller.
+    skip : ndarray of bool, shape (nodes,), optional
+        Nodes whose motion the result does not tell, and whose contacts are left out.
     """
     (mid, made), callbacks = parted(begun), loads(t + (1.0 - s.theta) * h)
     if mid is None and (s.dynamics.trees or callbacks is not None):
