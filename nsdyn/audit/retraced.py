@@ -14,7 +14,7 @@ from nsdyn.recording.courses import close
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Kick, Trees, Way, trees
 from nsdyn.tools.arrays import Array, Bools
-from nsdyn.tools.displacements import displacement, integrate
+from nsdyn.tools.displacements import displacement
 
 COARSE = 1e-3
 """Largest error of the fourth-order flow of a step, as a fraction of the motion; larger: no motion of this tree."""
@@ -104,7 +104,7 @@ def retraced(poses: Poses) -> Retraced | str:
                 begin = found.state(i, k)
                 for kick, doubted, last in zip(way.kicks, _book(out, i, m, k, way), way.flows[1::2], strict=True):
                     _meet(out, m, kick, doubted, begin)
-                    begin = np.array(integrate(m.model, last.q, kick.shift)), last.v
+                    begin = m.lifted(last.q, last.v, kick.shift)
             except (np.linalg.LinAlgError, ValueError):  # values that are no numbers, or masses that no body can have
                 way, out.momentum[0][k, i] = Way([], [], *found.state(i, k + 1)), np.nan
             out.ways[i].append(way)
@@ -180,8 +180,8 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
         doubt += float(acted @ doubted)  # for dampers twice: impulse and displacement are as uncertain as velocities
         late = late + last.doubted[1]
         if kick.shift.any():
-            lifted = np.array(integrate(m.model, last.q, kick.shift))
-            out.energy[k] += sum(m.energies(lifted, last.v)) - sum(m.energies(last.q, last.v))
+            lifted = m.lifted(last.q, last.v, kick.shift)
+            out.energy[k] += sum(m.energies(*lifted)) - sum(m.energies(last.q, last.v))
     for name, work in works.items():
         out.works[name][k, i] = work
     out.doubt[k, i] = doubt

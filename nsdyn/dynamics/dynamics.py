@@ -236,13 +236,15 @@ class Dynamics(Kinematics):
         return out
 
     def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
-        """Velocity with unchanged momentum after a position projection of free bodies, and their change of energy, J.
+        """Velocity with unchanged momenta after a position projection, and the change of energy of free bodies, J.
 
-        The angular momentum in space is kept. Therefore ω in body axes changes with the rotation, and kinetic energy
-        slightly.
+        The angular momentum in space is kept, of free bodies and of trees that float. Therefore ω in body axes changes
+        with the rotation, and kinetic energy slightly.
         """
         out = np.empty(self.n)
         _motion.keep_spin(self.J, self.inverse_J, before.quaternion, after.quaternion, v, out)
         bodies = self.mass, self.J, self.gravity
+        for t, q, lifted in zip(self.trees, before.trees, after.trees, strict=True):
+            out[t.coordinates] = t.lift(q, lifted, v[t.coordinates])
         now, then = _motion.free_energies(*bodies, after.x, out), _motion.free_energies(*bodies, before.x, v)
         return out, (now[0] - then[0]) + (now[1] - then[1])

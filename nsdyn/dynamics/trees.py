@@ -68,11 +68,12 @@ class Tree(Linkage):
         """Motion for h s without forces; loops stay closed, and driven joints keep their speed.
 
         A tree without loops is moved by `move`, to fourth order; a tree with loops by `slide`, to second order. If the
-        tree turns by less than `TOLERANCE`, it moves at constant velocity.
+        tree turns by less than `TOLERANCE`, its joints move at constant velocity.
         """
         speed, turn = _trees.fastest(v, self.turns)
         if h * turn <= TOLERANCE:
-            return Flow(q if speed == 0.0 else self.close(integrate(self.model, q, h * v)), v, v, 0.0)
+            there = q if speed == 0.0 else self.close(integrate(self.model, q, h * v))
+            return Flow(there, self.lift(q, there, v), v, 0.0)
         if not speed < np.inf:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self.closures is not None:
@@ -98,15 +99,26 @@ class Tree(Linkage):
         fallen : ndarray, shape (3,), optional
             Velocity that gravity adds to the centre of mass, m/s.
         """
-        model, data, q1, v1 = self.model, self.data, end.q.copy(), end.v.copy()
-        lacking = pin.computeCentroidalMomentum(model, data, q, v).vector
-        mass, way = data.mass[0], data.com[0] + h * (lacking[:3] / data.mass[0] + 0.5 * fallen)
-        lacking[:3] += mass * fallen
-        pin.ccrba(model, data, q1, v1)
-        lacking -= data.hg.vector
-        way -= data.com[0]
-        _trees.carry(lacking, way, (data.Ig.inertia, mass, data.com[0]), (self._x, self._R, self._placement), q1, v1)
+        momenta, data = pin.computeCentroidalMomentum(self.model, self.data, q, v).vector, self.data
+        centre = data.com[0] + h * (momenta[:3] / data.mass[0] + 0.5 * fallen)
+        momenta[:3] += data.mass[0] * fallen
+        q1, v1 = self._carried(end.q, end.v, momenta, centre)
         return end._replace(q=q1, v=v1)
+
+    def _carried(self, q: Array, v: Array, momenta: Array, centre: Array | None = None) -> tuple[Array, Array]:
+        """Return a state with `momenta` (6,) about the centre of mass, which is brought to `centre`."""
+        data, q, v = self.data, q.copy(), v.copy()
+        pin.ccrba(self.model, data, q, v)
+        way = np.zeros(3) if centre is None else centre - data.com[0]
+        whole = data.Ig.inertia, data.mass[0], data.com[0]
+        _trees.carry(momenta - data.hg.vector, way, whole, (self._x, self._R, self._placement), q, v)
+        return q, v
+
+    def lift(self, q: Array, lifted: Array, v: Array) -> Array:
+        """Velocity after a small displacement from q to `lifted`: v, but what floats keeps its momenta."""
+        if not self.floats or np.array_equal(q, lifted):
+            return v
+        return self._carried(lifted, v, pin.computeCentroidalMomentum(self.model, self.data, q, v).vector)[1]
 
     def _rate(self, model: pin.Model, tau: Array, driven: Array) -> Rate:
         """Accelerations of a tree without loops under the joint forces tau; `driven` has those of its driven joints."""
@@ -263,7 +275,7 @@ class Tree(Linkage):
         free: FreeMotion,
         v: Array,
         end: Flow,
-        lifted: Array,
+        lifted: tuple[Array, Array],
         impulse: Array,
         before: tuple[float, float],
         joints: Array,
@@ -271,7 +283,7 @@ class Tree(Linkage):
         """The tree's part in the ledger of a step, and its (kinetic, potential) energy at the end, J.
 
         The forces leave the velocity v (nv,). `impulse` (nv,) is H r of contacts and joint rows. `lifted` is the
-        configuration after the position projection, end.q itself without one. `before` has the energies at the
+        state (q, v) after the position projection, with end.q itself without one. `before` has the energies at the
         beginning. The function writes impulses, N m s or N s, into `joints`, the table of all joints of the scene:
         those of actuation into row 0, of external wrenches into row 3, and the largest that the actuators may give into
         row 5.
@@ -290,7 +302,7 @@ class Tree(Linkage):
                 reaction = P.T @ (halfway.M @ (v - halfway.v) - h * force - impulse)
                 constraint += float((B @ end.mean) @ reaction)
         after = self.energies(end.q, end.v)
-        last = after if lifted is end.q else self.energies(lifted, end.v)
+        last = after if lifted[0] is end.q else self.energies(*lifted)
         # The changes are added in the order of the ledger. Its round-off is then that of the changes, not of the
         # energies.
         projection = (last[0] - after[0]) + (last[1] - after[1])

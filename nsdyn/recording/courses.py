@@ -7,7 +7,7 @@ step may explain.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -203,7 +203,6 @@ def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
 def _with_momenta(m: Mechanism, q: Array, v: Array, h: float, end: Array, new: Array) -> tuple[Array, Array]:
     """Return the end of a motion of a floating mechanism with its centre of mass and momenta put right.
 
-    The base rows of M v are the momenta about its origin, in its axes; without forces they are constant in the world.
     Only the base is moved for that, by a shift and a twist.
 
     Parameters
@@ -216,19 +215,11 @@ def _with_momenta(m: Mechanism, q: Array, v: Array, h: float, end: Array, new: A
     end, new : ndarray, shapes (nq,), (nv,)
         Configuration and velocity where it ends, but for its errors.
     """
-
-    def base(q: Array) -> Any:
-        pin.forwardKinematics(m.model, m.data, q)
-        return m.data.oMi[1].copy()
-
-    momenta, mass = base(q).act(pin.Force(m.mass(q)[:6] @ v)), pin.computeTotalMass(m.model)
-    way = pin.centerOfMass(m.model, m.data, q).copy() + h * momenta.linear / mass
+    way = pin.centerOfMass(m.model, m.data, q, v).copy() + h * m.data.vcom[0]
     way -= pin.centerOfMass(m.model, m.data, end)
-    end, new = end.copy(), new.copy()
+    end = end.copy()
     end[:3] += m.model.jointPlacements[1].rotation.T @ way
-    M = m.mass(end)
-    new[:6] += np.linalg.solve(M[:6, :6], base(end).actInv(momenta).vector - M[:6] @ new)
-    return end, new
+    return end, m.kept(q, v, end, new)
 
 
 def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array, Array, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.displacements import integrate
 
 RANK = 1e-10
 """Fraction of the largest singular value: smaller singular values are those of redundant rows."""
@@ -247,6 +248,27 @@ class Mechanism:
         linear = mass * (twist[..., :3] + np.cross(twist[..., 3:], lever))
         spin = np.cross(lever, linear) + np.einsum("lij,nlj->nli", inertia, twist[..., 3:])
         return _moved(place, np.concatenate((linear, spin), axis=2))
+
+    def kept(self, q: Array, v: Array, end: Array, new: Array) -> Array:
+        """Return the velocity `new` at `end`, its first joint's part changed so that all momenta are those of (q, v).
+
+        That joint is free. Its rows of M v are the momenta about its origin, in its axes.
+        """
+
+        def base(q: Array) -> Any:
+            centre = pin.centerOfMass(self.model, self.data, q)
+            return self.data.oMi[1].actInv(pin.SE3(np.eye(3), centre))
+
+        momenta, M, out = base(q).actInv(pin.Force(self.mass(q)[:6] @ v)), self.mass(end), new.copy()
+        out[:6] += np.linalg.solve(M[:6, :6], base(end).act(momenta).vector - M[:6] @ new)
+        return out
+
+    def lifted(self, q: Array, v: Array, shift: Array) -> tuple[Array, Array]:
+        """Return configuration and velocity after a displacement by a projection; what floats keeps its momenta."""
+        if not shift.any():
+            return q, v
+        end = np.array(integrate(self.model, q, shift))
+        return end, self.kept(q, v, end, v) if self.floats else v
 
     def twists(self, q: Array, v: Array) -> Array:
         """Return linear velocity at the world's origin and angular velocity of each link, (n, links, 6), m/s, rad/s."""

@@ -28,7 +28,6 @@ from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Trees, trees
 from nsdyn.recording.tables import contact_steps, left_out
 from nsdyn.tools.arrays import Array, Index
-from nsdyn.tools.displacements import integrate
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -67,7 +66,7 @@ def _of_tree(found: Trees, tree: int, steps: Index, outside: Array) -> Array:
     (q, v), (end, end_v) = found.state(tree, steps), found.state(tree, steps + 1)
     shift, h = t.columns[JOINTS[SHIFT]][steps, rows], t.dt * t.every
     for k in np.flatnonzero(shift.any(axis=1)).tolist():
-        end[k] = integrate(m.model, end[k], -shift[k])
+        end[k], end_v[k] = m.lifted(end[k], end_v[k], -shift[k])
     middle = np.array([pin.interpolate(m.model, *both, 0.5) for both in zip(q, end, strict=True)]).reshape(q.shape)
     weight, origins = m.weights(middle)
     needs = m.momenta(end, end_v) - m.momenta(q, v) - h * weight - outside

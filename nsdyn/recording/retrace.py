@@ -26,7 +26,7 @@ from nsdyn.recording.courses import Course, move, respond
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.tables import contact_steps, impulses_world, left_out
 from nsdyn.tools.arrays import Array, Index
-from nsdyn.tools.displacements import displacement, integrate
+from nsdyn.tools.displacements import displacement
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -211,9 +211,7 @@ class Trees:
                 last = move(m, kick.q, kick.after, theta * h)
             kicks.append(kick)
             flows += [first, last]
-            q, v = last.q, last.v
-            if kick.shift.any():
-                q = np.array(integrate(m.model, q, kick.shift))
+            q, v = m.lifted(last.q, last.v, kick.shift)
         return Way(kicks, flows, q, v)
 
     def _kick(

@@ -70,7 +70,7 @@ def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) 
     strays: Sequence[bool] = ()
     if d.trees:
         beyond = None if a.captured is None else _beyond(s, a, a.captured)
-        trees = begin.energies, mid, a.forces, a.v, a.trees, a.impulse, end.position
+        trees = begin.energies, mid, a.forces, a.v, a.trees, a.impulse, (end.position, end.v)
         of_trees, energies, strays = tree_works(s, *trees, (impulses.joints, impulses.links), beyond, left)
         own = Works.total([own, *of_trees])
     if a.captured is not None:
@@ -88,7 +88,7 @@ def tree_works(
     v: Array,
     ends: tuple[Flow, ...],
     impulse: Array,
-    lifted: Position,
+    lifted: tuple[Position, Array],
     acted: tuple[Array, Array],
     beyond: list[float] | None = None,
     left: Bools | None = None,
@@ -108,8 +108,8 @@ def tree_works(
     ends : tuple of Flow
     impulse : ndarray, shape (n,)
         H r of contacts and joint rows.
-    lifted : Position
-        Position after the projection.
+    lifted : (Position, ndarray)
+        Position and velocity (n,) after the projection.
     acted : (ndarray, ndarray)
         (joints, links), as in `Impulses`. The impulses of actuation, of external wrenches and the most that actuators
         may give go into rows 0, 3 and 5 of the joints, the change of velocity of driven joints into row 6, that by
@@ -120,7 +120,7 @@ def tree_works(
         Nodes to book; trees that are not among them are passed over.
     """
     works, energies, strays, (joints, links), link = [], [], [], acted, 0
-    of_trees = zip(s.dynamics.trees, mid.state.trees, forces.trees, ends, lifted.trees, before, strict=True)
+    of_trees = zip(s.dynamics.trees, mid.state.trees, forces.trees, ends, lifted[0].trees, before, strict=True)
     for node, (t, there, free, end, q, energy) in enumerate(of_trees, start=s.dynamics.free):
         k, first = t.coordinates, link
         link += t.model.njoints - 1
@@ -128,7 +128,7 @@ def tree_works(
             energies.append(energy)
             strays.append(False)
             continue
-        work, after = t.works(there, free, v[k], end, q, impulse[k], energy, joints)
+        work, after = t.works(there, free, v[k], end, (q, lifted[1][k]), impulse[k], energy, joints)
         if free.loads.wrenches is not None:
             links[first:link] = mid.h * free.loads.wrenches
         if t.driven:

@@ -93,7 +93,7 @@ class TreeMotion:
         limits = d.limits(self.placement)
         if limits.size and _reductions.least(limits) < -self._s.gap_tol:
             return None
-        acted = self.mid.forces, self.v, self.ends, self.impulse, self.position
+        acted = self.mid.forces, self.v, self.ends, self.impulse, (self.position, v)
         self._works, self.energies, strays = tree_works(self._s, before, self.mid, *acted, (self._joints, self._links))
         if any(strays):
             return None
