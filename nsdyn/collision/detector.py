@@ -74,6 +74,11 @@ class Detector(Candidates):
         keys.gaps(self.fields, pose, room, c[:3], found[:3], out)
         return out
 
+    def made(self, contacts: ContactSet) -> bool:
+        """Return whether contacts may be of this scene: whether it has their geoms, on their frames."""
+        names = contacts.names
+        return bool((names[:2] < self.frame.size).all() and (names[2:4] == self.frame[names[:2]]).all())
+
     def ways(self, contacts: ContactSet, poses: Poses, closed: float) -> tuple[Index, Array]:
         """Face normals along which geoms of contacts penetrate each other by no more than `closed`, m.
 

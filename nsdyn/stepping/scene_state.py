@@ -261,6 +261,13 @@ class SceneState(NamedTuple):
     twists: tuple[Array, Array]
     energies: Energies
 
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Lengths of the arrays that have the same in all states of a scene."""
+        p = self.position
+        each = *p.trees, p.x, p.driven_x, self.v, self.placement.x, self.limits, self.warm.joints
+        return tuple([len(x) for x in each])
+
 
 def among(x: Index, some: Index) -> Bools:
     """Mark the elements of x (n,) that are among some: in small arrays ten times as fast as NumPy."""

@@ -249,6 +249,11 @@ class Stepper:
         v, x = state.instant.v, state.instant.position.x
         if v.shape != (self.dynamics.n,) or x.shape != (self.dynamics.free, 3):
             raise ValueError(f"state must have {self.dynamics.n} velocities like the scene, got {v.shape}")
+        i, own, made = state.instant, self.get_state().instant, self.system.detector.made
+        if i.sizes != own.sizes or not (made(i.contacts) and made(i.memory)):
+            raise ValueError(
+                "state must come from a stepper of the same scene; its bodies, joints or shapes are others"
+            )
         if state.dt != self.dt:
             state = state._replace(origin=state.t, dt=self.dt, count=0)
         self._now = state

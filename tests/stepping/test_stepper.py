@@ -95,6 +95,17 @@ def test_state_of_another_scene_is_refused():
         stepper.set_state(nd.Stepper(nd.scenes.load("slide")()).get_state())
     with pytest.raises(ValueError, match="state must come from get_state"):
         stepper.set_state(None)
+    # As many velocities, but a body that is driven; or the same bodies, without that on which one stands.
+    boxes = [nd.Scene() for _ in range(3)]
+    for scene in boxes:
+        scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.1))
+    for scene in boxes[:2]:
+        scene.add_box("plate", (1, 1, 0.1), fixed=True, position=(0, 0, -0.05))
+    boxes[0].set_motion("plate", velocity=(0.1, 0, 0))
+    driven, fixed, alone = map(nd.Stepper, boxes)
+    for one, other in ((driven, fixed), (fixed, driven), (alone, fixed)):
+        with pytest.raises(ValueError, match="its bodies, joints or shapes are others"):
+            one.set_state(other.get_state())
 
 
 @pytest.mark.parametrize(
