@@ -291,7 +291,10 @@ class Stepper:
             that prescribed motions and moving surfaces add.
         """
         at = self.get_state().instant
-        return at.contacts, *equations.jacobian(self.dynamics, at)
+        names, points, scalars, next_key = at.contacts
+        # Copies, since the next step goes on with these.
+        contacts = ContactSet(names.copy(), points.copy(), scalars.copy(), next_key)
+        return contacts, *equations.jacobian(self.dynamics, at)
 
     # -- one step ----------------------------------------------------------------------------------------------
 

@@ -626,6 +626,18 @@ def test_what_a_move_has_not_met_is_met_where_it_parts_bodies(end, kept):
     assert met.gap.size == (late.gap.size if kept else 0)
 
 
+def test_what_a_stepper_returns_may_be_changed():
+    """Steps and terms of the equations of motion are the user's own."""
+    changed, kept = (nd.Stepper(nd.scenes.load("slide")(), dt=1e-2) for _ in range(2))
+    for _ in range(3):
+        step, (contacts, *terms) = changed.step(), changed.contact_jacobian()
+        terms += [changed.mass_matrix(), changed.bias(), step.q, step.v, step.r, step.u]
+        for one in (*contacts[1:3], *step.contacts[1:3], *terms):
+            one[:] = np.nan
+        kept.step()
+    assert changed.step().q.tobytes() == kept.step().q.tobytes()
+
+
 def test_terms_of_the_equations_of_motion():
     """M v̇ + bias = Jᵀ f along a fine motion with contacts, and J v is the rate of the gaps; Pinocchio's layout."""
     stepper = nd.Stepper(nd.scenes.load("arm_pushes_box")(), dt=1e-5, solver=nd.solvers.Auto(tol=1e-12))
