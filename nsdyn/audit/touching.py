@@ -265,7 +265,7 @@ def _struck(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     pushes = c["impulse"][:, 0] > 0.0
     bounces = c["u"][:, 0] > PARTING
     if flight is not None and flight.timed:
-        bounces |= flight.met.before[:, 0] < -PARTING
+        bounces |= ~(flight.met.before[:, 0] >= -PARTING)  # it is unknown on moving surfaces
     rebounds = pushes & (c["restitution"] > 0.0) & bounces
     both, nodes = free1 & free2 & pushes, (poses.trajectory.steps + 1) * count
     graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes, nodes))

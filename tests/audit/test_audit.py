@@ -1,5 +1,6 @@
 """The audit passes motions as they are and catches every falsification, naming the step and the bodies."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -13,6 +14,7 @@ from nsdyn.audit.audit import deepest
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.audit.flight import Flight, tumbled
 from nsdyn.audit.poses import Poses
+from nsdyn.stepping import substepping
 
 ARTICULATED = {*FINDINGS}
 """Findings of articulations alone."""
@@ -394,6 +396,21 @@ def test_friction_of_fremonds_law_is_not_audited_where_the_mean_slip_is_not_know
     scene.set_motion("belt", surface_velocity=(0.3, 0, 0))
     scene.add_box("box", (0.2, 0.2, 0.2), 1.0, position=(0, 0, 0.12), linear_velocity=(0.1, 0, -1))
     audit = nd.check(nd.simulate(scene, 0.05, 5e-3, impact="fremond"))
+    assert audit.passed, audit
+
+
+@pytest.mark.parametrize("seed", [60, 72])
+def test_friction_of_captured_impacts_is_not_audited_where_their_slip_is_not_known(seed, monkeypatch):
+    """One box strikes another on a belt, with no impact located: friction opposes the slip of each, not the last."""
+    monkeypatch.setattr(substepping, "OPTIONS", dataclasses.replace(substepping.OPTIONS, work=1))
+    rng, scene, own = np.random.default_rng(seed), nd.Scene(), {"material": nd.Material(1.0, 0.3)}
+    scene.add_box("belt", (4, 4, 0.2), fixed=True, position=(0, 0, -0.1), **own)
+    scene.set_motion("belt", surface_velocity=(0.5, 0, 0))
+    for name, position, speed in (("low", (0, 0, 0.2), 1.5), ("high", (0.02, 0.01, 0.5), 4.0)):
+        q = rng.normal(size=4)
+        how = {"position": position, "quaternion": q / np.linalg.norm(q), "linear_velocity": (0, 0, -speed), **own}
+        scene.add_box(name, (0.2, 0.15, 0.1), 1.0, angular_velocity=5.0 * rng.normal(size=3), **how)
+    audit = nd.check(nd.simulate(scene, 0.3, 5e-3))
     assert audit.passed, audit
 
 
