@@ -63,7 +63,11 @@ def folders(value: Any, what: str) -> list[Path]:
     """Return a sequence of paths; a single path is a mistake, because a text is a sequence of letters."""
     if isinstance(value, (str, os.PathLike)) or not isinstance(value, Iterable):
         raise ValueError(f"{what} must be a sequence of folders, got {value!r}")
-    return [as_path(folder, what) for folder in value]
+    out = [as_path(folder, what) for folder in value]
+    for folder in out:
+        if not folder.is_dir():
+            raise ValueError(f"{what} must be folders, got {str(folder)!r}: there is none")
+    return out
 
 
 def vector(value: ArrayLike, size: int, what: str) -> Array:

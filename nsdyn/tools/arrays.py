@@ -16,7 +16,8 @@ def numbers(value: ArrayLike, words: str, what: str) -> Array:
     """Return a value as an array of floats, unchanged if it is one; else a ValueError says that it must be `words`."""
     try:
         given = np.asarray(value)
-        if given.dtype.kind == "c":  # NumPy would drop the imaginary part
+        # NumPy would drop the imaginary part, and the mask.
+        if given.dtype.kind == "c" or (isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value)):
             raise TypeError
         return np.asarray(given, dtype=float)
     except (TypeError, ValueError):

@@ -226,6 +226,7 @@ def test_loop():
         ({"package_dirs": ()}, r"mesh 'package://thing/box.stl' was not found"),
         ({"package_dirs": "folder"}, "package_dirs of 'r' must be a sequence of folders, got 'folder'"),
         ({"package_dirs": 3}, "package_dirs of 'r' must be a sequence of folders, got 3"),
+        ({"package_dirs": ["nowhere"]}, "package_dirs of 'r' must be folders, got 'nowhere': there is none"),
         ({"srdf": 3}, "srdf of 'r' must be a path, got 3"),
         ({"path": None}, "path of 'r' must be a path, got None"),
         ({"colour": (1, 0, 0)}, "keyword must be one of .* others; got 'colour'"),

@@ -318,6 +318,10 @@ def test_callbacks_are_called_twice_a_step(drag):
         ({"external_force": lambda t, q, v: {"box": (0, 1)}}, "external_force on 'box'"),
         ({"external_force": lambda t, q, v: {"box": (0, 0, np.nan)}}, "external_force on 'box'"),
         ({"external_force": lambda t, q, v: {"box": np.array((1j, 0, 0))}}, "external_force on 'box'"),
+        (
+            {"external_force": lambda t, q, v: {"box": np.ma.array(np.ones(6), mask=[1, 0, 0, 0, 0, 0])}},
+            "external_force on .box",
+        ),
         ({"external_force": lambda t, q, v: {"box": [np.complex128(1j), 0, 0]}}, "external_force on 'box'"),
         (
             {"controller": lambda t, q, v: {"arm": [1.0]}},
