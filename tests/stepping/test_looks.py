@@ -30,9 +30,9 @@ def counts():
                 solves[len(solved) - before] += 1
             return m
 
-        def watched(s, begin, mid, located):
+        def watched(s, begin, mid, located, *more):
             looks["now"] = 0
-            m = moved(s, begin, mid, located)
+            m = moved(s, begin, mid, located, *more)
             if located is None:
                 looks[looks["now"]] += 1
             return m
