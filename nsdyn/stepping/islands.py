@@ -85,7 +85,7 @@ class Islands:
         if count < 2:
             return integrate(self.whole, state, loads, made or mid, meets=bool(meets[0]))
         if not (skipped := opened.copy()).all():
-            tried = try_move(s, loads, begin, t, h, NO_SLOTS, made or mid, label, opened[label])
+            tried = try_move(s, loads, begin, t, h, NO_SLOTS, made or mid, opened[label])
             self._open_events(begin, tried, label, opened, large)
             meets |= self._islands_hit(tried, label, ~skipped)
             opened |= meets

@@ -35,7 +35,7 @@ from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.stepping.solving import solve, update_sliding
 from nsdyn.tools.arrays import Array, Bools, Index
 
-NOTHING, NO_SLOTS, NOBODY = np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_)
+NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
 
 
 Needs = tuple[ContactSet, JointRows | None]
@@ -57,8 +57,7 @@ def try_move(
     h: float,
     located: Index | None,
     begun: Known = None,
-    label: Index | None = None,
-    skip: Bools = NOBODY,
+    skip: Bools | None = None,
 ) -> Attempt:
     """Move for h seconds from the time t.
 
@@ -83,36 +82,32 @@ def try_move(
         which contacts the move runs into. With None, all contacts are captured.
     begun : Midpoint or Attempt, optional
         The known part of the move.
-    label : ndarray of int, shape (nodes,), optional
-        The island of each node. All islands then move at once, and none changes because of another; bodies that pass
-        others unseen are left to the caller.
     skip : ndarray of bool, shape (nodes,), optional
-        Nodes whose motion the result does not tell, and whose contacts are left out.
+        All islands move at once, and none changes because of another; bodies that pass others unseen are left to the
+        caller. The result does not tell the motion of these nodes, whose contacts are left out.
     """
     (mid, made), callbacks = parted(begun), loads(t + (1.0 - s.theta) * h)
     if mid is None and (s.dynamics.trees or callbacks is not None):
         mid = midpoint(s, begin, t, h, callbacks)
-    if located is None or skip.any():
+    if located is None or (skip is not None and skip.any()):
         made = None
     elif made is None and s.mover is not None:
         made = s.mover.respond(s, begin, t, h, located, mid)
     if made is None:
-        made = _by_stages(s, begin, mid or midpoint(s, begin, t, h, callbacks), located, label, skip)
+        made = _by_stages(s, begin, mid or midpoint(s, begin, t, h, callbacks), located, skip)
     if located is not None:
-        made = _updated(s, begin, made, located, label)
+        made = _updated(s, begin, made, located, skip is None)
     if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
-        return try_move(s, lambda _: None, begin, t, h, located, again, label, skip)
-    return made if located is None else _with_hits(s, begin, made, located, label is None)
+        return try_move(s, lambda _: None, begin, t, h, located, again, skip)
+    return made if located is None else _with_hits(s, begin, made, located, skip is None)
 
 
-def _by_stages(
-    s: System, begin: SceneState, mid: Midpoint, located: Index | None, label: Index | None, skip: Bools
-) -> Attempt:
+def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | None, skip: Bools | None) -> Attempt:
     """Compute the move from its first half, in stages; update the active set where all contacts are captured."""
     there, needs = _detect_at_midpoint(s, begin, mid, located)
-    if skip.any():
+    if skip is not None and skip.any():
         needs = take(needs[0], ~skip[s.nodes(needs[0])]), needs[1]
-    m = _response(s, begin, mid, there, needs, located, None, label)
+    m = _response(s, begin, mid, there, needs, located, None, skip is None)
     kept = NO_SLOTS
     for update in range(1, UPDATES if located is None else 0):
         mid, ends = m.mid, (begin, m.moved)
@@ -124,7 +119,7 @@ def _by_stages(
     return m
 
 
-def _updated(s: System, begin: SceneState, m: Attempt, located: Index, label: Index | None) -> Attempt:
+def _updated(s: System, begin: SceneState, m: Attempt, located: Index, single: bool) -> Attempt:
     """Return the move with the active set that its motion shows: missed contacts added, those left behind dropped.
 
     The added contacts stay among those found as long as nothing moves.
@@ -145,7 +140,7 @@ def _updated(s: System, begin: SceneState, m: Attempt, located: Index, label: In
             apart = take(there.contacts, ~among(there.contacts.key, late.key))  # a late one may be found already
             memory = there.memory.joined(m.moved.memory, late.key)
             there = there._replace(contacts=united((apart, late)), memory=memory)
-        m = _response(s, begin, m.mid, there, (active, joints), located, m, label=label)
+        m = _response(s, begin, m.mid, there, (active, joints), located, m, single)
     return m
 
 
@@ -197,13 +192,13 @@ def _response(
     needs: Needs,
     located: Index | None,
     last: Attempt | None,
-    label: Index | None = None,
+    single: bool = True,
 ) -> Attempt:
     """Solve for the impulses of a move and compute its second half, starting from the last attempt if there is one.
 
     The second half has rows for all actuators that the impulses bring to their limits, each of which may take another
-    solve. Actuators are not checked where nodes have a label, that of their island: no island may change because of
-    another, and the caller checks the actuators.
+    solve. Actuators are not checked where all islands move at once: none may change because of another, and
+    the caller checks the actuators.
 
     Parameters
     ----------
@@ -220,10 +215,11 @@ def _response(
         As in `try_move`.
     last : Attempt, optional
         The last attempt, with other contacts or a rough solution.
-    label : ndarray of int, shape (nodes,), optional
+    single : bool
+        Whether a single island moves, not all at once.
     """
     d = s.dynamics
-    kin, captured = _kinematics(s, begin, mid, there.detected_at, needs, label)
+    kin, captured = _kinematics(s, begin, mid, there.detected_at, needs, single)
     forces, kick = (mid.forces, None) if captured is None else (captured.forces, captured.kick)
     sliding = predict_sliding(kin, begin.warm)
     if last is not None:
@@ -236,10 +232,10 @@ def _response(
     lasts, left = bool(kin.stays.any()), np.full(sliding.size, np.inf)
     off: Bools | None = None
     while True:
-        kin, problem, solution = solve(kin, s.solver, known, sliding, gap_rule, effort, label is None, off)
+        kin, problem, solution = solve(kin, s.solver, known, sliding, gap_rule, effort, single, off)
         v = forces.v + couple.dv if couple.dv.size else forces.v
         impulse, v = kin.rows.response(solution.r, v)
-        if label is None and (limited := d.within_limits(mid.state, mid.forces, v, kick)) is not mid.forces:
+        if single and (limited := d.within_limits(mid.state, mid.forces, v, kick)) is not mid.forces:
             return _response(s, begin, replace(mid, forces=limited), there, needs, located, last)
         if captured is not None:
             impulse = kin.rows.full.momentum(solution.r + captured.impact.r)
@@ -285,14 +281,14 @@ def _second_half(
 
 
 def _kinematics(
-    s: System, begin: SceneState, mid: Midpoint, detected_at: DetectionPose, needs: Needs, label: Index | None
+    s: System, begin: SceneState, mid: Midpoint, detected_at: DetectionPose, needs: Needs, single: bool
 ) -> tuple[ContactKinematics, Captured | None]:
     """Return the contacts and joint rows of the second half of a move, and the impacts captured at its midpoint."""
     d, (contacts, joints) = s.dynamics, needs
     there = mid.state.placement._replace(x=detected_at.x, R=detected_at.R)
     kin = ContactKinematics.of(mid, there, contacts, d.with_actuators(joints, mid.forces), begin)
     captured: Captured | None = None
-    if label is None:
+    if single:
         kin, captured = captured_impacts(s, kin, mid, there)
     limits = _limits(s, kin.joints, begin.placement)
     return kin.lasting(s, begin, limits, mid.h, captured is not None), captured
