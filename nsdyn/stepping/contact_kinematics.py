@@ -116,7 +116,7 @@ class ContactKinematics(NamedTuple):
             full.arrays,
             (begin.v, middle.v, forces.v),
             (carried, *surface_velocity, rows.joint_load),
-            (old[:3], begin.placement.x, begin.twists, (mid.reach, mid.s.gap_tol, mid.s.inscribed)),
+            (old[:3], begin.placement.x, begin.twists, (mid.reach, mid.s.gap_tol, mid.s.rounding)),
             (contacts[:3], frame, there.x),
             (warm.key, warm.force, mid.h),
             mid.ahead,

@@ -60,7 +60,7 @@ class MoveKernel:
         full = int(np.square(np.diff(offset)).sum())
         floats = [*d.bodies, d.mass, d.J, np.empty(full), np.empty(full)]
         fields = np.empty((d.n - 6 * d.free, 6))
-        floats += [d.gravity, d.no_load[0], d.radii, d.nowhere, s.inscribed, fields, fields]
+        floats += [d.gravity, d.no_load[0], d.radii, d.nowhere, s.inscribed, s.rounding, fields, fields]
         floats.append(np.array(numbers, dtype=float))
         *packed, views, _ = pack(floats, [node, offset, m_start, *d.linkages])
         self._arrays, self.numbers = tuple(packed), views[-1]

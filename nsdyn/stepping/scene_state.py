@@ -46,6 +46,8 @@ class System(NamedTuple):
         Gap tolerance: largest gap that counts as closed, m.
     inscribed : ndarray, shape (geoms,)
         Inscribed radii of the shapes, m; infinite for shapes that never move.
+    rounding : ndarray, shape (geoms,)
+        Inscribed radii of curved shapes, m; infinite for shapes of flat faces.
     smallest : float
         Least inscribed radius, m.
     impact : Law
@@ -65,6 +67,7 @@ class System(NamedTuple):
     dt: float
     gap_tol: float
     inscribed: Array
+    rounding: Array
     smallest: float
     impact: Law
     elastic: bool

@@ -60,6 +60,7 @@ class Subsystem:
             dynamics=d.only(self._bodies, self._trees, self.geoms),
             detector=whole.detector.only(self.geoms, self._frame[frame_of_geom[self.geoms]]),
             inscribed=whole.inscribed[self.geoms],
+            rounding=whole.rounding[self.geoms],
         )
         self.system = own._replace(mover=MoveKernel(own)) if whole.mover is not None else own
 

@@ -12,6 +12,7 @@ from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
+from nsdyn.scene.shapes import HALFSPACE, POLYTOPE
 from nsdyn.solvers import Solver
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.move_kernel import MoveKernel
@@ -59,9 +60,11 @@ def system_of(
     size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
     # Penetration that the solver's own tolerance allows in a step need not be removed.
     closed = max(OPTIONS.gap_tol * size, solver.tol * min(scheme[1], size / OPTIONS.slow))
+    flat = [g.shape.kind in (HALFSPACE, POLYTOPE) for g in geoms]
+    rounding = np.where(flat, np.inf, [g.shape.inscribed_radius for g in geoms])
     inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])
     rebounds = [*(g.material.restitution for g in geoms), *(e for _, e in scene.pairs.values() if e is not None)]
     elastic = any(e > 0.0 for e in rebounds) or bool(dynamics.joints.restitution.any())
     smallest = float(inscribed.min(initial=np.inf))
-    out = System(dynamics, detector, solver, *scheme, closed, inscribed, smallest, law, elastic)
+    out = System(dynamics, detector, solver, *scheme, closed, inscribed, rounding, smallest, law, elastic)
     return out._replace(mover=MoveKernel(out)) if dynamics.n and not dynamics.surfaces.count else out

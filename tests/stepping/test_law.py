@@ -39,9 +39,21 @@ def test_a_normal_that_jumps_is_of_another_contact(angle, way, follows):
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
     begin = contacts([-1], still, old), still, (np.array([[1.0, 0.0, 0.0]]), still), (np.full(1, way), 0.0, np.ones(1))
     here = contacts([-1], still, old), frame, still
-    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
+    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, 0.5, u)
     expected = (np.sin(angle), np.cos(angle), 0.0) if follows else (0.0, 1.0, 0.0)
     np.testing.assert_allclose(u, expected, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(("spin", "driven", "follows"), [(0.0, False, False), (0.1, False, True), (0.0, True, True)])
+def test_normals_of_flat_shapes_turn_with_bodies_alone(spin, driven, follows):
+    """However far these go; by 3 times as much at most, as where edges cross. What a driven body turns is not known."""
+    old, frame = np.array([[np.sin(0.1), 0.0, np.cos(0.1)]]), np.eye(3)[None, [2, 0, 1]].copy()
+    still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
+    twists = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, spin, 0.0]])
+    begin = contacts([-1], still, old), still, twists, (np.ones(1), 0.0, np.full(1, np.inf))
+    here = contacts([-1], still, old), frame, still
+    law.begin_velocities(np.array([0]), begin, here, np.zeros((int(driven), 3)), none, 0.5, u)
+    assert abs(u[0]) == pytest.approx(np.sin(0.1) if follows else 0.0, abs=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +74,7 @@ def test_only_a_contact_that_is_alone_rolls_far(gone, others, follows):
     before[2][0, 1:] = others
     begin = before, still, (along, about), (np.ones(1), 1e-9, np.ones(1))
     here = contacts([-1], still, up), frame, still
-    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, u)
+    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, 0.5, u)
     np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15 * gone)
 
 

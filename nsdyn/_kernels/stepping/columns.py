@@ -10,7 +10,7 @@ from nsdyn._kernels.packing import indices, matrices, numbers, triples
 
 # The packed arrays of the system: floats, then integers.
 MOMENTS, AXES, INVERSE_MASS, INVERSE_J, MASS, INERTIA, M, MINV, GRAVITY, NO_LOAD = range(10)
-RADII, NOWHERE, INSCRIBED, JACOBIAN, BEGUN, NUMBERS, SYSTEM = range(10, 17)
+RADII, NOWHERE, INSCRIBED, ROUNDING, JACOBIAN, BEGUN, NUMBERS, SYSTEM = range(10, 18)
 NODE, OFFSET, M_START, TREES, SUPPORT = range(5)
 
 # The last array of the floats: numbers with the names that they have in `System` and `GapRule`, then in `Auto` and
@@ -58,13 +58,13 @@ SLIDES, STAYS, STICKS, OTHER, OFF, FLAGS = range(6)
 def opened(system):
     """Views of the packed arrays of a system.
 
-    (numbers, size); (radii, nowhere, inscribed); (mass, J); (moments, axes, 1/mass, J⁻¹) of bodies; (gravity, no
-    load); masses = (node, offset, m_start, m, minv); movers = (free bodies, trees as in `links.rows`) at
+    (numbers, size); (radii, nowhere, inscribed, rounding); (mass, J); (moments, axes, 1/mass, J⁻¹) of bodies;
+    (gravity, no load); masses = (node, offset, m_start, m, minv); movers = (free bodies, trees as in `links.rows`) at
     the midpoint, and the same at the beginning of the move.
     """
     sf, si = system
     num, mass, J = numbers(sf, si, NUMBERS), numbers(sf, si, MASS), matrices(sf, si, INERTIA)
-    near = numbers(sf, si, RADII), numbers(sf, si, NOWHERE), numbers(sf, si, INSCRIBED)
+    near = numbers(sf, si, RADII), numbers(sf, si, NOWHERE), numbers(sf, si, INSCRIBED), numbers(sf, si, ROUNDING)
     offset = indices(si, OFFSET, SYSTEM)
     trees = indices(si, TREES, SYSTEM), indices(si, SUPPORT, SYSTEM)
     bodies = (

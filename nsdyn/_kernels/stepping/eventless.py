@@ -42,7 +42,7 @@ def depart(s, old, f, w):
     With trees, and under forces of the user, Python has already computed the motion. s is the result of
     `columns.opened`, here and in the functions below.
     """
-    (num, size), (radii, _, _), _, bodies, (gravity, load), _, (free, trees), _ = s
+    (num, size), (radii, _, _, _), _, bodies, (gravity, load), _, (free, trees), _ = s
     n, h, theta, (moments, axes, inverse_mass, inverse_J) = size[0], num[col.STEP], num[col.THETA], bodies
     (x, R), reach, rate = col.poses(w, n), col.column(w, col.REACH, n), col.velocity(f, col.RATE, size)
     v, v_free = col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)
@@ -67,7 +67,7 @@ def set_out(s, first, warm, next_key, located, asks, step, room):
     first = contacts where the move begins, warm = (keys, pairs, states) of the contacts that acted last; room = (old
     state, results, state, work array, integers).
     """
-    (num, size), (radii, nowhere, _), _, _, _, _, _, movers_begun = s
+    (num, size), (radii, nowhere, _, _), _, _, _, _, _, movers_begun = s
     (b_old, out, b, w, head), n = room, size[0]
     if step and strikes_at_once(num, first, warm, b_old, n):
         return OTHERWISE
@@ -93,7 +93,7 @@ def meet(s, contacts, warm, rooms, flags, located, room):
     all found contacts. rooms = (memory for the active set, most numbers per contact), room = (old state, work array,
     integers).
     """
-    scene, (_, _, inscribed), _, _, _, _, movers, movers_begun = s
+    scene, (_, _, inscribed, _), _, _, _, _, movers, movers_begun = s
     num, (first, found), (into, wide), (b_old, w, head) = scene[0], contacts, rooms, room
     nc = found[0].shape[1]
     head[col.ACTIVE], head[col.SOME], head[col.NEEDED] = nc, 0, nc
@@ -142,7 +142,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
     columns of the contacts, places, integers). Factors of W that are computed already belong to the same contacts and
     are reused.
     """
-    (num, size), (_, _, radii), _, _, _, masses, (free_bodies, trees), _ = s
+    (num, size), (_, _, _, rounding), _, _, _, masses, (free_bodies, trees), _ = s
     (warm, force), (frame, block, start, H, scales, made), (names, _, scalars) = last, rows, active
     (b_old, out, a, w, own, place, head), (keys, pairs, was), nc, n = room, acted, acted[2].size, size[0]
     b, q, none, (node, offset, m_start, m, minv) = out[col.RESULTS :], a[col.FREE * nc :], own[:0], masses
@@ -161,7 +161,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
     excess_speed = col.column(own, col.EXCESS_SPEED, nc)
     sliding, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
     twists, gap_rule = col.twists(b_old, n), gap_rule_of(num)
-    reach = col.column(w, col.REACH, n), num[col.GAP_TOL], radii
+    reach = col.column(w, col.REACH, n), num[col.GAP_TOL], rounding
     law.local_velocities(
         blocks,
         (col.velocity(b_old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
@@ -221,7 +221,7 @@ def solved(s, rows, active, flags, known, label, head, room):
 @kernel(inline="always")
 def goes(s, b, w, out):
     """Whether the end of the move needs a new detection after that at the midpoint; sets the poses for it."""
-    (num, size), (radii, _, _) = s[0], s[1]
+    (num, size), (radii, _, _, _) = s[0], s[1]
     n = size[0]
     there = *col.poses(b, n), col.column(w, col.NEAR, n)
     detected_at = col.placed(w, col.DETECTED_THERE, n)
@@ -237,7 +237,7 @@ def told(s, rows, contacts, begun, flags, status, head, room):
     contacts = (geoms, active set, contacts found at the end), begun = (old state, keys and states of the last active
     set, contacts at the beginning, Slater direction of the last certificate).
     """
-    scene, (_, nowhere, inscribed), inertia, _, (gravity, _), masses, _, _ = s
+    scene, (_, nowhere, inscribed, _), inertia, _, (gravity, _), masses, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
     (geoms, active, now), (b_old, last, first, direction) = contacts, begun
     b, n = out[col.RESULTS :], size[0]

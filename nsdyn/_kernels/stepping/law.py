@@ -18,8 +18,9 @@ from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 TILT, TURNS = OPTIONS.tilt, OPTIONS.turn
 
 SWING = 3.0
-"""Largest turn of a normal, rad, over the way of the bodies in units of the smaller inscribed radius: a normal that
-turns more has jumped to another feature. Crossing edges and the rim of an ellipsoid turn it faster than bodies turn."""
+"""Largest turn of a normal over the turns of the bodies, plus their way over the smaller inscribed radius of the curved
+ones: a normal that turns more has jumped to another feature. Crossing edges and the rim of an ellipsoid turn it faster
+than bodies turn."""
 
 NO_SLIP = 1e-14
 """Slip, m/s, that is round-off: a body at rest with its impulse on the edge of the cone keeps slipping by less."""
@@ -56,7 +57,7 @@ def alone(k, names, gap, closed):
 
 
 @no_alloc
-def begin_velocities(place, begin, here, carried, surface_velocity, u):
+def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
     """Relative velocities of the contacts at the beginning of the step, with the rows of the beginning, into u (3 nc,).
 
     Frame f moves at the beginning with linear[f] + angular[f] x (p - x_old[f]). A contact may have been found at the
@@ -69,11 +70,11 @@ def begin_velocities(place, begin, here, carried, surface_velocity, u):
     within a move is a contact of its own from the start. One of several contacts moves at most as far as the bodies do:
     where an edge slides across another nothing rolls.
 
-    Moving surfaces add `carried` (old contacts, 3) at the beginning, in world axes, and `surface_velocity` (3 nc,) at
-    the midpoint, in the contact frames; both are empty without moving surfaces. `begin` and `here` are as in
-    `local_velocities`.
+    Bodies turn no further up to the midpoint than in the `ahead` s after it. Moving surfaces add `carried` (old
+    contacts, 3) at the beginning, in world axes, and `surface_velocity` (3 nc,) at the midpoint, in the contact
+    frames; both are empty without moving surfaces. `begin` and `here` are as in `local_velocities`.
     """
-    (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed, radii) = begin
+    (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed, rounding) = begin
     (names, points, _), frame, x = here
     for c in range(place.size):
         f1, f2, n = names[2, c], names[3, c], row(frame[c], 0)
@@ -81,9 +82,15 @@ def begin_velocities(place, begin, here, carried, surface_velocity, u):
         m, there = n, False
         if k >= 0:
             d, m = minus(p, row(old_points[0], k)), row(old_points[1], k)
-            far = (reach[f1] if f1 >= 0 else 0.0) + (reach[f2] if f2 >= 0 else 0.0)
-            size, tilt = min(radii[names[0, c]], radii[names[1, c]]), minus(n, m)
-            most, gone, far = min(TILT, SWING * far / size), dot(d, d), far * far
+            far, turn, tilt = 0.0, 0.0, minus(n, m)
+            for f in (f1, f2):
+                if f >= 0:
+                    far += reach[f]
+                    turn += ahead * math.sqrt(dot(row(angular, f), row(angular, f)))
+                elif carried.size:  # it may be driven
+                    turn = math.inf
+            turn += far / min(rounding[names[0, c]], rounding[names[1, c]])
+            most, gone, far = min(TILT, SWING * turn), dot(d, d), far * far
             there = dot(tilt, tilt) <= most * most and (gone <= far or alone(k, old_names, old_scalars[0], closed))
         w = (0.0, 0.0, 0.0)
         for s in range(2):
@@ -123,7 +130,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         Each is empty for none.
     begin : tuple
         The contacts found at the beginning of the step, places and twists of the frames there, and (how far points of
-        the frames move in about half a step, the gap tolerance, radii of balls inside the shapes).
+        the frames move in about half a step, the gap tolerance, inscribed radii of curved shapes, infinite for others).
     here : tuple
         The contacts at the midpoint, their directions, and the places of the frames.
     warm : tuple
@@ -145,7 +152,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(blocks, v_begin, u_begin)
     places(begin[0][0][4], key, place)
-    begin_velocities(place, begin, here, carried, surface_velocity, u_begin)
+    begin_velocities(place, begin, here, carried, surface_velocity, ahead, u_begin)
     places(warm[0], key, place)
     warm_start(place, warm[1], warm[2], frame, guess)
     for i in range(surface_velocity.size):
