@@ -144,6 +144,8 @@ class Detector(Candidates):
         ends = (begin.x, begin.R), (end.x, end.R)
         advancement.motions(self.frame, self._arm, *ends, foreseen, turn, reach)
         self._renew(begin.x, begin.R, reach)
+        if not self._first.size:
+            return Touches(_NO_CONTACTS, _NOTHING, memory, _NONE)
         motion, placed = (begin.x, end.x, turn), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least
         before = memory[:2]

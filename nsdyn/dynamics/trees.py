@@ -73,7 +73,8 @@ class Tree(Linkage):
         speed, turn = _trees.fastest(v, self.turns)
         if h * turn <= TOLERANCE:
             there = q if speed == 0.0 else self.close(integrate(self.model, q, h * v))
-            return Flow(there, self.lift(q, there, v), v, 0.0)
+            # Slow motion changes momenta by no more than round-off.
+            return Flow(there, self.lift(q, there, v) if h * speed > TOLERANCE else v, v, 0.0)
         if not speed < np.inf:
             raise ArithmeticError(f"in {self.name!r} {fastest(self.model, v)}")
         if self.closures is not None:
@@ -340,7 +341,8 @@ class Tree(Linkage):
             integration -= ended - begun + halfway.h * float(self.forces(halfway, free, v)[2] @ end.mean)
         added = integration if halfway.theta > 0.5 else abs(integration)
         # Mostly the first comparison decides.
-        return added > OPTIONS.stray * before[0] and added > OPTIONS.stray * self.at_play(halfway, free, before)
+        least = max(before[0], self._fall * halfway.h**2)
+        return added > OPTIONS.stray * least and added > OPTIONS.stray * self.at_play(halfway, free, before)
 
     def at_play(self, halfway: TreeMidpoint, free: FreeMotion, before: tuple[float, float]) -> float:
         """Return the kinetic energy with which an error of energy in a move compares, J.
