@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
+from copy import copy
 from typing import Any, Self
 
 import numpy as np
@@ -63,33 +63,45 @@ class Candidates:
             if g.shape.kind == HALFSPACE and g.frame >= 0:
                 raise ValueError(f"halfspace {g.name!r} must be fixed, not on a moving frame")
         n = len(geoms)
-        self._geoms, self._max_points = list(geoms), max_points
-        self._pair_material = pair_material
+        self._max_points, self._pair_material = max_points, pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
-        self._geometry = _flatten(geoms)
-        self.fields = tuple(self._geometry)
         cores: dict[int, Any] = {id(g.shape): g.shape.core(SHRINK) for g in geoms}
-        self._solids = [g.shape.geometry for g in geoms]
         for g in geoms:
             if g.shape.kind != HALFSPACE:  # distances to it need none, and with an infinite one it cannot be copied
                 g.shape.geometry.computeLocalAABB()
                 cores[id(g.shape)].computeLocalAABB()
-        self._cores = [cores[id(g.shape)] for g in geoms]
-        kind = self._geometry.kind
+        self._set_geoms(_flatten(geoms), [g.shape.geometry for g in geoms], [cores[id(g.shape)] for g in geoms])
+
+    def only(self, geoms: Index, frame: Index) -> Self:
+        """Return the candidates of some geoms (k,), ascending, on other frames (k,); their contacts are the same."""
+        out, n, material = copy(self), len(self._cores), self._pair_material
+        out._pair_material = lambda i, j: material(geoms[i], geoms[j])
+        place = np.full(n, -1)
+        place[geoms] = np.arange(geoms.size)
+        first, second = place[np.array(np.divmod(self._excluded, n))]
+        out._excluded = (first * geoms.size + second)[(first >= 0) & (second >= 0)]
+        some = geoms.tolist()
+        shapes = [self._solids[g] for g in some], [self._cores[g] for g in some]
+        out._set_geoms(_some(self._geometry, geoms, frame), *shapes)
+        return out
+
+    def _set_geoms(self, geometry: Geometry, solids: list[Any], cores: list[Any]) -> None:
+        """Set up all arrays that depend on the geoms: their shapes, with those of Coal, and without `SHRINK`."""
+        n, kind, self._geometry, self._solids, self._cores = len(cores), geometry.kind, geometry, solids, cores
+        self.fields = tuple(geometry)
         self._half, self._round = kind == HALFSPACE, np.isin(kind, ROUND)
         self._ball = self._half | (kind == SPHERE)
-        self._slack = np.where(self._round, 0.0, 2.0 * SHRINK * self._geometry.radius)
-        self.frame = self._geometry.frame
+        self._slack = np.where(self._round, 0.0, 2.0 * SHRINK * geometry.radius)
+        self.frame = geometry.frame
         self._moving = self.frame >= 0
-        self._R = self._geometry.placement_R.copy()
-        self._t = self._geometry.placement_t.copy()
-        arm = np.linalg.norm(self._t, axis=1) + self._geometry.radius
+        self._R, self._t = geometry.placement_R.copy(), geometry.placement_t.copy()
+        arm = np.linalg.norm(self._t, axis=1) + geometry.radius
         self._arm = np.where(self._moving, arm, 0.0)  # largest distance of any point from the origin of its frame
-        self.base = self._base = np.where(self._moving, MARGIN * self._geometry.radius, 0.0)
+        self.base = self._base = np.where(self._moving, MARGIN * geometry.radius, 0.0)
         self._reach = np.zeros(n)
         self._lower, self._upper = boxes = np.empty((n, 3)), np.empty((n, 3))
         # Compute the boxes of fixed geoms once, with a frame at the origin.
-        fixed, placed = self._geometry._replace(frame=np.zeros(n, np.int64)), (self._R.copy(), self._t.copy())
+        fixed, placed = geometry._replace(frame=np.zeros(n, np.int64)), (self._R.copy(), self._t.copy())
         still = np.zeros((1, 3)), np.eye(3)[None], np.zeros(1)
         broadphase.follow(tuple(fixed), still, self.base, (*placed, np.empty(n)), boxes, boxes)
         self._fat_lower, self._fat_upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
@@ -97,22 +109,13 @@ class Candidates:
         self._batches: list[Batch] = []
         self._models: list[pin.GeometryModel] = []
         # Largest polygon: a face clipped by a face or by a circle, or all vertices against a half-space.
-        loops = np.diff(self._geometry.loop_ptr).max(initial=max_points)
-        room = int(max(4 * max(loops, max_points), np.diff(self._geometry.vertex_ptr).max(initial=0)))
-        faces = int(np.diff(self._geometry.face_ptr).max(initial=2))
+        loops = np.diff(geometry.loop_ptr).max(initial=self._max_points)
+        room = int(max(4 * max(loops, self._max_points), np.diff(geometry.vertex_ptr).max(initial=0)))
+        faces = int(np.diff(geometry.face_ptr).max(initial=2))
         points = np.empty((faces * room, 3)), np.empty(faces * room)
         self._scratch = np.empty((room, 3)), np.empty((room, 3)), np.empty(room), *points
         self._pack_geoms()
         self._set_pairs(np.empty(0, dtype=np.int64))
-
-    def only(self, geoms: Index, frame: Index) -> Self:
-        """Return the candidates of some geoms (k,), ascending, on other frames (k,); their contacts are the same."""
-        some = [replace(self._geoms[g], frame=f) for g, f in zip(geoms.tolist(), frame.tolist(), strict=True)]
-        place = np.full(len(self._geoms), -1)
-        place[geoms] = np.arange(geoms.size)
-        apart = place[np.array(np.divmod(self._excluded, len(self._geoms)))].T
-        excluded = [(int(i), int(j)) for i, j in apart if i >= 0 and j >= 0]
-        return type(self)(some, lambda i, j: self._pair_material(geoms[i], geoms[j]), excluded, self._max_points)
 
     def boxes(self, x: Array, R: Array) -> tuple[Array, Array]:
         """Smallest axis-aligned boxes of the geoms at these poses of the frames: (lower, upper), (geoms, 3) each, m."""
@@ -221,4 +224,22 @@ def _flatten(geoms: Sequence[Geom]) -> Geometry:
         frame=np.array([g.frame for g in geoms], dtype=np.int64),
         placement_R=np.array([g.placement_R for g in geoms], dtype=float).reshape(-1, 3, 3),
         placement_t=np.array([g.placement_t for g in geoms], dtype=float).reshape(-1, 3),
+    )
+
+
+def _some(g: Geometry, geoms: Index, frame: Index) -> Geometry:
+    """Return the shapes of some geoms (k,) on other frames (k,)."""
+
+    def entries(start: Index, which: Index) -> tuple[Index, Index]:
+        """Pointers to the entries of some objects, which begin at `start` (n + 1,) with those of all; and these."""
+        count = np.diff(start)[which]
+        pointer = np.concatenate(([0], np.cumsum(count)))
+        return pointer, np.repeat(start[which] - pointer[:-1], count) + np.arange(pointer[-1])
+
+    (vertex_ptr, vertices), (face_ptr, faces) = entries(g.vertex_ptr, geoms), entries(g.face_ptr, geoms)
+    loop_ptr, loops = entries(g.loop_ptr, faces)
+    of_faces = face_ptr, g.face_normals[faces], g.face_offsets[faces], loop_ptr, g.loop[loops]
+    sizes = g.kind[geoms], g.size[geoms], g.offset[geoms], g.radius[geoms]
+    return Geometry(
+        *sizes, vertex_ptr, g.vertices[vertices], *of_faces, frame, g.placement_R[geoms], g.placement_t[geoms]
     )
