@@ -67,15 +67,15 @@ def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
 
     The only contact of two frames may have moved any distance, because it may roll: the contact of a disk which lies
     almost flat moves round the rim a hundred times as fast as the points of the disk. A point near enough to touch
-    within a move is a contact of its own from the start. One of several contacts moves at most as far as the bodies do:
-    where an edge slides across another nothing rolls.
+    within a move is a contact of its own from the start. One of several contacts, here or at the beginning, moves at
+    most as far as the bodies do: where an edge slides across another nothing rolls, nor where a disk falls flat.
 
     Bodies turn no further up to the midpoint than in the `ahead` s after it. Moving surfaces add `carried` (old
     contacts, 3) at the beginning, in world axes, and `surface_velocity` (3 nc,) at the midpoint, in the contact
     frames; both are empty without moving surfaces. `begin` and `here` are as in `local_velocities`.
     """
     (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed, rounding) = begin
-    (names, points, _), frame, x = here
+    (names, points, scalars), frame, x = here
     for c in range(place.size):
         f1, f2, n = names[2, c], names[3, c], row(frame[c], 0)
         p, k = row(points[0], c), place[c]
@@ -91,7 +91,9 @@ def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
                     turn = math.inf
             turn += far / min(rounding[names[0, c]], rounding[names[1, c]])
             most, gone, far = min(TILT, SWING * turn), dot(d, d), far * far
-            there = dot(tilt, tilt) <= most * most and (gone <= far or alone(k, old_names, old_scalars[0], closed))
+            there = dot(tilt, tilt) <= most * most and (
+                gone <= far or (alone(k, old_names, old_scalars[0], closed) and alone(c, names, scalars[0], closed))
+            )
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
