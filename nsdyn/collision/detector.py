@@ -142,10 +142,11 @@ class Detector(Candidates):
         turn, reach = np.empty_like(begin.x), np.empty(len(begin.x))
         foreseen = np.zeros_like(begin.x) if foreseen is None else foreseen
         ends = (begin.x, begin.R), (end.x, end.R)
-        advancement.motions(self.frame, self._arm, *ends, foreseen, turn, reach)
+        far = advancement.motions(self.frame, self._arm, *ends, foreseen, turn, reach)
         self._renew(begin.x, begin.R, reach)
+        nothing = Touches(_NO_CONTACTS, _NOTHING, memory, _NONE)
         if not self._first.size:
-            return Touches(_NO_CONTACTS, _NOTHING, memory, _NONE)
+            return nothing
         motion, placed = (begin.x, end.x, turn), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least
         before = memory[:2]
@@ -156,20 +157,22 @@ class Detector(Candidates):
             count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, before, pairs)
             return pairs[:count]
 
-        if (whirls := np.append(np.linalg.norm(foreseen, axis=1) > advancement.HALF_TURN, False)).any():
+        if far:
             # Do not leave out known pairs: contacts at both ends say nothing about whole turns between.
-            pairs = may_touch(_NONE)
-            far = whirls[self.frame[self._first[pairs]]] | whirls[self.frame[self._second[pairs]]]
-            if far.any():
-                return Touches(_NO_CONTACTS, _NOTHING, memory, self._codes[pairs[far]])
+            pairs, whirls = may_touch(_NONE), np.linalg.norm(foreseen, axis=1) > advancement.HALF_TURN
+            turning = np.append(whirls, False)[self.frame]
+            if (of := turning[self._first[pairs]] | turning[self._second[pairs]]).any():
+                return nothing._replace(far=self._codes[pairs[of]])
         pairs = may_touch(_NONE if known is None else self.codes(known))
+        if not pairs.size:
+            return nothing
         close = frozenset() if together is None else frozenset(self.codes(together).tolist())
         found = []
         for p in pairs.tolist():
             touch = self._first_touch(p, begin, end, turn, least if int(self._codes[p]) in close else None)
             if touch is not None:
                 found.append((p, *touch))
-        return self._remember(found, end, memory) if found else Touches(_NO_CONTACTS, _NOTHING, memory, _NONE)
+        return self._remember(found, end, memory) if found else nothing
 
     def _first_touch(
         self, p: int, begin: Poses, end: Poses, turn: Array, least: Array | None

@@ -283,11 +283,22 @@ class Tree(Linkage):
     ) -> tuple[Works, tuple[float, float]]:
         """The tree's part in the ledger of a step, and its (kinetic, potential) energy at the end, J.
 
-        The forces leave the velocity v (nv,). `impulse` (nv,) is H r of contacts and joint rows. `lifted` is the
-        state (q, v) after the position projection, with end.q itself without one. `before` has the energies at the
-        beginning. The function writes impulses, N m s or N s, into `joints`, the table of all joints of the scene:
-        those of actuation into row 0, of external wrenches into row 3, and the largest that the actuators may give into
-        row 5.
+        Parameters
+        ----------
+        halfway : TreeMidpoint
+        free : FreeMotion
+        v : ndarray, shape (nv,)
+            Velocity after the forces.
+        end : Flow
+        lifted : (ndarray, ndarray)
+            State (q, v) after the position projection, with end.q itself without one.
+        impulse : ndarray, shape (nv,)
+            H r of contacts and joint rows.
+        before : (float, float)
+            Energies at the beginning, J.
+        joints : ndarray, shape (8, coordinates of all trees)
+            Impulses on all joints of the scene, N m s or N s. Those of actuation are written into row 0, those of
+            external wrenches into row 3, and the largest that the actuators may give into row 5.
         """
         h, loads = halfway.h, free.loads
         limit = self._no_control.law[-1] if loads.limit is None else loads.limit

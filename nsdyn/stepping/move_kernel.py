@@ -87,11 +87,22 @@ class MoveKernel:
         moves: bool = True,
         motion: TreeMotion | None = None,
     ) -> KernelResult | None:
-        """Return the move of length = (h [s], depth) from a state; None if the kernel cannot make it.
+        """Return a move from a state; None if the kernel cannot make it.
 
-        The move begins at the state `old` with the contacts `begun`. `direction`, the pairs `located` and `step` are
-        arguments of the kernel. With `moves` (frames probably move) memory for newly found contacts is allocated at
-        once. `motion` is the motion of trees, or the motion under the user's forces.
+        Parameters
+        ----------
+        old : Acted
+            The state.
+        begun : Found
+            The contacts there.
+        length : (float, float)
+            How long the move lasts, s, and `System.depth`.
+        direction, located, step
+            As in the kernel.
+        moves : bool
+            Whether frames probably move: memory for newly found contacts is then allocated at once.
+        motion : TreeMotion, optional
+            The motion of trees, or the motion under the user's forces.
         """
         detector, constrained = self._detector, self._dynamics.constrained
         if constrained and begun.nc:  # with closed loops problems use reduced coordinates

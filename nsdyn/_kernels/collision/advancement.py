@@ -44,10 +44,10 @@ def motions(frame, arm, begin, end, foreseen, turn, reach):
     """Rotation vectors of the frames, into turn (nframes, 3), and bounds on the way of their geoms, into reach.
 
     The rotations are the shortest ones from the poses `begin` (x, R) of the frames to the poses `end`, except for
-    rotations `foreseen` to be longer than `HALF_TURN`. ``arm[g]`` bounds the distance of the points of geom g from the
-    origin of its frame.
+    rotations `foreseen` to be longer than `HALF_TURN`; return whether any is. ``arm[g]`` bounds the distance of the
+    points of geom g from the origin of its frame.
     """
-    (x0, R0), (x1, R1) = begin, end
+    (x0, R0), (x1, R1), far = begin, end, False
     reach[:] = 0.0
     for g in range(frame.size):
         if frame[g] >= 0:
@@ -56,9 +56,12 @@ def motions(frame, arm, begin, end, foreseen, turn, reach):
         w = row(foreseen, f)
         if dot(w, w) <= HALF_TURN * HALF_TURN:
             w = turn_between(R0, R1, f)
+        else:
+            far = True
         put(turn, f, w)
         d = minus(row(x1, f), row(x0, f))
         reach[f] = math.sqrt(dot(d, d)) + math.sqrt(dot(w, w)) * reach[f]
+    return far
 
 
 @no_alloc
