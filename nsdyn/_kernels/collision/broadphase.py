@@ -6,12 +6,12 @@ import numpy as np
 
 from nsdyn._kernels.collision.geometry import Geometry, Placed, place
 from nsdyn._kernels.collision.kinds import HALFSPACE, support
-from nsdyn._kernels.collision.separation import gap_along
+from nsdyn._kernels.collision.separation import bounds_apart, gap_along
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.reductions import copy
 from nsdyn._kernels.sorting import order as order_of
 from nsdyn._kernels.sorting import place_of
-from nsdyn._kernels.vectors import dot, minus, row, times
+from nsdyn._kernels.vectors import times
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -176,8 +176,7 @@ def at_least_apart(geometry, i, j, lower, upper):
     for k in range(3):
         d = max(lower[j, k] - upper[i, k], lower[i, k] - upper[j, k], 0.0)
         square += d * d
-    d = minus(row(geometry.t, j), row(geometry.t, i))
-    return max(math.sqrt(square), math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j])
+    return max(math.sqrt(square), bounds_apart(geometry, i, j))
 
 
 @no_alloc

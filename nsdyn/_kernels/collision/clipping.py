@@ -10,7 +10,6 @@ from nsdyn._kernels.collision.kinds import (
     HALFSPACE,
     POLYTOPE,
     corners,
-    disk_radius,
     face_level,
     face_normal,
     has_rim,
@@ -84,9 +83,8 @@ def clip_to_face(geometry, g, face, n, poly, count, other, heights):
 def on_border(geometry, g, face, p, tol):
     """True if a point over a face or cap is within tol of the border of the face."""
     q = to_local(geometry.R, g, minus(p, row(geometry.t, g)))
-    radius = disk_radius(geometry, g)
-    if radius > 0.0:
-        return np.hypot(q[0], q[1]) >= radius - tol
+    if has_rim(geometry, g):
+        return np.hypot(q[0], q[1]) >= geometry.size[g, 0] - tol
     if geometry.kind[g] != POLYTOPE:
         return False
     f, n = geometry.face_ptr[g] + face, face_normal(geometry, g, face)
@@ -105,7 +103,7 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
     The points are the corners over the disk, the points of edges over its circle, and those of `rim` points of the
     circle that lie under the polygon, lifted to its plane. Returns their number; the points are in poly.
     """
-    radius, c = disk_radius(geometry, g), row(geometry.t, g)
+    radius, c = geometry.size[g, 0], row(geometry.t, g)
     tol = INSIDE * radius
     flat = np.empty((count, 3))  # polygon in the frame of the disk
     for k in range(count):
@@ -165,7 +163,7 @@ def over_face(geometry, i, j, margin, face1, face2, room):
     count, radius, main = incident(geometry, o, n, kind == HALFSPACE, room.limit, poly)
     kept, following = 0, geometry.face_ptr[o]
     while count > 0:
-        if disk_radius(geometry, g) > 0.0:
+        if has_rim(geometry, g):
             count = clip_to_disk(geometry, g, poly, count, room.limit, other)
         elif kind == POLYTOPE:
             count = clip_to_face(geometry, g, face, n, poly, count, other, room.values)

@@ -3,7 +3,7 @@
 import math
 
 from nsdyn._kernels.collision.geometry import smaller
-from nsdyn._kernels.collision.kinds import curvature, disk_radius, has_rim, opposite
+from nsdyn._kernels.collision.kinds import curvature, has_rim, opposite
 from nsdyn._kernels.collision.segments import ANGLE
 from nsdyn._kernels.collision.separation import INSIDE, SHARP, separation
 from nsdyn._kernels.compiled import no_alloc
@@ -50,7 +50,7 @@ def off_axis(geometry, i, j, n):
     _, a, b = separation(geometry, i, j, n)
     for g, p, sign in ((i, b, 1.0), (j, a, -1.0)):
         z, d = axis(geometry.R, g), minus(p, row(geometry.t, g))
-        if disk_radius(geometry, g) > 0.0 and 1.0 - abs(dot(n, z)) < 0.5 * ANGLE * ANGLE:
+        if has_rim(geometry, g) and 1.0 - abs(dot(n, z)) < 0.5 * ANGLE * ANGLE:
             away, _ = unit(along(d, -dot(d, z), z))
             n, _ = unit(along(times(math.copysign(1.0, dot(n, z)), z), sign * SHARP, away))
     return n

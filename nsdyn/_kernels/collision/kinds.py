@@ -1,8 +1,8 @@
 """Functions of each kind of shape for contact detection; elsewhere only half-spaces and balls have own branches.
 
 A new kind that is smooth everywhere needs only its outermost point (`support`) and the `curvature` there. A kind with
-two flat disks across z, at the height of its second size, needs `disk_radius` and `incident` (its feature over a face
-of another shape). A kind with straight lines needs `segment`, `has_ends`, `has_rim` and `other_feature`. A kind whose
+two flat disks across z, of the radius and at the height of its sizes, needs `has_rim` and `incident` (its feature over
+a face of another shape). A kind with straight lines needs `segment`, `has_ends` and `other_feature`. A kind whose
 points all lie within a radius of a line needs `is_round`. The geoms are `Placed`.
 """
 
@@ -31,7 +31,7 @@ def has_ends(geometry, g):
 
 @no_alloc(forceinline=True)
 def has_rim(geometry, g):
-    """True if the lines of geom g end in the rim of a flat face, not in a ball."""
+    """True if geom g ends in two flat disks across its z axis, whose rims end its lines; else lines end in balls."""
     return geometry.kind[g] == CYLINDER
 
 
@@ -90,12 +90,6 @@ def curvature(geometry, g, n, a, b):
     return 0.0
 
 
-@no_alloc(forceinline=True)
-def disk_radius(geometry, g):
-    """Radius of the two disk faces of geom g across its z axis, m; 0 for a geom without, with polygons or a plane."""
-    return geometry.size[g, 0] if geometry.kind[g] == CYLINDER else 0.0
-
-
 @no_alloc
 def opposite(geometry, g, n, q, p, angle):
     """The point of geom g nearest to p among those as far along n as q, its `support`; q if there is no other.
@@ -104,8 +98,8 @@ def opposite(geometry, g, n, q, p, angle):
     """
     m, x, s = to_local(geometry.R, g, n), to_local(geometry.R, g, minus(p, row(geometry.t, g))), row(geometry.size, g)
     side = np.hypot(m[0], m[1])
-    if disk_radius(geometry, g) > 0.0 and side < angle:
-        inwards = min(1.0, disk_radius(geometry, g) / max(np.hypot(x[0], x[1]), 1e-300))
+    if has_rim(geometry, g) and side < angle:
+        inwards = min(1.0, s[0] / max(np.hypot(x[0], x[1]), 1e-300))
         x = inwards * x[0], inwards * x[1], math.copysign(s[1], m[2])
     elif has_ends(geometry, g) and abs(m[2]) < angle:
         x = s[0] / side * m[0], s[0] / side * m[1], min(max(x[2], -s[1]), s[1])
@@ -117,13 +111,13 @@ def opposite(geometry, g, n, q, p, angle):
 @no_alloc
 def face_count(geometry, g):
     """Number of faces: those of a polytope, two disks."""
-    return 2 if disk_radius(geometry, g) > 0.0 else geometry.face_ptr[g + 1] - geometry.face_ptr[g]
+    return 2 if has_rim(geometry, g) else geometry.face_ptr[g + 1] - geometry.face_ptr[g]
 
 
 @no_alloc(forceinline=True)
 def face_normal(geometry, g, face):
     """Outward normal of a face in the shape frame: of a polytope, a disk (0 above, 1 below), a half-space."""
-    if disk_radius(geometry, g) > 0.0:
+    if has_rim(geometry, g):
         return 0.0, 0.0, 1.0 - 2.0 * face
     if geometry.kind[g] == HALFSPACE:
         return row(geometry.size, g)
@@ -133,7 +127,7 @@ def face_normal(geometry, g, face):
 @no_alloc(forceinline=True)
 def face_level(geometry, g, face):
     """Height of a face over the origin of geom g, along its normal, m; for a disk it is the second size."""
-    if disk_radius(geometry, g) > 0.0:
+    if has_rim(geometry, g):
         return geometry.size[g, 1]
     if geometry.kind[g] == POLYTOPE:
         return geometry.face_offsets[geometry.face_ptr[g] + face]

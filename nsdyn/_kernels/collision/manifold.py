@@ -41,7 +41,7 @@ from nsdyn._kernels.collision.kinds import (
 )
 from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, closest, crossing, edge, ends, segments, touch
-from nsdyn._kernels.collision.separation import SAME, SHARP, may_meet, separation
+from nsdyn._kernels.collision.separation import SAME, SHARP, bounds_apart, may_meet, separation
 from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_local, to_world, unit
 
@@ -62,18 +62,6 @@ class Given(NamedTuple):
     slack: float
     base: float
     margin: float
-
-
-@no_alloc(forceinline=True)
-def apart(geometry, i, j, margin):
-    """True if the bounding spheres (or a sphere and a half-space) are farther apart than margin."""
-    d = minus(row(geometry.t, j), row(geometry.t, i))
-    for h, g, sign in ((i, j, 1.0), (j, i, -1.0)):
-        if geometry.kind[h] == HALFSPACE:
-            height = sign * dot(to_world(geometry.R, h, row(geometry.size, h)), d) - geometry.offset[h]
-            return height - geometry.radius[g] > margin
-    reach = geometry.radius[i] + geometry.radius[j] + margin
-    return dot(d, d) > reach * reach
 
 
 @no_alloc
@@ -288,25 +276,21 @@ def swept(geometry, g):
 @no_alloc(forceinline=True)
 def ball_contact(geometry, i, j, out, at):
     """Write the contact of two balls, or of a ball and a half-space, as `pair_contacts` would; else return False."""
-    kind1, kind2 = geometry.kind[i], geometry.kind[j]
-    radius1, radius2, a, b = geometry.size[i, 0], geometry.size[j, 0], row(geometry.t, i), row(geometry.t, j)
-    if kind1 == SPHERE and kind2 == SPHERE:
+    if geometry.kind[i] == SPHERE and geometry.kind[j] == SPHERE:
+        a, b = row(geometry.t, i), row(geometry.t, j)
         d = minus(b, a)
-        if dot(d, d) <= square(SAME * min(radius1, radius2)):
+        if dot(d, d) <= square(SAME * smaller(geometry, i, j)):
             return False
-        touch(a, radius1, b, radius2, d, out, at)
+        touch(a, geometry.size[i, 0], b, geometry.size[j, 0], d, out, at)
         return True
-    if kind1 == HALFSPACE and kind2 == SPHERE:
-        c, radius, h, sign = b, radius2, i, 1.0
-    elif kind1 == SPHERE and kind2 == HALFSPACE:
-        c, radius, h, sign = a, radius1, j, -1.0
-    else:
-        return False
-    n = to_world(geometry.R, h, row(geometry.size, h))
-    out.gap[at] = dot(n, minus(c, row(geometry.t, h))) - geometry.offset[h] - radius
-    put(out.point, at, along(c, -radius, n))
-    put(out.normal, at, times(sign, n))
-    return True
+    for h, g, sign in ((i, j, 1.0), (j, i, -1.0)):
+        if geometry.kind[h] == HALFSPACE and geometry.kind[g] == SPHERE:
+            n, c, radius = to_world(geometry.R, h, row(geometry.size, h)), row(geometry.t, g), geometry.size[g, 0]
+            out.gap[at] = dot(n, minus(c, row(geometry.t, h))) - geometry.offset[h] - radius
+            put(out.point, at, along(c, -radius, n))
+            put(out.normal, at, times(sign, n))
+            return True
+    return False
 
 
 @no_alloc
@@ -342,7 +326,7 @@ def manifolds(geoms, pairs, room, found):
             direction, length = unit((coal[k, 1], coal[k, 2], coal[k, 3]))
             trusted = coal[k, 0] > -swept(geometry, i) - swept(geometry, j)
             n = direction if length > 0.5 and length < 2.0 else n
-        elif apart(geometry, i, j, margin):
+        elif bounds_apart(geometry, i, j) > margin:
             continue
         if not known and ball_contact(geometry, i, j, out, total):
             count = 1

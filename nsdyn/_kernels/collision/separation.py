@@ -1,5 +1,7 @@
 """Separation of two shapes along a direction, and tolerances of lengths and angles. The geoms are `Placed`."""
 
+import math
+
 from nsdyn._kernels.collision.kinds import HALFSPACE, support
 from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import dot, minus, row, times, to_world
@@ -48,3 +50,14 @@ def gap_along(geometry, i, j, n):
             up = to_world(geometry.R, h, row(geometry.size, h))
             return dot(up, minus(support(geometry, g, times(-1.0, up)), row(geometry.t, h))) - geometry.offset[h]
     return separation(geometry, i, j, n)[0]
+
+
+@no_alloc
+def bounds_apart(geometry, i, j):
+    """Distance of the bounding spheres of two geoms, or of one and a half-space; negative if they overlap."""
+    d = minus(row(geometry.t, j), row(geometry.t, i))
+    for h, g, sign in ((i, j, 1.0), (j, i, -1.0)):
+        if geometry.kind[h] == HALFSPACE:
+            up = to_world(geometry.R, h, row(geometry.size, h))
+            return sign * dot(up, d) - geometry.offset[h] - geometry.radius[g]
+    return math.sqrt(dot(d, d)) - geometry.radius[i] - geometry.radius[j]
