@@ -25,61 +25,64 @@ __all__ = [
     "worst_of",
 ]
 
-TOLERANCES = {
-    "scene": 1e-12,  # some hundred round-offs
-    "pairs": 0.0,
-    "overlap": 1e-7,
-    "distance": 1e-3,
-    "normal": 1e-3,
-    "points": 1e-3,
-    "materials": 1e-12,  # round-off of the combination rules
-    "axes": 1e-12,  # some hundred round-offs
-    "cone": 1e-8,
-    "friction": 1e-5,
-    "slip": 1e-3,  # friction opposes the mean slip of a step, whose direction differs from the slip at its end by O(h)
-    "dissipation": 1e-4,
-    "created": 1e-9,
-    "numerics": 0.1,  # as motion; steps that resolve a motion change at most a hundredth of the energy
-    "gaps": 1e-6,  # ten times the tolerance of overlap
-    "velocities": 1e-5,  # residual of solvers at 1 m/s
-    "partings": 1e-3,  # as slip
-    "bounces": 1e-5,  # as velocities
-    "states": 0.0,
-    "motion": 0.1,
-    "sideways": 1e-6,
-    "lifts": 1e-11,  # rotations are computed by a method of eighth order in steps of 0.15 rad
-    "momentum": 1e-9,
-    "spin": 1e-9,
-    "energy": 1e-9,
-    "balance": 1e-9,
-    "numbers": 0.0,
-    "times": 1e-9,
-    "turns": 1e-12,  # some hundred round-offs
-    "frames": 0.0,  # recorded frames are copies
-    "links": 1e-12,  # some hundred round-offs, of positions
-    "loops": 1e-9,  # closed to 1e-12 m or rad by Newton's method, which takes one more step after that
-    "limits": 1e-7,
-    "pieces": 1e-12,
-    "stops": 1e-6,  # of shallow gaps, which close by the next step
-    "rebounds": 1e-6,  # beside the residual that solvers leave in a velocity
-    "shared_rebounds": 1e-6,
-    "joint_cone": 1e-8,
-    "joint_slip": 1e-6,
-    "loads": 0.0,
-    "wrenches": 0.0,
-    "pushes": 1e-8,  # as joint_momentum
-    "strength": 1e-9,  # round-off of sums
-    "lift": 1.0,
-    "joint_momentum": 1e-8,  # beyond the error of flows of the order of the step's, which is found by halving
-    "joint_motion": 1e-8,
-    "contact_works": 1e-6,  # errors of the motion that is computed anew, and residual of solvers at 0.01 m/s
-    "works": 1e-8,
-    "drives": 1e-8,
-    "prescribed": 0.0,
-    "certificates": 0.0,
-    "provenance": 0.0,
+LIMITS = {
+    "scene": (1e-12, "-"),  # some hundred round-offs
+    "pairs": (0.0, "-"),
+    "overlap": (1e-7, "m"),
+    "distance": (1e-3, "m"),
+    "normal": (1e-3, "m"),
+    "points": (1e-3, "m"),
+    "materials": (1e-12, "-"),  # round-off of the combination rules
+    "axes": (1e-12, "-"),  # some hundred round-offs
+    "cone": (1e-8, "N·s"),
+    "friction": (1e-5, "J"),
+    "slip": (1e-3, "J"),  # friction opposes the mean slip of a step, whose direction is that at its end up to O(h)
+    "dissipation": (1e-4, "J"),
+    "created": (1e-9, "J"),
+    "numerics": (0.1, "J"),  # as motion; steps that resolve a motion change at most a hundredth of the energy
+    "gaps": (1e-6, "m"),  # ten times the tolerance of overlap
+    "velocities": (1e-5, "m/s"),  # residual of solvers at 1 m/s
+    "partings": (1e-3, "m/s"),  # as slip
+    "bounces": (1e-5, "m/s"),  # as velocities
+    "states": (0.0, "-"),
+    "motion": (0.1, "m"),
+    "sideways": (1e-6, "m"),
+    "lifts": (1e-11, "m"),  # rotations are computed by a method of eighth order in steps of 0.15 rad
+    "momentum": (1e-9, "N·s"),
+    "spin": (1e-9, "N·m·s"),
+    "energy": (1e-9, "J"),
+    "balance": (1e-9, "J"),
+    "numbers": (0.0, "-"),
+    "times": (1e-9, "s"),
+    "turns": (1e-12, "-"),  # some hundred round-offs
+    "frames": (0.0, "m"),  # recorded frames are copies
+    "links": (1e-12, "m"),  # some hundred round-offs, of positions
+    "loops": (1e-9, "m"),  # closed to 1e-12 m or rad by Newton's method, which takes one more step after that
+    "limits": (1e-7, "rad"),
+    "pieces": (1e-12, "-"),
+    "stops": (1e-6, "rad"),  # of shallow gaps, which close by the next step
+    "rebounds": (1e-6, "rad/s"),  # beside the residual that solvers leave in a velocity
+    "shared_rebounds": (1e-6, "rad/s"),
+    "joint_cone": (1e-8, "N·m·s"),
+    "joint_slip": (1e-6, "J"),
+    "loads": (0.0, "N·m·s"),
+    "wrenches": (0.0, "N·m·s"),
+    "pushes": (1e-8, "N·m·s"),  # as joint_momentum
+    "strength": (1e-9, "N·m·s"),  # round-off of sums
+    "lift": (1.0, "√J·s"),
+    "joint_momentum": (1e-8, "√J"),  # beyond the error of flows of the order of the step's, which is found by halving
+    "joint_motion": (1e-8, "√J·s"),
+    "contact_works": (1e-6, "J"),  # errors of the motion that is computed anew, and residual of solvers at 0.01 m/s
+    "works": (1e-8, "J"),
+    "drives": (1e-8, "J"),
+    "prescribed": (0.0, "-"),
+    "certificates": (0.0, "-"),
+    "provenance": (0.0, "-"),
 }
-"""Largest figure that passes, of each finding."""
+"""Of each finding: the largest figure that passes, and the unit of its amount; for lengths as coordinates m and N·s."""
+
+TOLERANCES = {name: most for name, (most, _) in LIMITS.items()}
+UNITS = {name: unit for name, (_, unit) in LIMITS.items()}
 
 MEANING = {
     "scene": "sizes, poses, inertias and models that contradict themselves or the motion / size",
@@ -136,25 +139,6 @@ MEANING = {
     "balance": "change of energy - sum of the works of the ledger, or its defect / energy at play",
 }
 """Definition of the figure of each finding."""
-
-UNITS = {
-    name: unit
-    for unit, names in {
-        "-": "scene numbers pairs materials axes states turns pieces prescribed certificates provenance",
-        "m": "overlap distance normal points gaps motion sideways lifts frames links loops",
-        "s": "times",
-        "m/s": "velocities partings bounces",
-        "rad": "limits stops",
-        "rad/s": "rebounds shared_rebounds",
-        "N·s": "cone momentum",
-        "N·m·s": "spin joint_cone loads wrenches pushes strength",
-        "J": "friction slip dissipation created numerics energy balance joint_slip contact_works works drives",
-        "√J": "joint_momentum",
-        "√J·s": "lift joint_motion",
-    }.items()
-    for name in names.split()
-}
-"""Unit of the amount of each finding; for coordinates that are lengths, m and N·s."""
 
 
 CREEP = 1e-2

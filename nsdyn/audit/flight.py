@@ -10,7 +10,7 @@ from scipy.integrate import DOP853
 
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.audit.meetings import Meetings, Side
-from nsdyn.audit.poses import CONJUGATE, Poses, matrix, turned
+from nsdyn.audit.poses import CONJUGATE, Poses, matrix, product, turned
 from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import contact_frames, impulses_world
@@ -277,12 +277,6 @@ def _fastest(poses: Poses, levers: Array) -> Array:
 def least(poses: Poses) -> Array:
     """Least moments of inertia of free bodies, (free,), kg m²."""
     return np.array(np.linalg.eigvalsh(poses.inertia)[:, 0])
-
-
-def product(one: Array, other: Array) -> Array:
-    """Product of quaternions (..., 4): the rotation by the second, then by the first."""
-    v, s, w, r = one[..., :3], one[..., 3:], other[..., :3], other[..., 3:]
-    return np.concatenate([s * w + r * v + cross(v, w), s * r - (v * w).sum(-1, keepdims=True)], axis=-1)
 
 
 def angles(one: Array, other: Array) -> Array:

@@ -28,9 +28,13 @@ def matrix(quaternion: Array) -> Array:
 def turned(quaternion: Array, angle: Array) -> Array:
     """Rotate quaternions (..., 4) by rotation vectors (..., 3) given in their own axes."""
     size = np.linalg.norm(angle, axis=-1, keepdims=True)
-    axis, w = 0.5 * np.sinc(0.5 * size / np.pi) * angle, np.cos(0.5 * size)
-    v, s = quaternion[..., :3], quaternion[..., 3:]
-    return np.concatenate([s * axis + w * v + cross(v, axis), s * w - (v * axis).sum(-1, keepdims=True)], axis=-1)
+    return product(quaternion, np.concatenate([0.5 * np.sinc(0.5 * size / np.pi) * angle, np.cos(0.5 * size)], axis=-1))
+
+
+def product(one: Array, other: Array) -> Array:
+    """Product of quaternions (..., 4): the rotation by the second, then by the first."""
+    v, s, w, r = one[..., :3], one[..., 3:], other[..., :3], other[..., 3:]
+    return np.concatenate([s * w + r * v + cross(v, w), s * r - (v * w).sum(-1, keepdims=True)], axis=-1)
 
 
 class Poses:
