@@ -11,7 +11,6 @@ that is right by cancellation is not reliable.
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import math
 import subprocess
@@ -149,11 +148,8 @@ class Bench:
 
     def write_csv(self, path: str | Path) -> None:
         """Write all runs, one per line; missing numbers are empty."""
-        with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
-            sink = csv.writer(file)
-            sink.writerow([field.name for field in fields(Run)])
-            for run in self.runs:
-                sink.writerow([x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run)])
+        rows = ((None if x in (-math.inf, math.inf) else x for x in astuple(run)) for run in self.runs)
+        files.write_csv(path, [field.name for field in fields(Run)], rows)
 
     def plot(self, figure: Any) -> None:
         """Draw time per simulated second against error on a matplotlib figure, a panel for each case.

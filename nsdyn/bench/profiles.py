@@ -13,7 +13,6 @@ E. Dolan, J. Moré, Benchmarking optimization software with performance profiles
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import subprocess
@@ -190,13 +189,9 @@ class Profile:
 
 def write_csv(path: str | Path, profiles: Sequence[Profile]) -> None:
     """Write all runs of some profiles, one per line after its tolerance; seconds are empty without an answer."""
-    with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
-        sink = csv.writer(file)
-        sink.writerow(["tol", *(field.name for field in fields(Run))])
-        for profile in profiles:
-            for run in profile.runs:
-                values = (x if not isinstance(x, float) or math.isfinite(x) else "" for x in astuple(run))
-                sink.writerow([profile.tol, *values])
+    all_runs = ((profile.tol, *astuple(run)) for profile in profiles for run in profile.runs)
+    rows = ((None if x in (-math.inf, math.inf) else x for x in run) for run in all_runs)
+    files.write_csv(path, ["tol", *(field.name for field in fields(Run))], rows)
 
 
 def _geometric_mean(x: Array) -> float:

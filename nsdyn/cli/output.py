@@ -146,18 +146,6 @@ def header(name: str, units: Mapping[str, str]) -> str:
     return f"{name} [{units[name]}]" if name in units else name
 
 
-def write_rows(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: Path) -> None:
-    """Write rows as a CSV file; missing values are empty."""
-    import csv
-
-    from nsdyn.tools import files
-
-    with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
-        sink = csv.DictWriter(file, columns)
-        sink.writeheader()
-        sink.writerows(rows)
-
-
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
     """Return a text table of some columns; missing values are dashes."""
     cells = [[_cell(row.get(name)) for name in columns] for row in rows]

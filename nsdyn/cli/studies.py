@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,9 @@ from nsdyn.cli.output import (
     one_line,
     picture,
     report,
-    write_rows,
 )
 from nsdyn.cli.run import add_solver, chosen_solver
-from nsdyn.tools.files import PICTURE, TABLE
+from nsdyn.tools.files import PICTURE, TABLE, write_csv
 
 
 def add_study(parser: argparse.ArgumentParser) -> None:
@@ -68,10 +66,11 @@ def study_steps(arguments: argparse.Namespace) -> int:
         units = {"dt": "s", "time": "s"} | table["units"]
         rows: list[dict[str, Any]] = [
             {header(name, units): value for name, value in run.items() if name != "orders"}
-            | {f"order_{name}": None if math.isnan(p) else p for name, p in run["orders"].items()}
+            | {f"order_{name}": p for name, p in run["orders"].items()}
             for run in table["runs"]
         ]
-        write_rows(rows, list(dict.fromkeys(column for row in rows for column in row)), arguments.csv)
+        columns = list(dict.fromkeys(column for row in rows for column in row))
+        write_csv(arguments.csv, columns, (map(row.get, columns) for row in rows))
     if arguments.plot:
         from nsdyn.study.drawings import draw_refinement
 

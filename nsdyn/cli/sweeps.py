@@ -20,10 +20,9 @@ from nsdyn.cli.output import (
     picture,
     report,
     table,
-    write_rows,
 )
 from nsdyn.cli.run import add_simulation, chosen_solver, chosen_steps
-from nsdyn.tools.files import PICTURE, STORE, TABLE
+from nsdyn.tools.files import PICTURE, STORE, TABLE, write_csv
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -90,8 +89,7 @@ def sweep_scene(arguments: argparse.Namespace) -> int:
     # A failed run has no figures.
     columns = {name: header(name, ensemble.UNITS) for name in dict.fromkeys(name for row in rows for name in row)}
     if arguments.csv:
-        titled = [{columns[name]: value for name, value in row.items()} for row in rows]
-        write_rows(titled, list(columns.values()), arguments.csv)
+        write_csv(arguments.csv, list(columns.values()), (map(row.get, columns) for row in rows))
     if arguments.plot:
         size = PICTURE_SIZE[0], 2.0 * PICTURE_SIZE[1]
         picture(arguments.plot, lambda figure: drawings.draw_sweep(parameters, members, figure), size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import fcntl
 import os
@@ -10,7 +11,7 @@ import shutil
 import struct
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -196,6 +197,14 @@ def writing(path: str | Path, kind: Kind) -> Iterator[Path]:
         raise
     except OSError as error:
         raise ValueError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def write_csv(path: str | Path, headers: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a table with all digits; cells are empty for None and NaN. Errors as in `writing`."""
+    with writing(path, TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
+        sink = csv.writer(file, lineterminator="\n")
+        sink.writerow(headers)
+        sink.writerows([None if cell != cell else cell for cell in row] for row in rows)
 
 
 def _write_through(source: Path, path: Path) -> None:

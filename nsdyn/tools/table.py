@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -85,10 +84,7 @@ class Table:
 
     def to_csv(self, path: str | Path) -> None:
         """Write a CSV file with all digits and empty cells for NaN; ValueError naming the path if writing fails."""
-        with files.writing(path, files.TABLE) as part, open(part, "w", newline="", encoding="utf-8") as file:
-            sink = csv.writer(file, lineterminator="\n")
-            sink.writerow(self.headers)
-            sink.writerows(zip(*(map(_blank, values.tolist()) for values in self.columns.values()), strict=True))
+        files.write_csv(path, self.headers, zip(*(x.tolist() for x in self.columns.values()), strict=True))
 
     def text(self, width: float = inf) -> str:
         """Return the first rows, right-aligned; middle columns are left out of lines longer than `width` characters."""
@@ -162,10 +158,6 @@ def _needed(name: str) -> Any:
         return import_module(name)
     except ImportError:
         raise ValueError(f"{name.partition('.')[0]} is needed: pip install 'nsdyn[tables]'") from None
-
-
-def _blank(cell: Any) -> Any:
-    return "" if cell != cell else cell  # NaN
 
 
 def _text(cell: Any, least: float) -> str:
