@@ -69,6 +69,14 @@ def row(a, k):
 
 
 @no_alloc
+def adjugate(A):
+    """Columns of det(A) A⁻¹ of a 3 x 3 array, and det(A)."""
+    a, b, c = row(A, 0), row(A, 1), row(A, 2)
+    x = cross(b, c)
+    return (x, cross(c, a), cross(a, b)), dot(a, x)
+
+
+@no_alloc
 def three(a, i):
     """Entries i, i + 1, i + 2 of a flat array as a vector."""
     return a[i], a[i + 1], a[i + 2]

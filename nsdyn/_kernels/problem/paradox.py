@@ -6,7 +6,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.blocks import diagonal_block, widest
-from nsdyn._kernels.vectors import row, square, three
+from nsdyn._kernels.vectors import adjugate, row, square, three
 
 
 @no_alloc
@@ -104,16 +104,12 @@ def solutions(W, q, mu, out):
     if q[0] >= -ROUND_OFF * size:
         out[0, 0] = out[0, 1] = out[0, 2] = 0.0
         found = 1
-    x0, x1 = W[1, 1] * W[2, 2] - square(W[1, 2]), W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2]
-    x2 = W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]
-    det = W[0, 0] * x0 + W[0, 1] * x1 + W[0, 2] * x2
+    (x, y, z), det = adjugate(W)
     if abs(det) > ROUND_OFF * W[0, 0] * W[1, 1] * W[2, 2]:
-        y1, y2 = W[0, 0] * W[2, 2] - square(W[0, 2]), W[0, 0] * W[1, 1] - square(W[0, 1])
-        z = W[0, 1] * W[0, 2] - W[0, 0] * W[1, 2]
-        normal = -(x0 * q[0] + x1 * q[1] + x2 * q[2]) / det
-        first, second = -(x1 * q[0] + y1 * q[1] + z * q[2]) / det, -(x2 * q[0] + z * q[1] + y2 * q[2]) / det
+        for i in range(3):
+            out[found, i] = -(x[i] * q[0] + y[i] * q[1] + z[i] * q[2]) / det
+        normal, first, second = row(out, found)
         if normal > 0.0 and math.sqrt(first * first + second * second) <= (1.0 + ROUND_OFF) * mu * normal:
-            out[found, 0], out[found, 1], out[found, 2] = normal, first, second
             found += 1
     # Scalars only, so that the compiler uses vector instructions in the loop.
     turned, w, q = np.empty(DIRECTIONS + 1), (*row(W, 0), W[1, 1], W[1, 2], W[2, 2]), three(q, 0)

@@ -11,7 +11,7 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.cones import coulomb, project, projection_jacobian
 from nsdyn._kernels.problem.given import velocity_of
-from nsdyn._kernels.vectors import square
+from nsdyn._kernels.vectors import adjugate, square
 
 PROJECTION, ITERATED, EXACT, ALART_CURNIER, JEAN_MOREAU, NATURAL, FISCHER_BURMEISTER = range(7)
 
@@ -210,21 +210,11 @@ def _newton_step(W, A, B, F, r):
         for j in range(3):
             J[i, j] = A[i, 0] * W[0, j] + A[i, 1] * W[1, j] + A[i, 2] * W[2, j] + B[i, j]
             top = max(top, abs(J[i, j]))
-    c0 = J[1, 1] * J[2, 2] - J[1, 2] * J[2, 1]
-    c1 = J[1, 2] * J[2, 0] - J[1, 0] * J[2, 2]
-    c2 = J[1, 0] * J[2, 1] - J[1, 1] * J[2, 0]
-    det = J[0, 0] * c0 + J[0, 1] * c1 + J[0, 2] * c2
+    (x, y, z), det = adjugate(J)
     if not abs(det) > 1e-14 * (square(top) * top):
         return False
-    d1 = J[0, 2] * J[2, 1] - J[0, 1] * J[2, 2]
-    d2 = J[0, 1] * J[1, 2] - J[0, 2] * J[1, 1]
-    r[0] -= (c0 * F[0] + d1 * F[1] + d2 * F[2]) / det
-    d1 = J[0, 0] * J[2, 2] - J[0, 2] * J[2, 0]
-    d2 = J[0, 2] * J[1, 0] - J[0, 0] * J[1, 2]
-    r[1] -= (c1 * F[0] + d1 * F[1] + d2 * F[2]) / det
-    d1 = J[0, 1] * J[2, 0] - J[0, 0] * J[2, 1]
-    d2 = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
-    r[2] -= (c2 * F[0] + d1 * F[1] + d2 * F[2]) / det
+    for i in range(3):
+        r[i] -= (x[i] * F[0] + y[i] * F[1] + z[i] * F[2]) / det
     return True
 
 

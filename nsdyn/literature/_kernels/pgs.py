@@ -11,10 +11,18 @@ import numpy as np
 from numba.extending import overload
 
 from nsdyn._kernels.compiled import kernel, no_alloc
-from nsdyn._kernels.problem.blocks import add_momentum, momentum, relative_velocity, relative_velocity_of, weighted_rows
+from nsdyn._kernels.problem.blocks import (
+    add_momentum,
+    diagonal_block,
+    momentum,
+    relative_velocity,
+    relative_velocity_of,
+    weighted_rows,
+    widest,
+)
 from nsdyn._kernels.problem.cones import coulomb, measure_at, project, slide
 from nsdyn._kernels.problem.given import velocity
-from nsdyn._kernels.vectors import along, minus, square, three, times
+from nsdyn._kernels.vectors import adjugate, along, minus, square, three, times
 from nsdyn._kernels.vectors import to_world as product
 from nsdyn.literature._kernels.anderson import mix
 
@@ -40,19 +48,11 @@ class Factors(NamedTuple):
 @no_alloc
 def invert(W, S):
     """Compute the inverse of a 3 x 3 block into S; 0 if the block is singular to round-off."""
-    c0 = W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1]
-    c1 = W[1, 2] * W[2, 0] - W[1, 0] * W[2, 2]
-    c2 = W[1, 0] * W[2, 1] - W[1, 1] * W[2, 0]
-    det = W[0, 0] * c0 + W[0, 1] * c1 + W[0, 2] * c2
+    (x, y, z), det = adjugate(W)
     S[:] = 0.0
     if det > 1e-12 * W[0, 0] * W[1, 1] * W[2, 2]:
-        S[0, 0], S[1, 0], S[2, 0] = c0 / det, c1 / det, c2 / det
-        S[0, 1] = (W[0, 2] * W[2, 1] - W[0, 1] * W[2, 2]) / det
-        S[1, 1] = (W[0, 0] * W[2, 2] - W[0, 2] * W[2, 0]) / det
-        S[2, 1] = (W[0, 1] * W[2, 0] - W[0, 0] * W[2, 1]) / det
-        S[0, 2] = (W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]) / det
-        S[1, 2] = (W[0, 2] * W[1, 0] - W[0, 0] * W[1, 2]) / det
-        S[2, 2] = (W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]) / det
+        for i in range(3):
+            S[i, 0], S[i, 1], S[i, 2] = x[i] / det, y[i] / det, z[i] / det
 
 
 @kernel
@@ -69,25 +69,12 @@ def matrix(indptr, indices, data):
 @kernel
 def factors(blocks):
     """Build the `Factors` of W = Hᵀ M⁻¹ H."""
-    offset, block, start, H = blocks[:4]
-    nc = block.shape[0]
-    y = weighted_rows(blocks)
-    D, S = np.zeros((nc, 3, 3)), np.empty((nc, 3, 3))
+    nc, most = blocks[1].shape[0], widest(blocks[0])
+    D, S, x, y = np.empty((nc, 3, 3)), np.empty((nc, 3, 3)), np.empty((3, most)), np.empty((3, most))
     for c in range(nc):
-        for s in range(2):
-            for t in range(2):
-                k = block[c, s]
-                if k < 0 or block[c, t] != k:
-                    continue
-                n = offset[k + 1] - offset[k]
-                for i in range(3):
-                    for j in range(3):
-                        total = 0.0
-                        for l in range(n):
-                            total += y[start[c, s] + i * n + l] * H[start[c, t] + j * n + l]
-                        D[c, i, j] += total
+        diagonal_block(blocks, c, 3, x, y, D[c])
         invert(D[c], S[c])
-    return Factors(blocks, y, D, S)
+    return Factors(blocks, weighted_rows(blocks), D, S)
 
 
 @no_alloc
