@@ -20,7 +20,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn
 
 from nsdyn.cli.doctor import diagnose, version_of
 from nsdyn.cli.figures import add_plot, draw
@@ -117,14 +117,7 @@ def _tell(dropped: Any) -> None:
         sys.__unraisablehook__(dropped)
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"nsdyn: warning: {one_line(message)}", file=sys.stderr)
 
 

@@ -215,13 +215,11 @@ class FC3D:
         ----------
         V. Acary, M. Brémond, O. Huber, On solving contact problems with Coulomb friction, 2018, section 6.
         """
-        r = self.impulse(r)
-        return float(_cones.measures(self.scales, self.velocity(r), r, self.mu)[0]) / self.q_norm
+        return self.solved(r, 0.0)[1]
 
     def residual(self, r: Any) -> float:
         """Return the unit-invariant residual, m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ, ρ = 1/λ_max(W_cc)."""
-        r = self.impulse(r)
-        return float(_cones.measures(self.scales, self.velocity(r), r, self.mu)[1])
+        return self.solved(r, 0.0)[2]
 
     def round_off(self, r: Any) -> float:
         """Return the round-off in the larger of `residual` and `error` of r (3 nc,), N·s.
