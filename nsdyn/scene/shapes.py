@@ -278,12 +278,9 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     centroid : ndarray, shape (3,)
         Centroid of the hull in the frame of the points.
     """
-    try:
-        points = np.array(vertices, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError("vertices must be an array of shape (n, 3)") from None
+    points = numbers(vertices, words := "an array of shape (n, 3) with n ≥ 4", "vertices")
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
-        raise ValueError(f"vertices must have shape (n, 3) with n ≥ 4, got {points.shape}")
+        raise ValueError(f"vertices must be {words}, got {points.shape}")
     if not np.isfinite(points).all():
         raise ValueError("vertices must be finite")
     loops = hulls.faces(points)
