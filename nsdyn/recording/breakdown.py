@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nsdyn.recording.body_motion import energies
 from nsdyn.recording.shares import distinct
 from nsdyn.recording.tables import body_names, contact_steps
 from nsdyn.tools.arrays import Array
@@ -43,10 +44,8 @@ def body_energies(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
     scene, e = trajectory.scene, trajectory.energy
     gravity, out = np.array(scene["gravity"]), {}
     kinetic, potential = e.kinetic.copy(), e.potential.copy()
-    for k, (mass, inertia) in enumerate(zip(scene["masses"], scene["inertias"], strict=True)):
-        x, v, w = trajectory.q[:, 7 * k : 7 * k + 3], *np.split(trajectory.v[:, 6 * k : 6 * k + 6], 2, axis=1)
-        turning = np.einsum("ni,ij,nj->n", w, np.array(inertia), w)
-        own = out[scene["frames"][k]] = 0.5 * (mass * (v**2).sum(axis=1) + turning), -mass * x @ gravity
+    for k, (_, moving) in energies(trajectory, np.arange(trajectory.t.size), {}).items():  # of free bodies
+        own = out[scene["frames"][k]] = moving, -scene["masses"][k] * trajectory.q[:, 7 * k : 7 * k + 3] @ gravity
         kinetic -= own[0]
         potential -= own[1]
     if trees := [tree["name"] for tree in scene["articulations"]]:
