@@ -291,6 +291,23 @@ def test_rims_touch_where_both_are(rng):
             assert off <= abs(c.gap[k]) + 1e-3 * 0.5 * min(height), (radius, height, out, depth)
 
 
+def test_coins_touch_over_both_of_them(rng):
+    """Rims that cross beside almost parallel axes: no normal between these is better by more than round-off."""
+    for _ in range(300):
+        radius, thick = rng.uniform(0.5, 1.5, 2), 0.2
+        a, b = (shapes.cylinder(r, thick) for r in radius)
+        tilts = rng.normal(size=(2, 3)) * 10.0 ** rng.uniform(-7.0, -5.0, (2, 1))
+        R = np.array([about(w, np.linalg.norm(w)) for w in tilts])
+        x = np.zeros((2, 3))
+        x[1, :2] = about((0, 0, 1), rng.uniform(0, 2 * np.pi))[:2, 0] * rng.uniform(0.9, 0.98) * radius.sum()
+        x[1, 2] = thick + 1e-6 * rng.uniform(-1.0, 1.0)
+        c = detector(a, b).find(x, R, np.full(2, 2e-6), ContactSet.empty())
+        for at, r in zip(x, radius, strict=True):
+            assert (np.linalg.norm((c.point - at)[:, :2], axis=1) <= r + 1e-5).all()
+        exact = overlap.separation(solid(a), R[:1], x[:1], solid(b), R[1:], x[1:], exact=True)[0]
+        assert -1e-15 <= c.gap.min() - exact <= 1e-10  # the audit's search for the best normal ends that near
+
+
 def test_a_tilted_cap_touches_an_edge_where_both_are(rng):
     """The lowest point of its rim jumps along the edge as the normal turns: at the wrong one an end seems to touch."""
     size, radius, height = np.array((0.083, 0.127, 0.109)), 0.074, 0.15
