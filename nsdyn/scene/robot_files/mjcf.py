@@ -222,8 +222,7 @@ def _name_bodies(world: Element) -> None:
 
 def _meshes(root: Element) -> dict[str, Element]:
     """Return the mesh assets by name; give each a name, and paths of files relative to the folder of the main file."""
-    compiler, out = root.find("compiler"), {}
-    settings = {} if compiler is None else compiler.attrib
+    settings, out = getattr(root.find("compiler"), "attrib", {}), {}
     folder = settings.pop("meshdir", settings.pop("assetdir", ""))
     for element in root.iterfind("asset/mesh"):
         element.set("name", mesh_name(element))

@@ -12,7 +12,7 @@ import numpy as np
 
 from nsdyn.scene.actuation import Actuator
 from nsdyn.scene.robot_files.mjcf_elements import DRIVES, over
-from nsdyn.scene.robot_files.xml import Notes, numbers, range_of, scalar
+from nsdyn.scene.robot_files.xml import Notes, numbers, range_of, scalar, text_of
 from nsdyn.tools.arrays import Array
 
 OWN = {
@@ -131,7 +131,7 @@ def laid_over(inherited: Mapping[str, str], element: Element) -> dict[str, str]:
             bias = np.array([0.0, 0.0, -gain])
         case _:
             return out
-    out |= {"gainprm": repr(float(gain)), "biasprm": " ".join(map(repr, bias.tolist()))}
+    out |= {"gainprm": repr(float(gain)), "biasprm": text_of(bias)}
     out["biastype"] = "none" if kind == "motor" else "affine"
     gains = OWN[kind] & {"kp", "kv"}
     if gains <= own.keys() and kind != "motor":

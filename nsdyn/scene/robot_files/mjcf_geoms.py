@@ -13,8 +13,7 @@ from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.elements import POSE
 from nsdyn.scene.robot_files.mjcf_poses import along
 from nsdyn.scene.robot_files.mjcf_visuals import Look, look_of
-from nsdyn.scene.robot_files.xml import Notes, Report, numbers, scalar
-from nsdyn.tools.arrays import Array
+from nsdyn.scene.robot_files.xml import Notes, Report, numbers, scalar, text_of
 from nsdyn.tools.naming import choice
 
 SIZES = {"plane": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "mesh": 0}
@@ -145,14 +144,10 @@ def _write_size(geom: Element, kind: str, label: str) -> None:
             raise ValueError(f"geom {label!r} must have pos or fromto, got both")
         for attribute in POSE.split():
             geom.attrib.pop(attribute, None)
-        geom.set("pos", _text(ends[3:] + half))
-        geom.set("quat", _text(along(half / length)))
+        geom.set("pos", text_of(ends[3:] + half))
+        geom.set("quat", text_of(along(half / length)))
     if SIZES[kind]:
-        geom.set("size", _text(size[: SIZES[kind]]))
-
-
-def _text(values: Array) -> str:
-    return " ".join(map(repr, values.tolist()))
+        geom.set("size", text_of(size[: SIZES[kind]]))
 
 
 def _material(geom: Element, label: str) -> Material | None:

@@ -87,8 +87,7 @@ def single(root: Element, model: Any, geometry: Any) -> Any:
 
 def set_joints(root: Element, model: Any, report: Report) -> tuple[Array, Array]:
     """Write limits, efforts, damping, friction and armature to the model; return (stiffness, rest) of the springs."""
-    compiler = root.find("compiler")
-    settings: dict[str, str] = {} if compiler is None else compiler.attrib
+    settings: dict[str, str] = getattr(root.find("compiler"), "attrib", {})
     unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
     autolimits = settings.get("autolimits", "true") == "true"
     lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.scene.robot_files.xml import numbers
+from nsdyn.scene.robot_files.xml import numbers, text_of
 from nsdyn.tools.arrays import Array
 
 COUNTS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
@@ -24,7 +24,7 @@ PARALLEL = 1e-14
 
 def write_quaternions(root: Element) -> None:
     """Replace all forms of orientations by quaternions, in the unit and order that the compiler has."""
-    settings: Mapping[str, str] = root.attrib if (compiler := root.find("compiler")) is None else compiler.attrib
+    settings: Mapping[str, str] = getattr(root.find("compiler"), "attrib", {})
     unit = 1.0 if settings.get("angle", "degree") == "radian" else math.pi / 180.0
     order = settings.get("eulerseq", "xyz")
     if len(order) != 3 or set(order.lower()) - set("xyz"):
@@ -38,7 +38,7 @@ def write_quaternions(root: Element) -> None:
             raise ValueError(f"orientation {of} must be given once, got {' and '.join(given)}")
         for form in COUNTS.keys() & given:
             turn = _read(form, element.attrib.pop(form), f"{form} {of}", unit, order)
-            element.set("quat", " ".join(map(repr, turn.tolist())))
+            element.set("quat", text_of(turn))
 
 
 def _read(form: str, text: str, label: str, unit: float, order: str) -> Array:

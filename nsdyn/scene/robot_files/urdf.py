@@ -16,7 +16,7 @@ from nsdyn.scene.articulations import Description, Link, describe_model
 from nsdyn.scene.gears import Gear, following, gear
 from nsdyn.scene.robot_files.elements import Rules, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import XACRO, Report, is_limit, mesh_file, numbers, parse, scalar
+from nsdyn.scene.robot_files.xml import XACRO, Report, is_limit, mesh_file, numbers, parse, scalar, text_of
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import Colour, MeshFile, Visual, mesh_visual
 from nsdyn.tools import noise
@@ -147,7 +147,7 @@ def _write_angles(name: str, path: Path, root: Element) -> None:
             if not values.any():
                 raise ValueError(f"{what} must not be zero")
             angles = pin.rpy.matrixToRpy(pin.Quaternion(np.array(values)).normalized().toRotationMatrix())
-            origin.set("rpy", " ".join(map(repr, angles.tolist())))
+            origin.set("rpy", text_of(angles))
 
 
 def _note_unread(report: Report, root: Element, joints: Sequence[Element]) -> None:
@@ -221,10 +221,8 @@ def _turn_plane(root: Element, joint: Element) -> None:
     for element, pose in ((joint, place), (back, turn.inverse())):
         for old in element.findall("origin"):
             element.remove(old)
-        rpy, at = pin.rpy.matrixToRpy(pose.rotation), pose.translation
-        ElementTree.SubElement(
-            element, "origin", {"xyz": " ".join(map(repr, at.tolist())), "rpy": " ".join(map(repr, rpy.tolist()))}
-        )
+        rpy = pin.rpy.matrixToRpy(pose.rotation)
+        ElementTree.SubElement(element, "origin", {"xyz": text_of(pose.translation), "rpy": text_of(rpy)})
     for old in joint.findall("child"):
         old.set("link", between.attrib["name"])
 

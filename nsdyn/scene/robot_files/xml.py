@@ -95,6 +95,11 @@ def numbers(text: str | None, count: int | None, default: Sequence[float] | None
     return out
 
 
+def text_of(values: Array) -> str:
+    """Return numbers as the text of an attribute, with all digits."""
+    return " ".join(map(repr, values.tolist()))
+
+
 def scalar(text: str | None, default: float | None, what: str) -> float:
     """Parse a text as one number; without a text return `default`, or refuse it if that is None."""
     return float(numbers(text, 1, None if default is None else (default,), what)[0])
