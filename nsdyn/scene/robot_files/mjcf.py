@@ -292,9 +292,8 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
 
 def _build(root: Element, path: Path) -> tuple[Any, Any]:
     """Return (model, geometry) that Pinocchio builds from the simplified file."""
-    compiler = root.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(root, "compiler")
+    if root.find("compiler") is None:
+        ElementTree.SubElement(root, "compiler")
     bare = Element("mujoco", root.attrib)
     bare.extend(e for e in root if e.tag in ("compiler", "asset", "worldbody"))
     with tempfile.TemporaryDirectory() as scratch:
