@@ -8,7 +8,6 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,7 @@ class Store:
         files.check_writable(self.path, files.STORE)
         if files.is_special(self.path):
             raise ValueError(f"cannot store a sweep in {path}: it is no regular file, which lines could be added to")
-        self._sweep = _read(_write({"sweep": sweep}))["sweep"]
+        self._sweep = json.loads(_write({"sweep": sweep}))["sweep"]
         with self._told():
             self._file = open(self.path, "a+b")  # closed by __exit__
         try:
@@ -69,7 +68,7 @@ class Store:
             return {}, 0
         lines = lines if lines[-1].endswith(b"\n") else lines[:-1]
         try:
-            head, *rows = map(_read, lines)
+            head, *rows = map(json.loads, lines)
             found = head["sweep"]
             points = {_key(row["parameters"]): row for row in rows}
         except (ValueError, KeyError, TypeError):
@@ -98,7 +97,7 @@ class Store:
             self._file.write(line)
             self._file.flush()
             os.fsync(self._file.fileno())
-        out: dict[str, Any] = _read(line)
+        out: dict[str, Any] = json.loads(line)
         return out
 
     @contextmanager
@@ -112,13 +111,9 @@ class Store:
     def __enter__(self) -> Store:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._told():  # closing writes again the data that a full disk did not accept
             self._file.close()
-
-
-def _read(line: bytes) -> Any:
-    return json.loads(line)
 
 
 def _write(value: Any) -> bytes:
