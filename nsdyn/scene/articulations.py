@@ -241,28 +241,6 @@ class ArticulationOptions(TypedDict, total=False):
     inertias: str
 
 
-DEFAULTS: ArticulationOptions = {
-    "position": (0.0, 0.0, 0.0),
-    "quaternion": (0.0, 0.0, 0.0, 1.0),
-    "q": None,
-    "v": None,
-    "material": None,
-    "collisions": True,
-    "self_collisions": True,
-    "srdf": None,
-    "limits": True,
-    "clip": False,
-    "restitution": 0.0,
-    "friction": None,
-    "damping": None,
-    "armature": None,
-    "stiffness": None,
-    "rest": None,
-    "inertias": "check",
-}
-"""Values of the keywords that are not given."""
-
-
 def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str] = (), **more: Any) -> Description:
     """Describe a Pinocchio model unchanged: neutral configuration and no springs, unless `more` gives them."""
     defaults = {"q": pin.neutral(model), "stiffness": np.zeros(model.nv), "rest": np.zeros(model.nv)}

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from nsdyn.scene import checks, exclusions
 from nsdyn.scene.articulations import (
     BALL,
-    DEFAULTS,
     PLANAR,
     WORLD,
     Articulation,
@@ -47,35 +46,38 @@ SHOWN = 4
 
 def assemble(name: str, description: Description, options: ArticulationOptions) -> Articulation:
     """Assemble the articulation of a description, placed in the world, with the options of `nsdyn.Scene.add_model`."""
-    o = DEFAULTS | options
+    limits, clip = options.get("limits", True), options.get("clip", False)
+    self_collisions = options.get("self_collisions", True)
     _check_model(name, description.model)
-    model, limits = description.model.copy(), o["limits"]
+    model = description.model.copy()
     free = model.njoints > 1 and model.parents[1] == 0 and model.joints[1].shortname() == FREE
-    if choice(o["inertias"], ("check", "trust"), f"inertias of {name!r}") == "check" and description.flaws:
+    judged = choice(options.get("inertias", "check"), ("check", "trust"), f"inertias of {name!r}")
+    if judged == "check" and description.flaws:
         raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
 
     of_joints = partial(_of_joints, name, free)
-    _check_choices(name, limits, o["clip"], o["self_collisions"])
-    links, bodies = _collisions(name, description, o["collisions"])
-    at = checks.placement(o["position"], o["quaternion"], repr(name))
-    q0 = checks.configuration(model, of_joints(o["q"], "q", description.q, 7), repr(name))
-    if o["clip"]:
+    _check_choices(name, limits, clip, self_collisions)
+    links, bodies = _collisions(name, description, options.get("collisions", True))
+    at = checks.placement(options.get("position", (0, 0, 0)), options.get("quaternion", (0, 0, 0, 1)), repr(name))
+    q0 = checks.configuration(model, of_joints(options.get("q"), "q", description.q, 7), repr(name))
+    if clip:
         _clip(model, q0)
     links, loops = _moved(model, q0, links, description.loops, at)
     excluded, unused = set(description.excluded), list(description.unused)
-    if o["srdf"] is not None:
-        excluded |= exclusions.disabled_pairs(name, as_path(o["srdf"], f"srdf of {name!r}"), model, unused)
-    in_joints = _in_joints(name, model, description, o, of_joints)
+    if (srdf := options.get("srdf")) is not None:
+        excluded |= exclusions.disabled_pairs(name, as_path(srdf, f"srdf of {name!r}"), model, unused)
+    in_joints = _in_joints(name, model, description, options, of_joints)
     model.armature = in_joints["armature"]
-    Material(restitution=o["restitution"])
-    v0, rest0 = of_joints(o["v"], "v", np.zeros(model.nv), 6), of_joints(o["rest"], "rest", description.rest, 6)
-    materials = _materials(name, o["material"], links, bodies, description.materials)
+    restitution = Material(restitution=options.get("restitution", 0.0)).restitution
+    v0 = of_joints(options.get("v"), "v", np.zeros(model.nv), 6)
+    rest0 = of_joints(options.get("rest"), "rest", description.rest, 6)
+    materials = _materials(name, options.get("material"), links, bodies, description.materials)
     _check_joints(name, model, q0, limits, in_joints["stiffness"])
     trees = [description.trees.get(body) for body in bodies]
     n = len(trees) - trees.count(WORLD)
     apart = exclusions.filtered(links, bodies, excluded, description.filtered, n)
     apart |= exclusions.joined(links[:n], exclusions.neighbours(model, loops, description.world_touches))
-    more, overlapping = exclusions.among_links(model, q0, links[:n], trees, apart, o["self_collisions"])
+    more, overlapping = exclusions.among_links(model, q0, links[:n], trees, apart, self_collisions)
     dropped = (*overlapping, *description.dropped, *description.flaws)
     _warn(name, [*description.missing, *dropped])
     fixed = zip(links[n:], materials[n:], strict=True)
@@ -88,7 +90,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
         v0,
         materials[:n],
         limits,
-        float(o["restitution"]),
+        float(restitution),
         **in_joints,
         gears=description.gears,
         actuators=description.actuators,
@@ -115,7 +117,7 @@ def _in_joints(
         "stiffness": description.stiffness,
     }
     given: Mapping[str, object] = options
-    out = {what: of_joints(given[what], what, default, 6) for what, default in own.items()}
+    out = {what: of_joints(given.get(what), what, default, 6) for what, default in own.items()}
     _check_magnitudes(name, out)
     _check_friction(name, model, out["friction"])
     _check_armature(name, model, out["armature"])
