@@ -52,7 +52,7 @@ def gap_along(geometry, i, j, n):
     return separation(geometry, i, j, n)[0]
 
 
-@no_alloc
+@no_alloc(forceinline=True)
 def bounds_apart(geometry, i, j):
     """Distance of the bounding spheres of two geoms, or of one and a half-space; negative if they overlap."""
     d = minus(row(geometry.t, j), row(geometry.t, i))
