@@ -19,8 +19,10 @@ from nsdyn.solvers import Solver
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 
 
-def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution, cut: bool = False) -> float:
-    """Return the fraction of a move after which the first slip reverses, 1 if none does.
+def reversal(
+    kin: ContactKinematics, solver: Solver, problem: FC3D, solution: Solution, soon: float, cut: bool = False
+) -> float:
+    """Return the fraction of a move, above `soon`, after which the first slip reverses; 1 if none does.
 
     The fraction is u_k/(u_k - u_e), with the slip u_k where the move begins and u_e where it would end if friction did
     not change its direction, the forces of the move being constant. A loose solution shows no reversal. Where the move
@@ -43,20 +45,29 @@ def reversal(kin: ContactKinematics, solver: Solver, problem: FC3D, solution: So
     now = (solution.u - problem.q).reshape(-1, 3)[:, 1:] + free
     if cut:
         turned &= (solution.r.reshape(-1, 3)[:, 1:] * (begin + now)).sum(axis=1) > 0.0
-    if not turned.any():
-        return 1.0
-    begin, free, now = begin[turned], free[turned], now[turned]
-    speed = np.linalg.norm(begin, axis=1)
-    # A slip so fast that in the law it goes on whatever friction does.
-    fast = 2.0 * (2.0 * np.linalg.norm(free, axis=1) + np.linalg.norm(now, axis=1) + speed)
-    on = (fast / speed)[:, None] * begin
-    b[turned, 1:] = free + on
-    again = solver(problem.with_velocity(b.ravel()), solution.r)
-    if not again.converged:
-        return 1.0
-    change = again.u.reshape(-1, 3)[turned, 1:] - on - begin
-    at = -(begin * change).sum(axis=1) / np.maximum((change * change).sum(axis=1), np.finfo(float).tiny)
-    return float(np.clip(at, 0.0, 1.0).min())
+    # Dry joints that slide on do so whatever the others do: friction has its first direction until the first reversal.
+    slides = np.zeros(turned.size, np.bool_)
+    slides[kin.contacts.gap.size :] = kin.slid & ~kin.turning & (begin != 0.0).any(axis=1)[kin.contacts.gap.size :]
+    while turned.any():
+        some = turned | slides
+        u = begin[some]
+        speed = np.linalg.norm(u, axis=1)
+        # A slip so fast that in the law it goes on whatever friction does.
+        fast = 2.0 * (2.0 * np.linalg.norm(free[some], axis=1) + np.linalg.norm(now[some], axis=1) + speed)
+        on = (fast / speed)[:, None] * u
+        onward = b.copy()
+        onward[some, 1:] = free[some] + on
+        again = solver(problem.with_velocity(onward.ravel()), solution.r)
+        if not again.converged:
+            return 1.0
+        change = again.u.reshape(-1, 3)[some, 1:] - on - u
+        at = -(u * change).sum(axis=1) / np.maximum((change * change).sum(axis=1), np.finfo(float).tiny)
+        if not (gone := turned[some] & (at <= soon)).any():
+            return float(at[at > soon].min(initial=1.0))
+        # Friction of these is against their new slip from the beginning.
+        turned[some] &= ~gone
+        slides[some] &= ~gone
+    return 1.0
 
 
 def endings(kin: ContactKinematics, problem: FC3D, solution: Solution) -> NDArray[np.int8] | None:

@@ -22,7 +22,7 @@ from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
 from nsdyn.tools.arrays import Array, Bools, Index
 
-SOON, AGAIN = 1e-6, 0.1
+SOON, AGAIN = 1e-6, 1e-3
 """Shares of a move at its beginning in which a reversal of slip is not located. The first is round-off, also at its
 end. The second holds after a move that ended at a reversal, which is located to second order: the rest of that
 reversal."""
@@ -231,8 +231,8 @@ def _to_event(
         return capture(begun)
     if m.touch_time < h:
         return _to_event(s, loads, begin, t, m.touch_time, soon, budget)
-    turned = h * reversal(m.kin, s.solver, m.problem, m.solution, cut) if affords else h
-    if soon < turned < (1.0 - SOON) * h:
+    turned = h * reversal(m.kin, s.solver, m.problem, m.solution, soon / h, cut) if affords else h
+    if turned < (1.0 - SOON) * h:
         return _to_event(s, loads, begin, t, turned, soon, budget, cut=True)
     if not meets:
         return h, m

@@ -117,6 +117,31 @@ def test_a_dry_joint_that_turns_round_in_the_first_step():
     assert run.energy.friction[0] == pytest.approx(-2.0 * (0.5 * 0.05 * stop + v * v / 16), rel=1e-12)
 
 
+def test_two_dry_joints_that_turn_round_in_one_step_are_exact():
+    """A rail that carries another, askew: each turns where its slip is zero, however near the other turns."""
+    mass, most, push = np.array([[2.5, 0.9], [0.9, 1.5]]), np.array([1.0, 0.6]), np.array([3.0, 2.5])
+    model, joint = pin.Model(), 0
+    for k, m, axis in ((0, 1.0, (1.0, 0.0, 0.0)), (1, 1.5, (0.6, 0.8, 0.0))):
+        joint = model.addJoint(joint, pin.JointModelPrismaticUnaligned(np.array(axis)), pin.SE3.Identity(), f"rail{k}")
+        model.appendBodyToJoint(joint, pin.Inertia(m, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    both = np.linalg.solve(mass, push + most)
+    for turns in ((0.1, 0.5), (0.1, 0.12), (0.2, 0.22), (0.9, 0.1), (0.5, 0.7), (0.7, 0.02)):
+        begin = -0.01 * both * (1.0 + np.array(turns))
+        v, left, way = begin, 0.04, -np.ones(2)
+        for _ in range(3):  # to the first turn, to the second, to the end
+            a = np.linalg.solve(mass, push - most * way)
+            at = np.where(way < 0.0, -v / a, np.inf)
+            first, span = at.argmin(), min(at.min(), left)
+            v, left = v + span * a, left - span
+            way[first] = 1.0
+        assert left == 0.0
+        scene = nd.Scene(gravity=(0, 0, 0))
+        scene.add_model("a", model, v=begin, friction=most)
+        run = nd.simulate(scene, 0.04, 1e-2, controller=lambda t, q, v: {"a": push})
+        np.testing.assert_allclose(run.v[-1], v, rtol=0.0, atol=1e-13)
+        assert run.energy.friction.max() < 0.0
+
+
 def test_a_dry_joint_that_a_stiff_damper_turns_round():
     """Its force changes so much within the step that what would be constant tells the reversal too late."""
     run = nd.simulate(dry_hinge(0.5), 0.02, 2e-2, controller=lambda t, q, v: {"arm": nd.PD([300.0], [30.0], [-0.1])})
