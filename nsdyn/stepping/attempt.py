@@ -28,8 +28,8 @@ class Attempt(NamedTuple):
     kin : ContactKinematics
     captured : Captured or None
         Captured impacts, which act before the forces and the other impulses.
-    sliding : ndarray of bool, shape (nc,)
-        Contacts that slide through the whole move.
+    sliding : ndarray of bool, shape (rows,)
+        Contacts, and joints along turning axes, that slide through the whole move.
     problem : FC3D
     solution : Solution
     couple : Couple

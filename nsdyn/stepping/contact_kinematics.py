@@ -36,6 +36,8 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
+    from nsdyn.problem.fc3d import FC3D
+    from nsdyn.problem.solution import Solution
     from nsdyn.stepping.midpoint import Midpoint
     from nsdyn.stepping.scene_state import SceneState, System, WarmStart
 
@@ -78,8 +80,9 @@ class ContactKinematics(NamedTuple):
     stays, sticks, was : ndarrays of bool, bool and int8, shapes (rows,), (nc,), (nc,)
         Rows that persist along their normals, contacts that persist across them, and the status of contacts in the last
         move: `nsdyn._kernels.stepping.persistence.persists`.
-    slid : ndarray of bool, shape (joint rows,)
-        Dry joints that slide where the move begins, by their last impulses; new rows are taken to slide.
+    slid, turning : ndarrays of bool, shape (joint rows,)
+        Dry joints that slide where the move begins, by their last impulses; new rows are taken to slide. And those that
+        slip along axes which turn with them.
     excess_speed : ndarray, shape (rows,)
         How much faster than predicted rows separate where the move ends, m/s, as far as that is known.
     """
@@ -99,6 +102,7 @@ class ContactKinematics(NamedTuple):
     was: NDArray[np.int8] = UNKNOWN
     excess_speed: Array = NOTHING
     slid: Bools = NEVER
+    turning: Bools = NEVER
 
     @classmethod
     def of(
@@ -122,13 +126,15 @@ class ContactKinematics(NamedTuple):
             mid.ahead,
             (local, end_gap, where),
         )
-        mu, restitution, slid = contacts.mu, contacts.restitution, NEVER
+        mu, restitution, slid, turning = contacts.mu, contacts.restitution, NEVER, NEVER
         if joints is not None:
-            _of_joints(mid, joints, warm, local[:, 3 * nc :], end_gap[nc:])
+            turning = d.joints.turning[joints.slot]
+            _of_joints(mid, joints, warm, turning, local[:, 3 * nc :], end_gap[nc:])
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
             last = local[4, 3 * nc :].reshape(-1, 3)
             slid = (joints.mu > 0.0) & ~joints.actuated & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
-        return cls(contacts, joints, rows, frame, mu, restitution, local, end_gap, surface_velocity, slid=slid)
+        laws = frame, mu, restitution
+        return cls(contacts, joints, rows, *laws, local, end_gap, surface_velocity, slid=slid, turning=turning)
 
     def changed(self, dv: Array, dv_free: Array, struck: Bools) -> ContactKinematics:
         """Return the kinematics after impacts, in the rows `struck`: the rows they affect lose their drift c.
@@ -145,7 +151,7 @@ class ContactKinematics(NamedTuple):
         return self._replace(local=local, end_gap=end_gap, struck=struck)
 
     def offsets(self, sliding: Bools, gap_rule: GapRule) -> Array:
-        """Return b, shape (3 rows,), m/s, where the contacts `sliding` (nc,) slide through the move."""
+        """Return b, shape (3 rows,), m/s, where the rows `sliding` (rows,) slide through the move."""
         b = np.empty(self.local.shape[1])
         laws = self.end_gap, self.restitution, self.struck, self.excess_speed, gap_rule
         _law.offsets(self.local, laws, self.stays, sliding, b)
@@ -173,6 +179,7 @@ class ContactKinematics(NamedTuple):
             was=self.was[kept[:nc]],
             excess_speed=self.excess_speed[kept],
             slid=self.slid[kept[nc:]],
+            turning=self.turning[kept[nc:]],
         )
 
     @property
@@ -260,6 +267,13 @@ class ContactKinematics(NamedTuple):
         local[3] = 0.0
         return self._replace(local=local, end_gap=np.maximum(self.end_gap, 0.0))
 
+    def of_joint(self, x: Array | Bools) -> Array:
+        """Sum values x (joint rows,) over the rows of each joint: the friction of a ball joint has two."""
+        out, first = x.astype(float), self.rows.balls - self.contacts.gap.size
+        out[first] += out[first + 1]
+        out[first + 1] = out[first]
+        return out
+
     def sharing(self, angle: Array, r: Array) -> ContactKinematics:
         """Return the kinematics with ball-joint friction split by angles (balls,), and impulses r to start from."""
         rows, local = self.rows.sharing(angle), self.local.copy()
@@ -274,18 +288,39 @@ class ContactKinematics(NamedTuple):
         return out
 
 
-def _of_joints(mid: Midpoint, joints: JointRows, warm: WarmStart, local: Array, end_gap: Array) -> None:
+def _of_joints(mid: Midpoint, joints: JointRows, warm: WarmStart, turning: Bools, local: Array, end_gap: Array) -> None:
     """Write the warm start, the drift c and the gaps G of the joint rows of a move into local and end_gap."""
     local[4] = mid.h * warm.joints[joints.slot].ravel()
     # Like that of springs, the law of actuators applies to the velocity here; so does that of slip in axes that turn.
-    here = joints.actuated | mid.s.dynamics.joints.turning[joints.slot]
-    local[3].reshape(-1, 3)[here, 1:] = 0.0
+    local[3].reshape(-1, 3)[joints.actuated | turning, 1:] = 0.0
     end_gap[:] = joints.gap - 0.5 * mid.ahead * local[3, ::3]
 
 
 def predict_sliding(kin: ContactKinematics, warm: WarmStart) -> Bools:
-    """Mark the contacts that will slide through the step, by their last status and the predicted friction."""
-    sliding, place = np.empty(kin.frame.shape[0], np.bool_), np.empty(kin.frame.shape[0], np.int64)
+    """Mark the rows that will slide through the step, by their last status and the predicted friction.
+
+    Of joint rows only those along turning axes are marked: along an axis that does not turn, friction against the mean
+    slip and against that at the end is the same.
+    """
+    nc = kin.contacts.gap.size
+    sliding, place = np.zeros(kin.mu.size, np.bool_), np.empty(nc, np.int64)
     _touching.places(warm.key, kin.contacts.key, place)
-    _law.predict_sliding(kin.rows.full.arrays, kin.mu, place, warm.status, kin.local, sliding)
+    _law.predict_sliding(kin.rows.full.arrays, kin.mu, place, warm.status, kin.local, sliding[:nc])
+    if kin.turning.any():
+        slip = kin.u_begin.reshape(-1, 3)[nc:, 1:]
+        sliding[nc:] = kin.turning & (kin.of_joint(~kin.slid) == 0.0)
+        sliding[nc:] &= kin.of_joint((slip * slip).sum(axis=1)) > _law.NO_SLIP**2
     return sliding
+
+
+def reconsidered_joints(kin: ContactKinematics, problem: FC3D, solution: Solution, sliding: Bools, back: bool) -> Bools:
+    """Mark joint rows along turning axes that slip otherwise than `sliding` says, as `law.reconsider` does contacts."""
+    shown = kin.u_begin, kin.u, kin.u_free + solution.u - problem.q
+    begin, mid, end = (x.reshape(-1, 3)[kin.contacts.gap.size :, 1:] for x in shown)
+    r = solution.r.reshape(-1, 3)[kin.contacts.gap.size :]
+    sticks = kin.of_joint(np.hypot(r[:, 1], r[:, 2]) < SLIPS * r[:, 0]) > 0.0
+    mean, onward, after = (kin.of_joint((x * end).sum(axis=1)) for x in (mid + end, begin, end))
+    stops = sliding & (sticks | (mean <= _law.REVERSED * after))
+    goes = kin.turning & ~sliding & ~sticks & (onward > _law.NO_SLIP**2) & (not back)
+    out: Bools = stops | goes
+    return out

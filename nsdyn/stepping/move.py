@@ -229,7 +229,7 @@ def _response(
     near = 2.0 * mid.reach if located is not None and located.size else d.nowhere
     effort = EFFORT if located is None else math.inf
     alone, couple, passes, back = kin, NO_COUPLE, PASSES, located is None or last is not None
-    lasts, left = bool(kin.stays.any()), np.full(sliding.size, np.inf)
+    lasts, left = bool(kin.stays.any()), np.full(kin.contacts.gap.size, np.inf)
     off: Bools | None = None
     while True:
         kin, problem, solution = solve(kin, s.solver, known, sliding, gap_rule, effort, single, off)
@@ -251,7 +251,7 @@ def _response(
                 alone, off = _end_gaps(s, mid, alone, solution, moved)
         if turn is not None:
             couple, other = turn
-            slips |= other
+            slips[: other.size] |= other
         left[off[: left.size]] = np.inf
         off[: slips.size] |= slips
         if not (passes and off.any()):
@@ -319,13 +319,14 @@ def _limits(s: System, joints: JointRows | None, there: Placement) -> Array:
 
 
 def _start_from(kin: ContactKinematics, sliding: Bools, last: Attempt) -> None:
-    """Start from the last attempt: impulses and slip of contacts that are still active, and impulses of joint rows."""
+    """Start from the last attempt: impulses and slip of contacts that are still active, and of joint rows."""
     key, r, rows = last.kin.contacts.key, last.solution.r.reshape(-1, 3), last.kin.joints
     nc = kin.contacts.gap.size
     where = np.empty(nc, np.int64)
     _touching.places(key, kin.contacts.key, where)
     known, guess = where >= 0, kin.r_last.reshape(-1, 3)
     guess[:nc][known] = r[where[known]]
-    sliding[known] = last.sliding[where[known]]
+    sliding[:nc][known] = last.sliding[where[known]]
     if kin.joints is not None and rows is not None:  # some may be new: those of actuators
-        guess[nc:][among(kin.joints.slot, rows.slot)] = r[key.size :]
+        same = among(kin.joints.slot, rows.slot)
+        guess[nc:][same], sliding[nc:][same] = r[key.size :], last.sliding[key.size :]

@@ -13,7 +13,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Graded, Solver
 from nsdyn.stepping.ball_joints import SHARES, Search, angles
-from nsdyn.stepping.contact_kinematics import ContactKinematics, GapRule
+from nsdyn.stepping.contact_kinematics import ContactKinematics, GapRule, reconsidered_joints
 from nsdyn.tools.arrays import Array, Bools
 
 ALL = np.empty(0, np.bool_)
@@ -32,7 +32,7 @@ def solve(
     shares: bool,
     off: Bools | None,
 ) -> tuple[ContactKinematics, FC3D, Solution]:
-    """Solve the contact problem of a move in which the contacts `sliding` (nc,) slide through.
+    """Solve the contact problem of a move in which the rows `sliding` (rows,) slide through.
 
     Return the kinematics, the problem and the solution. The `last` solution is of the same move with other contacts, or
     rough. If it has not converged, the accuracy of `Graded.loosely` is enough; if there is none, and `effort` is
@@ -76,14 +76,18 @@ def solve(
 def update_sliding(
     kin: ContactKinematics, problem: FC3D, solution: Solution, sliding: Bools, back: bool, off: Bools | None
 ) -> Bools:
-    """Mark contacts (nc,) that slip otherwise than `sliding` says, and correct `sliding` by the solution.
+    """Mark rows (rows,) that slip otherwise than `sliding` says, and correct `sliding` by the solution.
 
-    With `back`, only contacts that stop are changed. With `off`, only contacts in islands with a row that is off
-    (rows,) are changed.
+    With `back`, only rows that stop are changed. With `off`, only rows in islands with a row that is off (rows,) are
+    changed.
     """
-    out, some = np.empty(sliding.size, np.bool_), ALL if off is None else off
+    nc, arrays, out = kin.contacts.gap.size, kin.rows.full.arrays, sliding.copy()
     shown = solution.r, solution.u, problem.q, kin.mu
-    _solving.update_sliding(kin.rows.full.arrays, shown, kin.local, sliding, back, some, out)
+    _solving.update_sliding(arrays, shown, kin.local, sliding[:nc], back, ALL if off is None else off, out[:nc])
+    if kin.turning.any():
+        changed = reconsidered_joints(kin, problem, solution, sliding[nc:], back)
+        out[nc:] = changed if off is None else changed & _solving.concerned(arrays, off)[nc:]
+        sliding[nc:] ^= out[nc:]
     return out
 
 
