@@ -56,8 +56,9 @@ class Axes(NamedTuple):
             Naming `what` and the joints, or how many values are expected.
         """
         nv, count = self.scalar.size, len(self.joints)
+        out = np.empty(nv)
+        out[:] = rest
         if isinstance(given, Mapping):
-            out = np.broadcast_to(rest, nv).astype(float)
             places = dict(zip(self.joints, np.flatnonzero(self.scalar), strict=True))
             for name, value in given.items():
                 out[places[choice(name, places, f"name in {what} of {self.owner!r}")]] = value
@@ -67,7 +68,6 @@ class Axes(NamedTuple):
             return values
         if values.shape not in ((), (count,)):
             raise ValueError(f"{what} of {self.owner!r} must be {self.wanted()}, got shape {values.shape}")
-        out = np.broadcast_to(rest, nv).astype(float)
         out[self.scalar] = values
         return out
 
