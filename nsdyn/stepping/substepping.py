@@ -193,7 +193,7 @@ def _to_event(
     budget: Budget,
     begun: Known = None,
     meets: bool = False,
-    cut: bool = False,
+    cut: float = math.inf,
 ) -> tuple[float, Attempt]:
     """Move to the first impact or reversal of slip, for at most h seconds; return the length and the move.
 
@@ -214,8 +214,8 @@ def _to_event(
         Known part of the move of h seconds.
     meets : bool
         Whether the move is known to meet an event, or an impact has just occurred, which may be one of a row.
-    cut : bool
-        Whether the move ends where slip was to reverse.
+    cut : float
+        By how much the move has been shortened to end where slip was to reverse, s; infinite if it has not been.
     """
 
     def capture(begun: Known) -> tuple[float, Attempt]:
@@ -231,9 +231,10 @@ def _to_event(
         return capture(begun)
     if m.touch_time < h:
         return _to_event(s, loads, begin, t, m.touch_time, soon, budget)
-    turned = h * reversal(m.kin, s.solver, m.problem, m.solution, soon / h, cut) if affords else h
-    if turned < (1.0 - SOON) * h:
-        return _to_event(s, loads, begin, t, turned, soon, budget, cut=True)
+    turned = h * reversal(m.kin, s.solver, m.problem, m.solution, soon / h, cut < math.inf) if affords else h
+    # Slip that is as large however short the move is, as where contacts hold the joints, has no time of reversal.
+    if SOON * h < h - turned <= 0.5 * cut:
+        return _to_event(s, loads, begin, t, turned, soon, budget, cut=h - turned)
     if not meets:
         return h, m
     located = np.unique(m.hits)
