@@ -1,6 +1,7 @@
 """Readers of robot files: what they find, what they leave out, and what they refuse."""
 
 import importlib.metadata
+import re
 import shutil
 from pathlib import Path
 
@@ -192,6 +193,12 @@ def test_limits_of_joints(tmp_path, effort, expected):
     np.testing.assert_array_equal(a.effort, [expected])
     with pytest.warns(UserWarning, match=r"'r' leaves out: joint 'j': velocity of <limit> \(1\)"):
         scene_of(tmp_path, ARM.replace('velocity="0"', 'velocity="3"'), clip=True)
+
+
+def test_a_limit_without_bounds_locks_its_joint(tmp_path):
+    """As the format says, but seldom as meant."""
+    with pytest.warns(UserWarning, match="joint 'j': its motion, since a <limit> without lower and upper is from 0 to"):
+        scene_of(tmp_path, re.sub(r' (lower|upper)="[^"]*"', "", ARM))
 
 
 def test_bad_mass_of_a_model():

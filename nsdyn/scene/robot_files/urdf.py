@@ -161,6 +161,12 @@ def _note_unread(report: Report, root: Element, joints: Sequence[Element]) -> No
     fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if is_limit(e.get("velocity"))]
     if fast:
         report.dropped.append(f"joint {fast[0]!r}: velocity of <limit> ({len(fast)})")
+    report.dropped.extend(
+        f"joint {joint.get('name')!r}: its motion, since a <limit> without lower and upper is from 0 to 0"
+        for joint in joints
+        for e in joint.findall("limit")
+        if joint.get("type") in ("revolute", "prismatic") and not {"lower", "upper"} & set(e.attrib)
+    )
     tell([root], TABLE, report)
 
 
