@@ -71,18 +71,19 @@ def test_only_a_contact_that_is_alone_rolls_far(gone, others, fallen, follows):
     """Points of the bodies go 1 m; where an edge crosses another one of several may go farther, as nothing does there.
 
     Body 0 turns at 1 rad/s about y, and moves at 1 m/s along x: where the contact was it goes otherwise than here. The
-    others are of the same bodies, and open by so much where the move begins; here they are closed if a body has fallen
-    flat.
+    others are of the same bodies, 2 m away, and open by so much where the move begins; here they are closed if a body
+    has fallen flat.
     """
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
     old, frame = np.array([[gone, 0.0, 0.0]]), np.eye(3)[None, [2, 0, 1]].copy()
     along, about = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]])
     nc, up = 1 + len(others), np.array([[0.0, 0.0, 1.0]])
-    before = contacts(np.full(nc, -1), np.tile(old, (nc, 1)), np.tile(up, (nc, 1)))
+    away = np.array([[0.0, 2.0, 0.0]]) * (np.arange(nc) > 0)[:, None]
+    before = contacts(np.full(nc, -1), old + away, np.tile(up, (nc, 1)))
     before[2][0, 1:] = others
     begin = before, still, (along, about), (np.ones(1), 1e-9, np.ones(1))
     count = nc if fallen else 1
-    here = contacts(np.full(count, -1), np.tile(still, (count, 1)), np.tile(up, (count, 1))), frame, still
+    here = contacts(np.full(count, -1), still + away[:count], np.tile(up, (count, 1))), frame, still
     law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, 0.5, u)
     np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15 * gone)
 

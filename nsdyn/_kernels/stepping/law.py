@@ -22,6 +22,9 @@ SWING = 3.0
 ones: a normal that turns more has jumped to another feature. Crossing edges and the rim of an ellipsoid turn it faster
 than bodies turn."""
 
+ONE = 0.01
+"""Square of the distance of two contacts that roll as one, over the square of the way that they go."""
+
 NO_SLIP = 1e-14
 """Slip, m/s, that is round-off: a body at rest with its impulse on the edge of the cone keeps slipping by less."""
 
@@ -47,11 +50,13 @@ def warm_start(place, force, h, frame, r):
 
 
 @no_alloc
-def alone(k, names, gap, closed):
-    """Whether contact k is the only one between its frames, or all others have a gap larger by more than `closed`."""
-    for other in range(gap.size):
-        if other != k and names[2, other] == names[2, k] and names[3, other] == names[3, k]:
-            if gap[other] <= max(gap[k], 0.0) + closed:
+def alone(k, contacts, near, closed):
+    """Whether no other contact of the frames of contact k is as deep, to within `closed`; those within √near are it."""
+    names, points, scalars = contacts
+    for other in range(names.shape[1]):
+        if names[2, other] == names[2, k] and names[3, other] == names[3, k]:
+            d = minus(row(points[0], other), row(points[0], k))
+            if scalars[0, other] <= scalars[0, k] + closed and dot(d, d) > near:
                 return False
     return True
 
@@ -68,14 +73,15 @@ def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
     The only contact of two frames may have moved any distance, because it may roll: the contact of a disk which lies
     almost flat moves round the rim a hundred times as fast as the points of the disk. A point near enough to touch
     within a move is a contact of its own from the start. One of several contacts, here or at the beginning, moves at
-    most as far as the bodies do: where an edge slides across another nothing rolls, nor where a disk falls flat.
+    most as far as the bodies do: where an edge slides across another nothing rolls, nor where a disk falls flat. Those
+    that are much closer together than that, as on both rims of a coin, count as one.
 
     Bodies turn no further up to the midpoint than in the `ahead` s after it. Moving surfaces add `carried` (old
     contacts, 3) at the beginning, in world axes, and `surface_velocity` (3 nc,) at the midpoint, in the contact
     frames; both are empty without moving surfaces. `begin` and `here` are as in `local_velocities`.
     """
-    (old_names, old_points, old_scalars), x_old, (linear, angular), (reach, closed, rounding) = begin
-    (names, points, scalars), frame, x = here
+    (_, old_points, _), x_old, (linear, angular), (reach, closed, rounding) = begin
+    (names, points, _), frame, x = here
     for c in range(place.size):
         f1, f2, n = names[2, c], names[3, c], row(frame[c], 0)
         p, k = row(points[0], c), place[c]
@@ -92,7 +98,7 @@ def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
             turn += far / min(rounding[names[0, c]], rounding[names[1, c]])
             most, gone, far = min(TILT, SWING * turn), dot(d, d), far * far
             there = dot(tilt, tilt) <= most * most and (
-                gone <= far or (alone(k, old_names, old_scalars[0], closed) and alone(c, names, scalars[0], closed))
+                gone <= far or (alone(k, begin[0], ONE * gone, closed) and alone(c, here[0], ONE * gone, closed))
             )
         w = (0.0, 0.0, 0.0)
         for s in range(2):
