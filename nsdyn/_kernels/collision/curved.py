@@ -96,6 +96,22 @@ def between_disks(geometry, i, j, n):
 
 
 @no_alloc
+def meeting(geometry, i, j, m, a, b):
+    """Return the points of two geoms, as far along m as their support points a and b, that are opposite each other.
+
+    Two disks may meet in the corner between their rims alone: the nearest points of each lead there, in turns.
+    """
+    for _ in range(TURNS):
+        a = opposite(geometry, i, m, a, b, SHARP)
+        b = opposite(geometry, j, times(-1.0, m), b, a, SHARP)
+        d = minus(b, a)
+        across = along(d, -dot(d, m), m)
+        if dot(across, across) <= square(SAME * smaller(geometry, i, j)):
+            break
+    return a, b
+
+
+@no_alloc
 def smooth(geometry, i, j, n, lines, out, at):
     """Write the contact of two geoms, at least one of which is an ellipsoid or touches with the rim of a cylinder.
 
@@ -154,14 +170,7 @@ def smooth(geometry, i, j, n, lines, out, at):
         s = min(max(dot(d, minus(b if valid1 else a, start)), 0.0), length)
         foot = along(along(start, s, d), side * radius, m)
         a, b = (foot, b) if valid1 else (a, foot)
-    # Two disks may meet in the corner between their rims alone: the nearest points of each lead there, in turns.
-    for _ in range(TURNS):
-        a = opposite(geometry, i, m, a, b, SHARP)
-        b = opposite(geometry, j, times(-1.0, m), b, a, SHARP)
-        d = minus(b, a)
-        across = along(d, -dot(d, m), m)
-        if dot(across, across) <= square(SAME * size):
-            break
+    a, b = meeting(geometry, i, j, m, a, b)
     put(out.normal, at, m)
     put(out.point, at, times(0.5, along(a, 1.0, b)))
     out.gap[at] = value
