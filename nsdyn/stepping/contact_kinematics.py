@@ -128,8 +128,7 @@ class ContactKinematics(NamedTuple):
         )
         mu, restitution, slid, turning = contacts.mu, contacts.restitution, NEVER, NEVER
         if joints is not None:
-            turning = d.joints.turning[joints.slot]
-            _of_joints(mid, joints, warm, turning, local[:, 3 * nc :], end_gap[nc:])
+            turning = _of_joints(mid, joints, warm, local[:, 3 * nc :], end_gap[nc:])
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
             last = local[4, 3 * nc :].reshape(-1, 3)
             slid = (joints.mu > 0.0) & ~joints.actuated & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
@@ -288,12 +287,17 @@ class ContactKinematics(NamedTuple):
         return out
 
 
-def _of_joints(mid: Midpoint, joints: JointRows, warm: WarmStart, turning: Bools, local: Array, end_gap: Array) -> None:
-    """Write the warm start, the drift c and the gaps G of the joint rows of a move into local and end_gap."""
+def _of_joints(mid: Midpoint, joints: JointRows, warm: WarmStart, local: Array, end_gap: Array) -> Bools:
+    """Write the warm start, the drift c and the gaps G of the joint rows of a move into local and end_gap.
+
+    Return which of them, (rows,), slip along axes that turn.
+    """
+    turning: Bools = mid.s.dynamics.joints.turning[joints.slot]
     local[4] = mid.h * warm.joints[joints.slot].ravel()
     # Like that of springs, the law of actuators applies to the velocity here; so does that of slip in axes that turn.
     local[3].reshape(-1, 3)[joints.actuated | turning, 1:] = 0.0
     end_gap[:] = joints.gap - 0.5 * mid.ahead * local[3, ::3]
+    return turning
 
 
 def predict_sliding(kin: ContactKinematics, warm: WarmStart) -> Bools:

@@ -9,7 +9,7 @@ from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, separation
 from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, axis, cross, dot, minus, perpendicular, put, row, square, times, unit
 
-TURNS = 60
+PROJECTIONS = 60
 """Most projections onto two disks in turns: enough for rims that cross at 0.5 rad."""
 
 
@@ -101,7 +101,7 @@ def meeting(geometry, i, j, m, a, b):
 
     Two disks may meet in the corner between their rims alone: the nearest points of each lead there, in turns.
     """
-    for _ in range(TURNS):
+    for _ in range(PROJECTIONS):
         a = opposite(geometry, i, m, a, b, SHARP)
         b = opposite(geometry, j, times(-1.0, m), b, a, SHARP)
         d = minus(b, a)

@@ -22,7 +22,7 @@ SWING = 3.0
 ones: a normal that turns more has jumped to another feature. Crossing edges and the rim of an ellipsoid turn it faster
 than bodies turn."""
 
-ONE = 0.01
+TOGETHER = 0.01
 """Square of the distance of two contacts that roll as one, over the square of the way that they go."""
 
 NO_SLIP = 1e-14
@@ -97,8 +97,9 @@ def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
                     turn = math.inf
             turn += far / min(rounding[names[0, c]], rounding[names[1, c]])
             most, gone, far = min(TILT, SWING * turn), dot(d, d), far * far
+            near = TOGETHER * gone
             there = dot(tilt, tilt) <= most * most and (
-                gone <= far or (alone(k, begin[0], ONE * gone, closed) and alone(c, here[0], ONE * gone, closed))
+                gone <= far or (alone(k, begin[0], near, closed) and alone(c, here[0], near, closed))
             )
         w = (0.0, 0.0, 0.0)
         for s in range(2):
