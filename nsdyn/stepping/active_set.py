@@ -10,6 +10,7 @@ pairs that would pass through each other, and those that end deep.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.tools.arrays import Array, Bools, Index
+
+if TYPE_CHECKING:
+    from nsdyn.stepping.attempt import Attempt
 
 NO_CODES = np.empty(0, np.int64)
 
@@ -86,29 +90,28 @@ def captured_limits(
     return joints.take(friction | held | (shallow & (joints.restitution == 0.0)))
 
 
-def missed_impacts(
-    s: System, found: ContactSet, kin: ContactSet, r: Array, limits: Array, slot: Index
-) -> tuple[Index, float]:
-    """Return codes of contacts and joint limits that strike: those not active whose penetration is too deep.
+def missed_impacts(s: System, m: Attempt) -> tuple[Index, float]:
+    """Return codes of contacts and joint limits that a move runs into: not active, and where it ends too deep.
 
     Return also the penetration allowed to them, m or rad, infinite where nothing strikes. The code of a contact is that
-    of its pair of shapes, that of joint limit i is -1 - i. Candidates are the contacts `found` and the gaps of all
-    joint limits. Active are the contacts `kin` with normal impulses r (nc,), N·s, and the joint rows of the slots
-    `slot`. A contact of `kin` without impulse counts as not active: where bodies turn it may open, and strike again
-    when it closes.
+    of its pair of shapes, that of joint limit i is -1 - i. An active contact without impulse counts as not active:
+    where bodies turn it may open, and strike again when it closes.
     """
-    if found is kin and not limits.size:
+    found, active, limits, r = m.moved.contacts, m.kin.contacts, m.moved.limits, m.normal_impulses
+    strikes = limits.size > 0 and _reductions.least(limits) < -s.gap_tol
+    if found is active and not strikes:
         return NO_CODES, np.inf
     pressed, known = np.empty(found.gap.size, np.bool_), np.empty(found.gap.size, np.bool_)
-    if _touching.known(found.key, kin.key, -r, -_touching.LEAST, pressed) and not limits.size:
+    if _touching.known(found.key, active.key, -r, -_touching.LEAST, pressed) and not strikes:
         return NO_CODES, np.inf
-    _touching.known(found.key, kin.key, -r, np.inf, known)
+    _touching.known(found.key, active.key, -r, np.inf, known)
     left, rests = take(found, ~pressed), known[~pressed]
     code, gap = s.detector.codes(left), left.gap
     limit = np.where((left.restitution > 0.0) & ~rests, s.gap_tol, s.penetration_tol(left))
-    if limits.size:
+    if strikes:
         # Impacts of joint limits are few: they are located sharply, with restitution or without.
-        k = np.flatnonzero(~among(s.dynamics.joints.limits, slot))
+        slots = NO_CODES if m.kin.joints is None else m.kin.joints.slot
+        k = np.flatnonzero(~among(s.dynamics.joints.limits, slots))
         code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
         limit = np.concatenate((limit, np.full(k.size, s.gap_tol)))
     hit = gap < -limit

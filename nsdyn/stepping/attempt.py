@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from nsdyn.dynamics.values import Flow, Forces
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
@@ -14,13 +12,11 @@ from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.scene_state import SceneState
-from nsdyn.tools.arrays import Array, Bools, Index
-
-NO_CODES = np.empty(0, np.int64)
+from nsdyn.tools.arrays import Array, Bools
 
 
 class Attempt(NamedTuple):
-    """An attempted move: its impulses, the state where it ends, and the contacts that it runs into.
+    """An attempted move: its impulses, and the state where it ends.
 
     Attributes
     ----------
@@ -41,15 +37,6 @@ class Attempt(NamedTuple):
     moved : SceneState
         Where the motion ends, even if bodies overlap there; warm start and energies of trees are not yet those of the
         end.
-    hits : ndarray of int
-        Codes, as in `nsdyn.stepping.active_set.missed_impacts`, of contacts and joint limits that strike where the
-        motion ends; none where all contacts were captured.
-    limit : float
-        Largest penetration allowed to the hits, m or rad.
-    touch_time : float
-        Time just after a pair that is open at the beginning touches on the way, s. At least the length of the move if
-        no pair does; infinite if no body is so fast that it might pass unseen, or if impacts are being located, whose
-        contacts are sought then.
     """
 
     mid: Midpoint
@@ -63,9 +50,6 @@ class Attempt(NamedTuple):
     impulse: Array
     trees: tuple[Flow, ...]
     moved: SceneState
-    hits: Index = NO_CODES
-    limit: float = np.inf
-    touch_time: float = np.inf
 
     @property
     def forces(self) -> Forces:
@@ -79,7 +63,7 @@ class Attempt(NamedTuple):
 
 
 Known = Midpoint | Attempt | None
-"""Known part of a move: its midpoint, or the whole attempt with no pair to be located, but without its hits."""
+"""Known part of a move: its midpoint, or the whole attempt with no pair to be located."""
 
 
 def parted(known: Known) -> tuple[Midpoint | None, Attempt | None]:

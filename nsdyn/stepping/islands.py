@@ -20,7 +20,7 @@ from nsdyn.collision.contacts import ContactSet, take
 from nsdyn.dynamics.values import Placement
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.active_set import normal_velocities, tracked
+from nsdyn.stepping.active_set import missed_impacts, normal_velocities, tracked
 from nsdyn.stepping.attempt import Attempt, Known, parted
 from nsdyn.stepping.ball_joints import unbalanced
 from nsdyn.stepping.collisions import limits_struck, striking
@@ -246,7 +246,7 @@ class Islands:
 
     def _islands_hit(self, tried: Attempt, label: Index, of: Bools) -> Bools:
         """Mark the islands, among those in `of` (islands,), that run into contacts or limits left out of the move."""
-        out, hit, joints = np.zeros_like(of), tried.hits, self.whole.dynamics.joints
+        out, joints, (hit, _) = np.zeros_like(of), self.whole.dynamics.joints, missed_impacts(self.whole, tried)
         slots = joints.limits[-1 - hit[hit < 0]]
         out[label[self._of_codes(hit[hit >= 0])]] = out[label[joints.block[slots]]] = True
         return out & of

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.solving import PASSES
 from nsdyn.collision.contacts import ContactSet, DetectionPose, take, united
@@ -19,7 +18,6 @@ from nsdyn.stepping.active_set import (
     captured_limits,
     continuous_contacts,
     missed_contacts,
-    missed_impacts,
     normal_velocities,
     overrun_contacts,
     time_of_impact,
@@ -78,7 +76,7 @@ def try_move(
         When the move begins and how long it lasts, s.
     located : ndarray of int or None
         Codes, as in `missed_impacts`, of contacts and joint limits whose impacts are to be located. The move leaves
-        these out while they are open, and also all contacts that would become deep or strike. The result then says
+        these out while they are open, and also all contacts that would become deep or strike: `missed_impacts` tells
         which contacts the move runs into. With None, all contacts are captured.
     begun : Midpoint or Attempt, optional
         The known part of the move.
@@ -99,7 +97,7 @@ def try_move(
         made = _updated(s, begin, made, located, skip is None)
     if (again := corrected(s, begin, made.mid, made.v, callbacks)) is not made.mid:
         return try_move(s, lambda _: None, begin, t, h, located, again, skip)
-    return made if located is None else _with_hits(s, begin, made, located, skip is None)
+    return made
 
 
 def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | None, skip: Bools | None) -> Attempt:
@@ -144,23 +142,18 @@ def _updated(s: System, begin: SceneState, m: Attempt, located: Index, single: b
     return m
 
 
-def _with_hits(s: System, begin: SceneState, m: Attempt, located: Index, unseen: bool) -> Attempt:
-    """Return the move with the contacts and joint limits that it runs into.
+def touch_time(s: System, begin: SceneState, m: Attempt) -> float:
+    """Return a time just after a pair that is open where a move begins touches on the way unseen, s; else its length.
 
-    With `unseen`, and no impacts `located`, also with the time at which a pair touches unseen.
+    Only bodies that are so fast pass others unseen.
     """
     mid, moved = m.mid, m.moved
-    limits, slots = moved.limits, NO_SLOTS if m.kin.joints is None else m.kin.joints.slot
-    if limits.size and not located.size and _reductions.least(limits) >= -s.gap_tol:
-        limits = NOTHING
-    hits, limit = missed_impacts(s, moved.contacts, m.kin.contacts, m.normal_impulses, limits, slots)
-    m = m._replace(hits=hits, limit=limit)
-    if not unseen or not mid.fast or located.size:
-        return m
+    if not mid.fast:
+        return mid.h
     contacts = begin.contacts, take(m.kin.contacts, m.normal_impulses > 0.0), moved.contacts
     places = begin.placement, mid.state.placement, moved.placement
     own = contacts, places, mid.turns(begin, moved), moved.memory
-    return m._replace(touch_time=time_of_impact(s, *own, mid.h, mid.reach / mid.ahead))
+    return time_of_impact(s, *own, mid.h, mid.reach / mid.ahead)
 
 
 def _detect_at_midpoint(s: System, begin: SceneState, mid: Midpoint, located: Index | None) -> tuple[SceneState, Needs]:

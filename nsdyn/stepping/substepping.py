@@ -10,12 +10,12 @@ from nsdyn._kernels.stepping import active_set as _active_set
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.problem.solution import Solution, Status
-from nsdyn.stepping.active_set import normal_velocities, surface_normal_velocities
+from nsdyn.stepping.active_set import missed_impacts, normal_velocities, surface_normal_velocities
 from nsdyn.stepping.attempt import Attempt, Known
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.midpoint import Loads, Midpoint
-from nsdyn.stepping.move import try_move
+from nsdyn.stepping.move import touch_time, try_move
 from nsdyn.stepping.scene_state import SceneState, System, among
 from nsdyn.stepping.slip_reversal import reversal
 from nsdyn.stepping.state import State
@@ -226,24 +226,24 @@ def _to_event(
         return capture(begun)
     budget.spend(begin)
     m = try_move(s, loads, begin, t, h, NONE, begun)
-    begun, meets = m.mid, bool(m.hits.size)
-    if _jammed(m.solution) or (not affords and (meets or m.touch_time < h or not m.solution.accepted)):
+    begun, (hits, limit), touch = m.mid, missed_impacts(s, m), touch_time(s, begin, m)
+    if _jammed(m.solution) or (not affords and (hits.size or touch < h or not m.solution.accepted)):
         return capture(begun)
-    if m.touch_time < h:
-        return _to_event(s, loads, begin, t, m.touch_time, soon, budget)
+    if touch < h:
+        return _to_event(s, loads, begin, t, touch, soon, budget)
     turned = h * reversal(m.kin, s.solver, m.problem, m.solution, soon / h, cut < math.inf) if affords else h
     # Slip that is as large however short the move is, as where contacts hold the joints, has no time of reversal.
     if SOON * h < h - turned <= 0.5 * cut:
         return _to_event(s, loads, begin, t, turned, soon, budget, cut=h - turned)
-    if not meets:
+    if not hits.size:
         return h, m
-    located = np.unique(m.hits)
-    if (found := _locate(s, loads, begin, t, {h: m}, located, m.limit, budget)) is not None:
+    located = np.unique(hits)
+    if (found := _locate(s, loads, begin, t, {h: m}, located, limit, budget)) is not None:
         return found
     # A contact captured in this move may have driven the bodies into those they hit.
     budget.spend(begin)
     m = try_move(s, loads, begin, t, h, located, begun)
-    return capture(begun) if m.hits.size or begun.fast else (h, m)
+    return capture(begun) if begun.fast or missed_impacts(s, m)[0].size else (h, m)
 
 
 def _locate(
@@ -259,7 +259,7 @@ def _locate(
     """Return the length of the move that ends at the first touch of a located contact, and the move; None if not found.
 
     The move begins at the time t, s. `moves` holds one move by its length, s. That move has run into the contacts and
-    joint limits `located`, given by codes as in `Attempt`. Their penetration may be `limit`, m.
+    joint limits `located`, given by codes as in `missed_impacts`. Their penetration may be `limit`, m.
     """
     (h,) = moves
     far = s.dynamics.reach(begin.placement, begin.v, h, h, s.dynamics.surfaces.twists(t))
