@@ -12,10 +12,9 @@ from typing import Any
 import coal
 import numpy as np
 
-from nsdyn._kernels import sorting
 from nsdyn._kernels.collision import advancement, faces, geometry, keys, manifold, search
 from nsdyn.collision.candidates import MARGIN, TOLERANCE, Candidates
-from nsdyn.collision.contacts import ContactSet, Poses, Touches, carry, take, united
+from nsdyn.collision.contacts import ContactSet, Poses, Touches, among, carry, take, united
 from nsdyn.collision.distances import distance_request
 from nsdyn.tools.arrays import Array, Index
 
@@ -242,9 +241,8 @@ class Detector(Candidates):
         advancement.carry((bodies, points, scalars), begin, (t[both], R[both]), normal)
         geoms = self._geometry.radius, R, t, np.zeros(len(R))
         contacts = ContactSet(*out, keys.match(geoms, TOLERANCE, memory[:3], memory.next_key, names, points))
-        others = np.empty(memory.names.shape[1], np.bool_)
-        sorting.among(self.codes(memory), self._codes[pair], others)
-        remembered = united((take(memory, ~others), contacts))
+        others = ~among(self.codes(memory), self._codes[pair])
+        remembered = united((take(memory, others), contacts))
         return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered, _NONE)
 
 

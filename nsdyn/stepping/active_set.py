@@ -18,13 +18,13 @@ from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.stepping import active_set as _active_set
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.options import OPTIONS
-from nsdyn.collision.contacts import ContactSet, Poses, carry, take, united
+from nsdyn.collision.contacts import ContactSet, Poses, among, carry, take, united
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Midpoint
-from nsdyn.stepping.scene_state import SceneState, System, among
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:

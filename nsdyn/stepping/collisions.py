@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.stepping.options import OPTIONS
-from nsdyn.collision.contacts import ContactSet, ordered, take
+from nsdyn.collision.contacts import ContactSet, among, ordered, take
 from nsdyn.dynamics.values import Forces, MidpointState, Placement
 from nsdyn.stepping.active_set import normal_velocities
 from nsdyn.stepping.contact_kinematics import ContactKinematics
@@ -17,7 +17,7 @@ from nsdyn.stepping.impulses import Impulses, book
 from nsdyn.stepping.midpoint import SILENT, Midpoint
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
-from nsdyn.stepping.scene_state import SceneState, System, among
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools, Index
 
 NO_SLOTS = np.empty(0, np.int64)
@@ -134,6 +134,8 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
         # A contact that pressed before turns with its bodies: it closes a little without striking. But a contact that
         # has just closed its gap still approaches, and where that gains energy it is stopped first.
         depth[:nc][s.last_status(contacts, at.warm) > 0] = np.inf
+        if joints is not None:
+            depth[nc:][at.warm.joints[joints.slot, 0] > 0.0] = np.inf
     slow = np.where(kin.restitution > 0.0, np.minimum(slow, depth / h), depth / h)
     closed = kin.end_gap <= s.gap_tol
     impact = _strike(s, kin, kin.u, closed, resting, np.where(closed, slow, np.inf))
@@ -183,4 +185,6 @@ def limits_struck(s: System, at: SceneState, h: float) -> Index:
         return NO_SLOTS
     joints, slots = s.dynamics.joints, s.dynamics.joints.limits
     limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * OPTIONS.joint / h)
+    if s.depth >= OPTIONS.depth_located:
+        limit[(joints.restitution[slots] == 0.0) & (at.warm.joints[slots, 0] > 0.0)] = np.inf
     return slots[(at.limits <= s.gap_tol) & (joints.rates(slots, at.v) < -limit)]

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn._kernels.stepping import touching as _touching
-from nsdyn.collision.contacts import ContactSet, take
+from nsdyn.collision.contacts import ContactSet, among, take
 from nsdyn.dynamics.joints import NO_CLUTCHES, ContactJacobian, JointRows
 from nsdyn.dynamics.values import Placement
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -132,6 +132,9 @@ class ContactKinematics(NamedTuple):
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
             last = local[4, 3 * nc :].reshape(-1, 3)
             slid = (joints.mu > 0.0) & ~joints.actuated & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
+            # A joint that rests at its limit does not slip, however the limit and its friction share the load.
+            of = d.joints.coordinate[joints.slot]
+            slid &= ~among(of, of[(joints.mu == 0.0) & (last[:, 0] > 0.0)])
         laws = frame, mu, restitution
         return cls(contacts, joints, rows, *laws, local, end_gap, surface_velocity, slid=slid, turning=turning)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.solving import PASSES
-from nsdyn.collision.contacts import ContactSet, DetectionPose, take, united
+from nsdyn.collision.contacts import ContactSet, DetectionPose, among, take, united
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Flow, Forces, Placement
 from nsdyn.problem.solution import Solution
@@ -29,7 +29,7 @@ from nsdyn.stepping.contact_kinematics import ContactKinematics, predict_sliding
 from nsdyn.stepping.midpoint import Loads, Midpoint, corrected, midpoint
 from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
-from nsdyn.stepping.scene_state import SceneState, System, among
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.solving import solve, update_sliding
 from nsdyn.tools.arrays import Array, Bools, Index
 

@@ -9,6 +9,7 @@ import numpy as np
 from nsdyn._kernels.stepping import active_set as _active_set
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.options import OPTIONS
+from nsdyn.collision.contacts import among
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.active_set import missed_impacts, normal_velocities, surface_normal_velocities
 from nsdyn.stepping.attempt import Attempt, Known
@@ -16,7 +17,7 @@ from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.midpoint import Loads, Midpoint
 from nsdyn.stepping.move import touch_time, try_move
-from nsdyn.stepping.scene_state import SceneState, System, among
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.slip_reversal import reversal
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish

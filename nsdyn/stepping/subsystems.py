@@ -12,13 +12,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nsdyn._kernels.dynamics import motion as _motion
-from nsdyn.collision.contacts import ContactSet, DetectionPose, take, united
+from nsdyn.collision.contacts import ContactSet, DetectionPose, among, take, united
 from nsdyn.dynamics.dynamics import Controls, Wrenches
 from nsdyn.dynamics.values import Placement, Position
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.midpoint import Callbacks, Given, Loads
 from nsdyn.stepping.move_kernel import MoveKernel
-from nsdyn.stepping.scene_state import SceneState, System, WarmStart, among
+from nsdyn.stepping.scene_state import SceneState, System, WarmStart
 from nsdyn.stepping.state import State
 from nsdyn.tools.arrays import Array, Bools, Index
 

@@ -219,3 +219,25 @@ def test_slips_that_do_not_depend_on_the_length_of_a_move_are_not_located(monkey
         moves.clear()
         stepper.step()
         assert len(moves) <= 20  # 95 where each is cut by the same thousandth
+
+
+def test_a_dry_joint_that_rests_at_its_limit_does_not_slip():
+    """Two rods swing bent by 0.5 rad, as one body: its slip of O(dt²) was sought for reversals, in up to 17 moves."""
+    bend, speed, model = 0.5, -4.0, pendulum(2)
+    model.lowerPositionLimit, model.upperPositionLimit = np.array((-9.0, bend)), np.array((9.0, 9.0))
+    inertia = 1 / 3 + 1 / 12 + 1.25 + math.cos(bend)
+
+    def fall(t, y):
+        return y[1], -g * (1.5 * math.sin(y[0]) + 0.5 * math.sin(y[0] + bend)) / inertia
+
+    exact = solve_ivp(fall, (0.0, 0.3), (1.0, speed), rtol=1e-12, atol=1e-12).y[:, -1]
+    scene, errors = nd.Scene(), []
+    add(scene, "a", model, q=(1.0, bend), v=(speed, 0.0), friction=(0.0, 0.3))
+    for n in (30, 60, 120):
+        stepper = nd.Stepper(scene, 0.3 / n)
+        steps = [stepper.step() for _ in range(n)]
+        assert all(step.pieces is None for step in steps[1:])
+        assert all(step.joints[1, 1] > 0.0 for step in steps[1:])
+        assert max(abs(step.ledger.normal) for step in steps[1:]) == 0.0  # what it works is an error of the motion
+        errors.append(np.abs((steps[-1].q[0] - exact[0], steps[-1].v[0] - exact[1])))
+    assert (np.array(errors[:-1]) >= 3.5 * np.array(errors[1:])).all(), errors

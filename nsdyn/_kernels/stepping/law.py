@@ -350,7 +350,7 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
 
     Returns `beyond_potential` of bodies = (mass, gravity) in a move = (h, theta), and three sums of works: normal,
     friction, and works that vanish in the limit of small steps. The last has the normal work, with that of the couple,
-    of contacts that stay closed and of rows that were struck, and the tangential work of contacts that stick.
+    of rows that stay closed and of rows that were struck, and the tangential work of contacts that stick.
     """
     blocks, surface_velocity, mu, local, frame = rows
     stays, sticks, turned, struck = lasting
@@ -368,14 +368,13 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
         friction[c] = 0.5 * ((u[i + 1] + u_end[i + 1]) * r[i + 1] + (u[i + 2] + u_end[i + 2]) * r[i + 2])
         for j in range(3):
             u_end[i + j] += jacobian_drift[i + j]
-        nothing = held = False
+        nothing, held = stays[c], False
         if c < nc:
             status[c] = state(r, mu[c], i)
             if status[c] == 2 and mu[c] > 0.0 and square(u_end[i + 1]) + square(u_end[i + 2]) <= slow * slow:
                 status[c] = 1
             if turned.size > c:
                 normal[c] += turned[c]
-            nothing = stays[c]
             held = sticks[c] and status[c] == 1
             for j in range(3):
                 world[c, j] = (frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]) / h
