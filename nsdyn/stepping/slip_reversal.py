@@ -47,7 +47,7 @@ def reversal(
         turned &= (solution.r.reshape(-1, 3)[:, 1:] * (begin + now)).sum(axis=1) > 0.0
     # Dry joints that slide on do so whatever the others do: friction has its first direction until the first reversal.
     slides = np.zeros(turned.size, np.bool_)
-    slides[kin.contacts.gap.size :] = kin.slid & ~kin.turning & (begin != 0.0).any(axis=1)[kin.contacts.gap.size :]
+    slides[kin.contacts.gap.size :] = kin.slid & ~kin.turning
     while turned.any():
         some = turned | slides
         u = begin[some]
