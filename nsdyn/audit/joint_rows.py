@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn.audit.findings import CREEP, Found, named, not_audited, worst_of
-from nsdyn.audit.retraced import Retraced
+from nsdyn.audit.retraced import ON, Retraced
 from nsdyn.recording.columns import ON_LINKS
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Kick
@@ -21,9 +21,6 @@ NOTHING = 1e-9
 
 STICKS = 1e-5
 """rad/s or m/s: many times the slip of a sticking joint that solvers, and a motion computed anew, leave."""
-
-ON = 1e-8
-"""rad or m: many times the gap of a limit on which a joint rests."""
 
 SOLVED = 1e-6
 """rad/s or m/s: many times the residual velocity that solvers leave."""

@@ -22,6 +22,9 @@ COARSE = 1e-3
 SMALL = 1e-6
 """Displacement, rad or m, of which round-off is a fraction of 1e-9."""
 
+ON = 1e-8
+"""rad or m: many times the gap of a limit on which a joint rests."""
+
 
 @dataclass(frozen=True, eq=False)
 class Retraced:
@@ -38,6 +41,8 @@ class Retraced:
     doubt, parted : ndarray
         Uncertainty of works, J: of each and of their sum (`doubt`), and of the split of the sum where limits and
         contacts strike alternately in one instant, an unrecorded number of times (`parted`).
+    resting : ndarray
+        Largest work, J, of limits on which joints rest throughout a move: it may count as numerics.
     energy : ndarray, shape (n,)
         Change of energy by projections, J.
     met : (Side, Side)
@@ -63,6 +68,7 @@ class Retraced:
     works: dict[str, Array]
     doubt: Array
     parted: Array
+    resting: Array
     energy: Array
     met: tuple[Side, Side]
     met_doubt: Array
@@ -86,6 +92,7 @@ def retraced(poses: Poses) -> Retraced | str:
         motion,
         lift,
         works,
+        np.zeros((n, count)),
         np.zeros((n, count)),
         np.zeros((n, count)),
         np.zeros(n),
@@ -148,7 +155,7 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
     """Book the works of a step by columns of the ledger, with uncertainty; return that of velocities at each kick."""
     works, doubt, late = dict.fromkeys(out.works, 0.0), 0.0, np.zeros(m.nv)
     each: list[Array] = []
-    end, alone = out.trees.state(i, k + 1)[0], len(way.kicks) == 1
+    begun, end, alone = out.trees.state(i, k)[0], out.trees.state(i, k + 1)[0], len(way.kicks) == 1
     for kick, first, last in zip(way.kicks, way.flows[::2], way.flows[1::2], strict=True):
         mean = along = 0.5 * (kick.before + kick.after)
         damped = 0.5 * (kick.struck + kick.after)
@@ -179,9 +186,14 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
         acted = np.abs(kick.given[:4]).sum(axis=0) + 2.0 * np.abs(kick.stiff[0]) + np.abs(kick.reaction)
         doubt += float(acted @ doubted)  # for dampers twice: impulse and displacement are as uncertain as velocities
         late = late + last.doubted[1]
+        lifted = m.lifted(last.q, last.v, kick.shift) if kick.shift.any() else (last.q, last.v)
         if kick.shift.any():
-            lifted = m.lifted(last.q, last.v, kick.shift)
             out.energy[k] += sum(m.energies(*lifted)) - sum(m.energies(last.q, last.v))
+        if kick.h > 0.0:
+            bound = np.where(kick.given[1] > 0.0, m.lower, m.upper)
+            rests = np.maximum(np.abs(m.angle(begun) - bound), np.abs(m.angle(lifted[0]) - bound)) <= ON
+            out.resting[k, i] += float(np.abs(kick.given[1] * mean) @ rests)
+        begun = lifted[0]
     for name, work in works.items():
         out.works[name][k, i] = work
     out.doubt[k, i] = doubt

@@ -129,7 +129,9 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     t, e, c = poses.trajectory, poses.trajectory.energy, poses.contacts
     nothing, scale = np.zeros(t.steps), at_play(poses)
     of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
-    doubt, parted = (nothing, nothing) if found is None else (x.sum(axis=1) for x in (found.doubt, found.parted))
+    doubt = parted = resting = nothing
+    if found is not None:
+        doubt, parted, resting = (x.sum(axis=1) for x in (found.doubt, found.parted, found.resting))
     step = poses.step
     stays, left = _stays(poses, flight), dict[str, Array]()
     sticks = stays & ~_slid(poses, step)
@@ -139,11 +141,11 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     turns = poses.beside(turns)
     # The total work of contacts that strike alternately follows from the velocities before and after.
     told = np.where(turns, (c["impulse"] * flight.met.mean).sum(axis=1), 0.0)
-    for name, lasts in (("normal", stays), ("friction", sticks)):
+    for name, lasts, limits in (("normal", stays, resting), ("friction", sticks, nothing)):
         work = c[f"work_{name}"]
         off = getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~lasts], work[~lasts], t.steps)
         # Without contacts NumPy's bincount returns integers.
-        most = np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
+        most = limits + np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
         left[name] = np.abs(off) - most - parted
         rest, slack, told = rest + off, slack + most, told - np.where(turns & ~lasts, work, 0.0)
     # On moving surfaces that total is unknown.
