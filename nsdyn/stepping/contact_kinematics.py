@@ -81,8 +81,8 @@ class ContactKinematics(NamedTuple):
         Rows that persist along their normals, contacts that persist across them, and the status of contacts in the last
         move: `nsdyn._kernels.stepping.persistence.persists`.
     slid, turning : ndarrays of bool, shape (joint rows,)
-        Dry joints that slide where the move begins, faster than the solver's tolerance and by their last impulses; new
-        rows are taken to slide. And those that slip along axes which turn with them.
+        Dry joints that slide where the move begins, by their last impulses; new rows are taken to slide. And those that
+        slip along axes which turn with them.
     excess_speed : ndarray, shape (rows,)
         How much faster than predicted rows separate where the move ends, m/s, as far as that is known.
     """
@@ -130,9 +130,8 @@ class ContactKinematics(NamedTuple):
         if joints is not None:
             turning = _of_joints(mid, joints, warm, local[:, 3 * nc :], end_gap[nc:])
             mu, restitution = np.concatenate((mu, joints.mu)), np.concatenate((restitution, joints.restitution))
-            (begun, *_, last), at = local[:, 3 * nc :].reshape(5, -1, 3), d.joints.coordinate[joints.slot]
+            last, at = local[4, 3 * nc :].reshape(-1, 3), d.joints.coordinate[joints.slot]
             slid = (joints.mu > 0.0) & ~joints.actuated & (np.hypot(last[:, 1], last[:, 2]) >= SLIPS * last[:, 0])
-            slid &= np.hypot(begun[:, 1], begun[:, 2]) > mid.s.solver.tol
             # A joint that rests at its limit does not slip, however the limit and its friction share the load.
             slid &= ~among(at, at[(joints.mu == 0.0) & (last[:, 0] > 0.0)])
         laws = frame, mu, restitution

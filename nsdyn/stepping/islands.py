@@ -259,7 +259,7 @@ class Islands:
         s, d = self.whole, self.whole.dynamics
         c, found, limits = a.kin.contacts, a.moved.contacts, a.moved.limits
         out = [self._nodes(found, found.gap < -s.gap_tol), d.joints.block[d.joints.limits[limits < -s.gap_tol]]]
-        if (ends := endings(a.kin, a.problem, a.solution)) is not None:
+        if (ends := endings(a.kin, a.problem, a.solution, s.solver.tol)) is not None:
             ends[: c.gap.size][large[label[s.nodes(c)]]] = 0
             out.append(self._of_rows(a.kin, ends > 0))
         if a.kin.joints is not None and (balls := a.kin.rows.balls).size:

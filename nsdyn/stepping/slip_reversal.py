@@ -17,6 +17,7 @@ from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers import Solver
 from nsdyn.stepping.contact_kinematics import ContactKinematics
+from nsdyn.tools.arrays import Bools
 
 
 def reversal(
@@ -30,7 +31,7 @@ def reversal(
     time.
     """
     local = kin.begun
-    if not solution.converged or (end := endings(kin, problem, solution)) is None:
+    if not solution.converged or (end := endings(kin, problem, solution, solver.tol)) is None:
         return 1.0
     begin, _, free, jacobian_drift, _ = local.reshape(5, -1, 3)[..., 1:]
     free, turned = free + jacobian_drift, end == 2
@@ -47,7 +48,7 @@ def reversal(
         turned &= (solution.r.reshape(-1, 3)[:, 1:] * (begin + now)).sum(axis=1) > 0.0
     # Dry joints that slide on do so whatever the others do: friction has its first direction until the first reversal.
     slides = np.zeros(turned.size, np.bool_)
-    slides[kin.contacts.gap.size :] = kin.slid & ~kin.turning
+    slides[kin.contacts.gap.size :] = _slipping(kin, solver.tol) & ~kin.turning
     while turned.any():
         some = turned | slides
         u = begin[some]
@@ -70,11 +71,19 @@ def reversal(
     return 1.0
 
 
-def endings(kin: ContactKinematics, problem: FC3D, solution: Solution) -> NDArray[np.int8] | None:
-    """Classify how the slip of rows that slide ends; None where all go on.
+def endings(kin: ContactKinematics, problem: FC3D, solution: Solution, tol: float) -> NDArray[np.int8] | None:
+    """Classify how the slip of rows that slide ends; None where all go on. Slip of joints up to `tol` is none.
 
     0 if the slip goes on, 1 if it stops, 2 if it reverses, or is stopped by friction along the slip.
     """
-    out = np.empty(kin.mu.size, np.int8)
-    shown = solution.r, solution.u, problem.q
-    return out if _slip_reversal.ending(*shown, kin.mu, kin.begun, kin.was, kin.slid, out) else None
+    out, shown = np.empty(kin.mu.size, np.int8), (solution.r, solution.u, problem.q)
+    return out if _slip_reversal.ending(*shown, kin.mu, kin.begun, kin.was, _slipping(kin, tol), out) else None
+
+
+def _slipping(kin: ContactKinematics, tol: float) -> Bools:
+    """Mark dry joints (joint rows,) that slide faster than `tol` where the move begins."""
+    if not kin.slid.size:
+        return kin.slid
+    slip = kin.u_begin.reshape(-1, 3)[kin.contacts.gap.size :, 1:]
+    out: Bools = kin.slid & (np.hypot(*slip.T) > tol)
+    return out

@@ -252,3 +252,26 @@ def test_slips_of_round_off_are_not_located():
     steps = [stepper.step() for _ in range(80)]
     assert np.abs(steps[20].v).max() <= 1e-12
     assert all(step.pieces is None for step in steps[20:])
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.8])
+def test_a_link_that_a_wall_jams_does_not_slip(tilt):
+    """The upper of two rods leans on a wall, which leaves its one joint no way; the lower one swings about its end.
+
+    Normal and slip of the contact are one motion: its slip was that of its gaps, of O(dt²), with up to 12 reversals.
+    """
+    lean, speed, model = -0.3, 8.0, pendulum(2)
+    tip, normal = np.array((-math.sin(lean), 0, -math.cos(lean))), np.array((math.cos(tilt), 0, math.sin(tilt)))
+    scene, material = nd.Scene(), nd.Material(0.5)
+    scene.add_halfspace("wall", normal=tuple(normal), offset=float(normal @ tip) - 0.1, material=material)
+    ball = {"j0": [(shapes.sphere(0.1), pin.SE3(np.eye(3), np.array((0, 0, -1.0))))]}
+    add(scene, "a", model, q=(lean, -lean), v=(0.0, speed), collisions=ball, material=material)
+    swing = solve_ivp(lambda t, y: (y[1], -1.5 * g * math.sin(y[0])), (0, 0.4), (0, speed), rtol=1e-12, atol=1e-12)
+
+    errors = []
+    for n in (40, 80, 160):
+        stepper = nd.Stepper(scene, 0.4 / n)
+        steps = [stepper.step() for _ in range(n)]
+        assert all(step.pieces is None and step.contact_status.tolist() == [1] for step in steps)
+        errors.append(np.abs((steps[-1].q.sum() - swing.y[0, -1], steps[-1].v[1] - swing.y[1, -1])))
+    assert (np.array(errors[:-1]) >= 3.5 * np.array(errors[1:])).all(), errors

@@ -31,6 +31,9 @@ NO_SLIP = 1e-14
 REVERSED = 1e-8
 """Mean slip over the slip at the end that is none: the tolerance of solvers."""
 
+SINGULAR = 1e-12
+"""Determinant of W_cc over its trace³ that is round-off."""
+
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of a gap that `left_open` leaves open, and the largest gap it leaves, as a fraction of the gap tolerance."""
 
@@ -337,6 +340,18 @@ def states(r, mu, out):
         out[c] = state(r, mu[c], 3 * c)
 
 
+@kernel
+def dependent(blocks, c):
+    """Whether the rows of contact c are linearly dependent, as those between two links that few joints part."""
+    most = widest(blocks[0])
+    x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
+    diagonal_block(blocks, c, 3, x, y, W)
+    minor = W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2]
+    determinant = W[0, 0] * minor - W[0, 1] * (W[0, 1] * W[2, 2] - W[1, 2] * W[0, 2])
+    determinant += W[0, 2] * (W[0, 1] * W[1, 2] - W[1, 1] * W[0, 2])
+    return determinant <= SINGULAR * (W[0, 0] + W[1, 1] + W[2, 2]) ** 3
+
+
 @no_alloc
 def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
     """Results of a step at its contacts and joint rows: states, works [J], relative velocities, forces in world axes.
@@ -344,9 +359,9 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
     They go into out = (status, normal, friction, u_end, world). lasting = (stays, sticks, works of couples, as in
     `persistence`, normal impulses of impacts), the latter two empty for none. rows = (factors of W, velocities of
     moving surfaces, mu, the result of `local_velocities`, directions of the contacts). States are those of `states`,
-    but a contact that slips no faster than `slow` at the end sticks: impulses shared by redundant contacts may lie
-    anywhere in their cones. The works (rows,) are ½ (u + u⁺)·r, those of the impulses at the one configuration where
-    they act.
+    but a contact that slips no faster than `slow` at the end sticks, and where its rows are `dependent` no faster than
+    its gap is corrected: impulses of redundant contacts or rows may lie anywhere in their cones. The works (rows,) are
+    ½ (u + u⁺)·r, those of the impulses at the one configuration where they act.
 
     Returns `beyond_potential` of bodies = (mass, gravity) in a move = (h, theta), and three sums of works: normal,
     friction, and works that vanish in the limit of small steps. The last has the normal work, with that of the couple,
@@ -360,7 +375,7 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
     relative_velocity(blocks, velocities[2], u_end)
     for i in range(surface_velocity.size):
         u_end[i] += surface_velocity[i]
-    impact, slip, rest = 0.0, 0.0, 0.0
+    impact, rubbed, rest = 0.0, 0.0, 0.0
     for c in range(normal.size):
         i = 3 * c
         # So far u_end is u⁺.
@@ -370,9 +385,10 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
             u_end[i + j] += jacobian_drift[i + j]
         nothing, held = stays[c], False
         if c < nc:
-            status[c] = state(r, mu[c], i)
-            if status[c] == 2 and mu[c] > 0.0 and square(u_end[i + 1]) + square(u_end[i + 2]) <= slow * slow:
-                status[c] = 1
+            status[c], slip = state(r, mu[c], i), square(u_end[i + 1]) + square(u_end[i + 2])
+            if status[c] == 2 and mu[c] > 0.0:
+                if slip <= slow * slow or (stays[c] and slip <= square(u_end[i]) and dependent(blocks, c)):
+                    status[c] = 1
             if turned.size > c:
                 normal[c] += turned[c]
             held = sticks[c] and status[c] == 1
@@ -385,5 +401,5 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
         if held:
             rest += friction[c]
         else:
-            slip += friction[c]
-    return beyond_potential(*bodies, *move, *velocities), impact, slip, rest
+            rubbed += friction[c]
+    return beyond_potential(*bodies, *move, *velocities), impact, rubbed, rest
