@@ -11,20 +11,6 @@ import numpy as np
 from nsdyn.audit.poses import Poses
 from nsdyn.tools.arrays import Array, Index
 
-__all__ = [
-    "CREEP",
-    "MEANING",
-    "TOLERANCES",
-    "UNITS",
-    "Finding",
-    "Found",
-    "at_play",
-    "named",
-    "not_audited",
-    "worst_among",
-    "worst_of",
-]
-
 LIMITS = {
     "scene": (1e-12, "-"),  # some hundred round-offs
     "pairs": (0.0, "-"),

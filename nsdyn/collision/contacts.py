@@ -12,8 +12,6 @@ from nsdyn._kernels.collision import advancement
 from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.naming import counted
 
-__all__ = ["ContactSet", "DetectionPose", "Poses", "Touches", "carry", "joined", "ordered", "take", "united"]
-
 
 class ContactSet(NamedTuple):
     """Contacts of one configuration, sorted by (geom1, geom2) with geom1 < geom2; kernels take its arrays.

@@ -19,8 +19,6 @@ from nsdyn._kernels.problem import given as _given
 from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.tools.arrays import Array, Index, numbers
 
-__all__ = ["FC3D"]
-
 
 def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
     """Return W in 3 x 3 blocks as `FC3D.csr`; ValueError when it is not square, finite or a multiple of 3."""

@@ -11,8 +11,6 @@ from nsdyn.tools import notebook
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import counted
 
-__all__ = ["ACCEPTED", "NotConverged", "Solution", "Status"]
-
 
 class Status(IntEnum):
     """Status in which a solve ended; `message` explains it."""

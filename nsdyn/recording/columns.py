@@ -106,32 +106,6 @@ from numpy.typing import NDArray
 
 from nsdyn.dynamics.ledger import WORKS
 
-__all__ = [
-    "ADDED",
-    "ADDED_META",
-    "CONTACT",
-    "CONTACT_STATES",
-    "ENERGIES",
-    "FORMAT_VERSION",
-    "GAUSS",
-    "JOINTS",
-    "LAYOUT",
-    "LINKS",
-    "ON_BODIES",
-    "ON_JOINTS",
-    "ON_LINKS",
-    "PIECES",
-    "RAGGED",
-    "SOLVER",
-    "STATES",
-    "STEP",
-    "STEPS",
-    "WIDTHS",
-    "Column",
-    "Columns",
-    "rows_of",
-]
-
 Columns = dict[str, NDArray[Any]]
 
 FORMAT_VERSION = 12

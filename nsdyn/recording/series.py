@@ -17,8 +17,6 @@ from nsdyn.tools.arrays import Array, cross
 from nsdyn.tools.naming import counted
 from nsdyn.tools.table import Table
 
-__all__ = ["BodyMotion", "ContactTable", "Energy", "Gauss", "SolverLog", "rotate"]
-
 
 @dataclass(frozen=True, eq=False)
 class Energy:

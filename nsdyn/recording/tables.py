@@ -18,21 +18,6 @@ if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
 
-__all__ = [
-    "Pair",
-    "body_names",
-    "contact_columns",
-    "contact_frames",
-    "contact_steps",
-    "force",
-    "impulses",
-    "impulses_world",
-    "left_out",
-    "need_contacts",
-    "pair",
-]
-
-
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Contact of body a on body b in each of n recorded steps; SI units, world frame.

@@ -25,26 +25,6 @@ from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array, Index, numbers
 from nsdyn.tools.files import as_path
 
-__all__ = [
-    "CAPSULE",
-    "CYLINDER",
-    "ELLIPSOID",
-    "HALFSPACE",
-    "POLYTOPE",
-    "ROUND",
-    "SPHERE",
-    "Shape",
-    "box",
-    "capsule",
-    "convex",
-    "cylinder",
-    "ellipsoid",
-    "halfspace",
-    "hull_of_surface",
-    "mesh",
-    "sphere",
-]
-
 HALFSPACE, POLYTOPE, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = range(6)
 """Kinds of shapes; `nsdyn._kernels.collision.kinds` has the same kinds and the functions that each provides."""
 
