@@ -8,7 +8,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.blocks import (
@@ -28,11 +27,9 @@ from nsdyn.literature._kernels.anderson import mix
 
 
 class Matrix(NamedTuple):
-    """Block-sparse W: rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3), and the inverses of its W_cc."""
+    """Block-sparse W as in `nsdyn._kernels.problem.given`, and the inverses of its W_cc (nc, 3, 3)."""
 
-    indptr: np.ndarray
-    indices: np.ndarray
-    data: np.ndarray
+    given: tuple
     inverse: np.ndarray
 
 
@@ -63,7 +60,7 @@ def matrix(indptr, indices, data):
         for p in range(indptr[c], indptr[c + 1]):
             if indices[p] == c:
                 invert(data[p], S[c])
-    return Matrix(indptr, indices, data, S)
+    return Matrix((indptr, indices, data), S)
 
 
 @kernel
@@ -93,7 +90,7 @@ def solve_contact(W, own, S, c, b0, b1, b2, mu):
 @no_alloc
 def sweep_matrix(W, q, mu, r):
     """One Gauss–Seidel sweep in place: solve each contact exactly with all other impulses frozen."""
-    indptr, indices, data, inverse = W
+    (indptr, indices, data), inverse = W
     for c in range(mu.size):
         # Unsigned, so that the compiler skips the test for negative indices.
         k = np.uint64(c)
@@ -129,40 +126,23 @@ def change_of(W, r):
     return v
 
 
+@kernel
 def _sweep(W, q, mu, r):
     """One sweep in place of r."""
-    if isinstance(W, Matrix):
+    if len(W) == 2:  # a `Matrix`; the compiler drops the other branch
         sweep_matrix(W, q, mu, r)
     else:
         sweep_factors(W, q, mu, change_of(W, r), r)
 
 
-@overload(_sweep)
-def _sweep_of(W, q, mu, r):
-    if W.instance_class is Matrix:
-        return lambda W, q, mu, r: sweep_matrix(W, q, mu, r)
-    return lambda W, q, mu, r: sweep_factors(W, q, mu, change_of(W, r), r)
-
-
+@kernel
 def _velocity(W, q, r, u):
     """Compute u = W r + q, into u."""
-    if isinstance(W, Matrix):
-        velocity((W.indptr, W.indices, W.data), q, r, u)
+    if len(W) == 2:
+        velocity(W.given, q, r, u)
     else:
         relative_velocity(W.blocks, change_of(W, r), u)
         u += q
-
-
-@overload(_velocity)
-def _velocity_of(W, q, r, u):
-    if W.instance_class is Matrix:
-        return lambda W, q, r, u: velocity((W.indptr, W.indices, W.data), q, r, u)
-
-    def by_factors(W, q, r, u):
-        relative_velocity(W.blocks, change_of(W, r), u)
-        u += q
-
-    return by_factors
 
 
 @kernel(rounds=1000)
