@@ -112,37 +112,51 @@ def block(cells: int = 32, alpha: float = 0.3) -> Block:
 
 
 def solve(
-    body: Block, mu: float, side: float, top: float, solver: str = "newton", tol: float = 1e-9, passes: int = 200
+    body: Block,
+    mu: float,
+    side: float,
+    top: float,
+    solver: str = "newton",
+    tol: float = 1e-9,
+    passes: int = 200,
+    increments: int = 1,
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """(u, r, passes used) of the contact nodes under pressures in daN/mm²; u in m, r in N per metre of depth."""
+    """(u, r, passes of the last increment) under pressures in daN/mm²; u in m, r in N per metre of depth.
+
+    The load grows in increments: the gap is that of the whole displacement, friction sees what an increment adds.
+    """
     n = len(body.x)
     # Scaled to displacements of order 1: lengths by 1e-5 m, forces so that W has unit mean diagonal.
     length = 1e-5
     scale = np.trace(body.W) / (3 * n)
-    rest, r = 0.0, np.zeros(3 * n)
-    base = 1e7 * (side * body.side + top * body.top)
-    for used in range(1, passes + 1):
-        problem = nd.FC3D(body.W / scale, (base + rest * body.lift) / length, np.full(n, mu))
-        solution = nd.solve(problem, solver, tol=tol, r0=r)
-        if not solution.converged:
-            raise nd.NotConverged(f"{solver}: {solution.status.message}", problem, solution)
-        r = solution.r
-        force = r * length / scale
-        position = body.rigid_W @ force + 1e7 * (side * body.rigid_side + top * body.rigid_top) + rest * body.rigid_lift
-        step, rest = position - rest, position
-        # The mode's coordinate is n times the height, n² nodes moving as one; ten tolerances of the solver's scale.
-        if abs(step) <= 10 * tol * length * n:
-            return solution.u * length, force, used
-    raise RuntimeError(f"the rigid mode still moves by {step:.1e} m after {passes} passes")
+    rest, r, before = 0.0, np.zeros(3 * n), np.zeros(3 * n)
+    for k in range(1, increments + 1):
+        f, g = 1e7 * k / increments * side, 1e7 * k / increments * top
+        base, fixed = f * body.side + g * body.top - before, f * body.rigid_side + g * body.rigid_top
+        for used in range(1, passes + 1):  # noqa: B007 (what the last of them is)
+            problem = nd.FC3D(body.W / scale, (base + rest * body.lift) / length, np.full(n, mu))
+            solution = nd.solve(problem, solver, tol=tol, r0=r)
+            if not solution.converged:
+                raise nd.NotConverged(f"{solver}: {solution.status.message}", problem, solution)
+            r = solution.r
+            step = body.rigid_W @ (r * length / scale) + fixed + rest * body.rigid_lift - rest
+            rest += step
+            if abs(step) * body.lift.max() <= 10 * tol * length:  # the block's height, in tolerances of the solver
+                break
+        else:
+            raise RuntimeError(f"the rigid mode still moves by {step:.1e} m after {passes} passes")
+        u = solution.u * length + before
+        before[1::3] = u[1::3]
+    return u, r * length / scale, used
 
 
 def zones(body: Block, u: np.ndarray, r: np.ndarray) -> tuple[float, float]:
-    """Where the open and the slipping zone end, at the first node past each, in mm from the loaded side."""
-    pitch = body.x[1]
+    """Where the open and the slipping zone end, at the first node (or facet's end) past each, in mm from the side."""
+    past = body.x[1] - 2 * body.x[0]  # from a node to the next, from a facet's middle to its end
     is_open = r[0::3] <= 1e-6 * r[0::3].max()  # what the tolerance leaves of an open node's impulse
     slips = ~is_open & (np.abs(u[1::3]) > 1e-4 * np.abs(u[1::3]).max())
-    opened = 1e3 * (body.x[is_open].max(initial=-pitch) + pitch)
-    return opened, max(opened, 1e3 * min(SIDE, body.x[slips].max(initial=-pitch) + pitch))
+    opened, slid = (1e3 * min(SIDE, body.x[where].max(initial=-past) + past) for where in (is_open, slips))
+    return opened, max(opened, slid)
 
 
 def plot(body: Block, results: dict[tuple[float, float, float], tuple[np.ndarray, np.ndarray]], path: str) -> None:

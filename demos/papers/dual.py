@@ -19,16 +19,11 @@ from pathlib import Path
 import elastic_block as primal
 import numpy as np
 import scipy.sparse as sp
-from elastic_block import CASES, POISSON, REFERENCE, SIDE, YOUNG, Block
+from elastic_block import CASES, POISSON, REFERENCE, SIDE, YOUNG, Block, solve, zones
 from scipy.sparse.linalg import eigsh, splu
-
-import nsdyn as nd
 
 TABLE = dict(zip(CASES, ((3.75, 23.75), (5.0, 25.75), (0.0, 40.0), (0.0, 22.5), (0.0, 5.0)), strict=True))
 """Zones that Pop prints for his primal elements (000, table 1): open to, slip to, mm."""
-
-LENGTH = 1e-5
-"""Unit of the displacements in the contact problem, m."""
 
 
 @dataclass(frozen=True)
@@ -187,49 +182,6 @@ def block(cells: int = 32, alpha: float = 0.3) -> Block:
     )
 
 
-def load(
-    body: Block, mu: float, side: float, top: float, increments: int = 1, solver: str = "newton", tol: float = 1e-9
-) -> tuple[np.ndarray, np.ndarray]:
-    """(u, r) after a load that grows in increments: side and top pressures in daN/mm², u in m, r in N per metre.
-
-    The gap is that of the whole displacement, friction sees what is added in an increment.
-    """
-    n = body.W.shape[0] // 3
-    scale = np.trace(body.W) / (3 * n)
-    rest, r, before = 0.0, np.zeros(3 * n), np.zeros(3 * n)
-    for k in range(1, increments + 1):
-        share = 1e7 * k / increments
-        base, fixed = (
-            share * (side * body.side + top * body.top),
-            share * (side * body.rigid_side + top * body.rigid_top),
-        )
-        for _ in range(200):
-            problem = nd.FC3D(body.W / scale, (base + rest * body.lift - before) / LENGTH, np.full(n, mu))
-            solution = nd.solve(problem, solver, tol=tol, r0=r)
-            if not solution.converged:
-                raise nd.NotConverged(f"{solver}: {solution.status.message}", problem, solution)
-            r = solution.r
-            step = body.rigid_W @ (r * LENGTH / scale) + fixed + rest * body.rigid_lift - rest
-            rest += step
-            if abs(step) <= 10 * tol * LENGTH:
-                break
-        else:
-            raise RuntimeError(f"the rigid mode still moves by {step:.1e} m")
-        u = solution.u * LENGTH + before
-        before = u.copy()
-        before[0::3] = 0.0
-    return u, r * LENGTH / scale
-
-
-def zones(body: Block, u: np.ndarray, r: np.ndarray) -> tuple[float, float]:
-    """Where the open and the slipping zone end, mm from the loaded side, to a facet: as `elastic_block.zones`."""
-    pitch = SIDE / body.x.size
-    is_open = r[0::3] <= 1e-6 * r[0::3].max()
-    slips = ~is_open & (np.abs(u[1::3]) > 1e-4 * np.abs(u[1::3]).max())
-    opened = 1e3 * pitch * is_open.sum()
-    return opened, max(opened, 1e3 * (body.x[slips].max(initial=-pitch) + pitch / 2))
-
-
 def uzawa_limit(m: Mixed) -> float:
     """2/λ_max of B A⁻¹ Bᵀ M_u⁻¹: the largest step ρ of u ← u + ρ (div σ + f), A σ = -Bᵀ u, for which it converges.
 
@@ -270,10 +222,10 @@ def report(pictures: Path) -> str:
     dual, displacements = block(32), primal.block(32)
     shown = {}
     for case, printed in TABLE.items():
-        u, r = load(dual, *case)
+        u, r, _ = solve(dual, *case)
         shown[case] = u, r
-        v, s, _ = primal.solve(displacements, *case)
-        a, b = zones(dual, u, r), primal.zones(displacements, v, s)
+        v, s, _ = solve(displacements, *case)
+        a, b = zones(dual, u, r), zones(displacements, v, s)
         name = ", ".join(f"{x:g}" for x in case)
         rows = " | ".join(f"{x[0]:.2f}, {x[1]:.2f}" for x in (a, b, printed))
         lines.append(f"| {name} | {rows} |")
@@ -288,9 +240,9 @@ def report(pictures: Path) -> str:
     runs, fine = {}, primal.block(64)
     for cells in (8, 16, 32):
         body = dual if cells == 32 else block(cells)
-        runs[cells] = body, *load(body, *case)
-    v = primal.solve(displacements, *case)[0]
-    exact = primal.solve(fine, *case)[0]
+        runs[cells] = body, *solve(body, *case)[:2]
+    v = solve(displacements, *case)[0]
+    exact = solve(fine, *case)[0]
     for x, value in REFERENCE.items():
         along = [1e5 * np.interp(x, body.x, u[1::3]) for body, u, _ in runs.values()]
         here = 1e5 * v[3 * round(x / displacements.x[1]) + 1]
@@ -314,9 +266,9 @@ def report(pictures: Path) -> str:
     right.legend(fontsize="small")
     figure.savefig(pictures / "dual.png", dpi=80)
     small = runs[8][0]
-    one = load(small, *case)[0]
-    many = load(small, *case, increments=20)[0]
-    by = {name: load(small, *case, solver=name, tol=1e-7)[0] for name in ("tresca", "uzawa")}
+    one = solve(small, *case)[0]
+    many = solve(small, *case, increments=20)[0]
+    by = {name: solve(small, *case, solver=name, tol=1e-7)[0] for name in ("tresca", "uzawa")}
     apart = {name: float(np.abs(u - one).max()) for name, u in by.items()}
     limits = {cells: uzawa_limit(mixed(cells)) for cells in (4, 8, 16)}
     m = mixed(4)
