@@ -1,13 +1,12 @@
 """The audit follows articulations by equations of its own: true recordings pass, and no falsified one does."""
 
-import importlib.util
 import json
 import shutil
 import sys
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
+import audits
 import falsified
 import numpy as np
 import pinocchio as pin
@@ -245,17 +244,6 @@ def test_robot_files_pass(robot, tmp_path):
     assert audit.passed and audit.not_audited == UNSEEN, audit
 
 
-BENCH = Path(__file__).parent.parent.parent / "demos" / "bench"
-
-
-@pytest.fixture(scope="module")
-def audits():
-    spec = importlib.util.spec_from_file_location("audits", BENCH / "audits.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize(
     "seed",
     [
@@ -266,7 +254,7 @@ def audits():
         ),
     ],
 )
-def test_random_robots_pass(audits, seed):
+def test_random_robots_pass(seed):
     """Among them one whose driven joint takes up impacts, and one whose loops turn fast.
 
     And contacts that do nothing at θ = 0.7 (3094), steps cut where a driven joint varies (2050), forces that work while
@@ -350,7 +338,7 @@ def test_rolling_of_a_boat_creates_nothing():
     assert audit.passed, audit
 
 
-def test_what_touches_at_the_start_stays(audits):
+def test_what_touches_at_the_start_stays():
     """Its first work is the scheme's, as all that follows."""
     audit = nd.check(audits.named("woodpecker", 0.01, 1e-3))
     assert audit.passed, audit
@@ -477,7 +465,7 @@ def test_limits_and_bodies_that_strike_in_turn_with_theta_above_half():
 
 
 @pytest.mark.slow
-def test_many_true_recordings_pass(audits, monkeypatch, capsys):
+def test_many_true_recordings_pass(monkeypatch, capsys):
     """Sixty random robots and the named scenes; `demos/bench/audits.py` has any number."""
     monkeypatch.setattr(sys, "argv", ["audits.py", "--count", "60"])
     audits.main()

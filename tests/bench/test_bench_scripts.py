@@ -50,7 +50,6 @@ def printed(script, arguments, monkeypatch, capsys):
         command = [sys.executable, str(BENCH / script), *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
     monkeypatch.setattr(sys, "argv", [script, *arguments])
-    monkeypatch.syspath_prepend(BENCH)  # the scripts import each other
     try:
         runpy.run_path(str(BENCH / script), run_name="__main__")
     except SystemExit as end:

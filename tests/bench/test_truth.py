@@ -1,14 +1,7 @@
 """Scenes that try to prove the step wrong, and their bars: `demos/bench/truth.py`."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
-
-PATH = Path(__file__).resolve().parent.parent.parent / "demos" / "bench" / "truth.py"
-spec = importlib.util.spec_from_file_location("truth", PATH)
-truth = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(truth)
+import truth
 
 # Without those that measure times, which are no test on a busy machine.
 QUICK = [name for name, claim in truth.BARS.items() if claim.quick]

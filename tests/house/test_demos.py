@@ -1,29 +1,23 @@
 """Every demonstration runs and gives the numbers it promises."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 
+import gallery
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import sliding
+import stacking
+import tipping
 
 from nsdyn.view import browser
 
 DEMOS = Path(__file__).resolve().parent.parent.parent / "demos"
 
 
-def demo(name):
-    spec = importlib.util.spec_from_file_location(name, DEMOS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where its dataclasses look
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_sliding():
-    sliding = demo("sliding")
     trajectories = sliding.run()
     distances = np.array([sliding.distance(t) for t in trajectories])
     # The last step stops inside itself: mu g dt²/8 = 6e-7 m, for every heading the same to round-off.
@@ -34,7 +28,6 @@ def test_sliding():
 
 
 def test_stacking():
-    stacking = demo("stacking")
     trajectory = stacking.run()
     np.testing.assert_allclose(stacking.loads(trajectory), stacking.EXPECTED["loads"], rtol=1e-8)
     assert stacking.drift(trajectory) <= 1e-8
@@ -42,7 +35,6 @@ def test_stacking():
 
 def test_tipping():
     """A quarter of the diagram each way: every block does what mechanics has."""
-    tipping = demo("tipping")
     mu, slenderness = tipping.MU[1::4], tipping.SLENDERNESS[::4]
     exact = [[tipping.expected(m, s) for m in mu] for s in slenderness]
     assert {fate for row in exact for fate in row} == {0, 1, 2, 3}
@@ -52,7 +44,6 @@ def test_tipping():
 @pytest.mark.slow
 def test_the_gallery_is_what_its_script_writes(tmp_path, monkeypatch, capsys):
     """One section anew, but for times; of the others title, law and command."""
-    gallery = demo("gallery")
     page = (DEMOS / "README.md").read_text()
     assert page.startswith(gallery.HEAD) and "FAILED" not in page
     for exhibit in gallery.EXHIBITS:

@@ -1,15 +1,15 @@
 """Files from strangers are data: a clear error, no crash, no path outside the folders given, no memory beyond them."""
 
-import importlib.util
 import os
 import resource
 import shutil
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
+import anything
 import coal
+import fuzz
 import h5py
 import numpy as np
 import pytest
@@ -19,20 +19,6 @@ import nsdyn as nd
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.scene import meshes
 from nsdyn.tools import datasets
-
-BENCH = Path(__file__).resolve().parent.parent.parent / "demos" / "bench"
-
-
-def script(name):
-    """A script of demos/bench as a module."""
-    spec = importlib.util.spec_from_file_location(name, BENCH / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where the functions of a dataclass look
-    spec.loader.exec_module(module)
-    return module
-
-
-fuzz = script("fuzz")
 
 
 @pytest.mark.parametrize(
@@ -351,7 +337,6 @@ def test_what_does_not_fit_on_a_disk_is_told_and_leaves_nothing(full):
 
 # -- scenes ---------------------------------------------------------------------------------------------------------
 
-anything = script("anything")
 FINE = {"passed", "refused", "stopped", "missed, warned of", "squeezed, told"}
 
 

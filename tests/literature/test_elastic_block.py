@@ -1,20 +1,10 @@
 """The elastic block of the literature: displacements and contact zones, by solvers of different kinds."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
+import elastic_block
 import numpy as np
 import pytest
 
 pytest.importorskip("skfem", reason="scikit-fem is not installed (extra `fem`)")
-
-spec = importlib.util.spec_from_file_location(
-    "elastic_block", Path(__file__).resolve().parent.parent.parent / "demos" / "elastic_block.py"
-)
-elastic_block = importlib.util.module_from_spec(spec)
-sys.modules["elastic_block"] = elastic_block
-spec.loader.exec_module(elastic_block)
 
 
 @pytest.fixture(scope="module")

@@ -1,42 +1,25 @@
 """The studies of demos/papers: each formula against a second form of it."""
 
 import math
-import sys
-from pathlib import Path
 
+import accelerations
+import coulomb
+import dual
+import elastic_block
+import increments
 import numpy as np
 import pytest
 
 import nsdyn as nd
 
-DEMOS = Path(__file__).resolve().parent.parent.parent / "demos"
-
-
-@pytest.fixture(autouse=True)
-def folder(monkeypatch):
-    monkeypatch.setattr(sys, "path", [str(DEMOS / "papers"), str(DEMOS), *sys.path])
-
 
 @pytest.fixture
-def dual(folder):
+def fem():
     pytest.importorskip("skfem", reason="scikit-fem is not installed (extra `fem`)")
-    import dual
-
-    return dual
-
-
-@pytest.fixture
-def increments(folder):
-    pytest.importorskip("skfem", reason="scikit-fem is not installed (extra `fem`)")
-    import increments
-
-    return increments
 
 
 def test_profiles_of_variants():
     """Both tolerances from one run: the loose one is met first; a limit that nothing meets leaves nothing solved."""
-    import coulomb
-
     problems = coulomb.load([])
     assert [p.singular for p in problems] == [
         np.linalg.matrix_rank(p.problem.W.toarray()) < 3 * p.problem.nc for p in problems
@@ -53,8 +36,6 @@ def test_profiles_of_variants():
 
 def test_claims_are_decided_by_the_numbers():
     """A claim flips with the runs it is decided by."""
-    import coulomb
-
     from nsdyn.bench.profiles import Profile, Run
 
     def profile(a, b):
@@ -77,7 +58,7 @@ def test_claims_are_decided_by_the_numbers():
         assert f"**{verdict}**" in claim.line({"local tolerance": [profile(b, a), profile(a, b)]})
 
 
-def test_tangent_against_differences(increments, rng):
+def test_tangent_against_differences(fem, rng):
     cube = increments.Cube(1)
     U, d, h = 2e-3 * rng.normal(size=cube.basis.N), rng.normal(size=cube.basis.N), 1e-7
     K = cube.tangent(U)
@@ -86,7 +67,7 @@ def test_tangent_against_differences(increments, rng):
     assert abs(K - K.T).max() <= 1e-12 * abs(K).max()
 
 
-def test_increments_converge_quadratically(increments):
+def test_increments_converge_quadratically(fem):
     """The residual falls as its square with the tangent updated, by a factor with it held; both end at one place."""
     cube, path = increments.Cube(2), increments.loading(6)[:2]
     solver = nd.solvers.Newton(tol=1e-11)
@@ -104,14 +85,14 @@ def test_increments_converge_quadratically(increments):
 
 
 @pytest.mark.slow
-def test_bundle_method_on_the_cube(increments):
+def test_bundle_method_on_the_cube(fem):
     cube, path = increments.Cube(2), increments.loading(6)[:1]
     exact = increments.load(cube, path, nd.solvers.Auto(tol=1e-10, loose=1e-10))
     bundle = increments.load(cube, path, nd.solvers.Bundle(tol=1e-6, max_iter=20_000), tol=1e-5)
     np.testing.assert_allclose(bundle.U[-1], exact.U[-1], rtol=0, atol=1e-8)
 
 
-def test_dual_elements_are_exact_for_a_constant_stress(dual):
+def test_dual_elements_are_exact_for_a_constant_stress(fem):
     """Pressed from above without friction: σ_yy is constant, every facet carries its share, u_x is linear."""
     f = 5.0
     body = dual.block(4)
@@ -123,7 +104,7 @@ def test_dual_elements_are_exact_for_a_constant_stress(dual):
     assert np.abs(u[0::3]).max() <= 1e-9 * strain * dual.SIDE
 
 
-def test_flexibility_of_the_dual_elements(dual):
+def test_flexibility_of_the_dual_elements(fem):
     """Symmetric, definite, and a third facet's displacement by forces on it is that of the saddle-point problem."""
     body = dual.block(6)
     values = np.linalg.eigvalsh(body.W)
@@ -135,10 +116,8 @@ def test_flexibility_of_the_dual_elements(dual):
     np.testing.assert_allclose(body.lift[0::3], 1.0, rtol=1e-9)
 
 
-def test_dual_beside_primal(dual):
+def test_dual_beside_primal(fem):
     """The two discretisations enclose the truth: they come together as the mesh is refined."""
-    import elastic_block
-
     case, apart = (1.0, 15.0, -5.0), []
     for cells in (4, 8, 16):
         body, other = dual.block(cells), elastic_block.block(cells)
@@ -148,7 +127,7 @@ def test_dual_beside_primal(dual):
     assert apart[2] <= 0.6 * apart[1] <= 0.6 * 0.75 * apart[0] and apart[2] <= 0.02
 
 
-def test_tresca_uzawa_and_increments(dual):
+def test_tresca_uzawa_and_increments(fem):
     case, body = (0.2, 10.0, -15.0), dual.block(8)
     u, r, _ = dual.solve(body, *case, tol=1e-10)
     for solver in ("tresca", "uzawa"):
@@ -159,7 +138,7 @@ def test_tresca_uzawa_and_increments(dual):
     np.testing.assert_allclose(ten[1], r, rtol=0, atol=0.02 * r.max())
 
 
-def test_uzawa_step_of_the_displacements_depends_on_the_mesh(dual):
+def test_uzawa_step_of_the_displacements_depends_on_the_mesh(fem):
     """Below 2/λ_max the iteration contracts, above it grows; a quarter on half the mesh, so no interval serves all."""
     coarse, fine = dual.mixed(3), dual.mixed(6)
     limit = dual.uzawa_limit(coarse)
@@ -168,7 +147,7 @@ def test_uzawa_step_of_the_displacements_depends_on_the_mesh(dual):
 
 
 @pytest.mark.slow
-def test_zones_of_the_dual_elements(dual):
+def test_zones_of_the_dual_elements(fem):
     body = dual.block(32)
     for case, expected in dual.CASES.items():
         # Two facets of 1.25 mm, as for the primal elements.
@@ -176,19 +155,15 @@ def test_zones_of_the_dual_elements(dual):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("section", ["increments", "accelerations", "dual"])
-def test_sections_of_the_page(section, tmp_path):
-    pytest.importorskip("skfem", reason="scikit-fem is not installed (extra `fem`)")
+@pytest.mark.parametrize("section", [increments, accelerations, dual], ids=lambda m: m.__name__)
+def test_sections_of_the_page(fem, section, tmp_path):
     pytest.importorskip("clarabel", reason="the extra 'acceleration' is not installed")
-    module = __import__(section)
-    text = module.report(tmp_path)
-    assert text.startswith("## ") and (tmp_path / f"{section}.png").stat().st_size > 10_000
+    text = section.report(tmp_path)
+    assert text.startswith("## ") and (tmp_path / f"{section.__name__}.png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
 def test_section_of_the_solvers(tmp_path):
-    import coulomb
-
     text = coulomb.report([], tmp_path, limit=0.05)
     verdicts = sum(text.count(f"**{word}**") for word in ("Agrees", "Does not agree", "Undecided", "Yes", "No"))
     assert verdicts == sum(map(len, coulomb.claims([]).values()))

@@ -1,9 +1,9 @@
 """What robots look like: visual shapes of URDF, MJCF and SDF, their meshes, colours and what a recording keeps."""
 
 import importlib.metadata
-import sys
 from pathlib import Path
 
+import fuzz
 import numpy as np
 import pytest
 
@@ -12,9 +12,6 @@ from nsdyn.recording import schema
 from nsdyn.scene import meshes, simplified, visuals
 from nsdyn.scene.visuals import MeshFile
 from nsdyn.tools.array_text import from_text, to_text
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "demos" / "bench"))
-import fuzz
 
 URDF = """<robot name="r"><material name="dark"><color rgba="0.1 0.2 0.3 1"/></material>
 <link name="base"><visual><origin xyz="0 0 1"/><geometry><box size="1 2 3"/></geometry><material name="dark"/></visual>

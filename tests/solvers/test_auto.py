@@ -1,8 +1,8 @@
 """The portfolio and the interior point method on what defeats other solvers: cold, redundant, unsymmetric, mixed."""
 
-import runpy
 from pathlib import Path
 
+import landing
 import numpy as np
 import pytest
 import scipy.linalg
@@ -16,7 +16,6 @@ from nsdyn.problem.operators import Local, Velocity
 from nsdyn.problem.solution import Status
 from nsdyn.solvers import auto
 
-LANDING = Path(__file__).resolve().parents[2] / "demos" / "bench" / "landing.py"
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 SOLVERS = ("auto", "continuation", "interior")
 
@@ -315,7 +314,7 @@ def test_small_islands_of_redundant_contacts_need_nothing_else(tmp_path, monkeyp
     """A chain of twenty light links lands on twice as many rows as coordinates: impulses are far from unique."""
     searched, most, path = [], 0, tmp_path / "chain.xml"
     monkeypatch.setattr(auto.Search, "run", lambda search: searched.append(search.problem.nc))
-    path.write_text(runpy.run_path(str(LANDING))["mjcf"](20))
+    path.write_text(landing.mjcf(20))
     scene = nd.Scene()
     scene.add_mjcf("chain", path)
     stepper = nd.Stepper(scene, dt=2e-3, on_fail="raise")

@@ -1,25 +1,13 @@
 """Moves and steps of the compiled kernel have the bits of the general ones, which ask what else might happen."""
 
-import importlib.util
-from pathlib import Path
-
+import anything
+import audits
 import numpy as np
 import pytest
 from mechanisms import add, four_bars
 
 import nsdyn as nd
 from nsdyn.stepping import eventless, move_kernel
-
-BENCH = Path(__file__).resolve().parents[2] / "demos" / "bench"
-
-
-def script(name):
-    """A script of the benchmarks."""
-    spec = importlib.util.spec_from_file_location(name, BENCH / f"{name}.py")
-    out = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(out)
-    return out
-
 
 KERNEL = (eventless.EventlessSteps, "step"), (move_kernel.MoveKernel, "respond")
 
@@ -131,7 +119,7 @@ def test_eventless_steps_of_bodies_that_are_pushed_are_the_general_ones(name, pa
 @pytest.mark.parametrize("seed", range(700, 740))
 def test_random_robots_are_made_alike(seed, monkeypatch):
     """Limits, dry friction, gears, loops, drives, controllers and pushes: what the kernel leaves and what it makes."""
-    scene, options = script("audits").random_robot(seed)
+    scene, options = audits.random_robot(seed)
     made(scene, 0.15, options, monkeypatch, least=0)
 
 
@@ -139,7 +127,7 @@ def test_random_robots_are_made_alike(seed, monkeypatch):
 @pytest.mark.parametrize("seed", [*range(9000, 9009), *range(9010, 9040)])  # the arm of 9009 begins in the ground
 def test_random_scenes_are_made_alike(seed, monkeypatch, tmp_path):
     """Bodies of any shapes, masses and laws of impact that meet, with an arm beside some, pushed and not."""
-    scene, options, _ = script("anything").random_scene(seed, tmp_path)
+    scene, options, _ = anything.random_scene(seed, tmp_path)
     if seed % 2:
         weights = {body.name: 1e-2 * body.mass for body in scene.free_bodies}
 

@@ -1,9 +1,8 @@
 """Robots on pages as their files show them, or as their collision shapes."""
 
 import io
-import sys
-from pathlib import Path
 
+import fuzz
 import numpy as np
 import pytest
 from pages import RESTED
@@ -12,9 +11,6 @@ import nsdyn as nd
 from nsdyn.scene import meshes
 from nsdyn.tools.array_text import from_text
 from nsdyn.view import browser, looks, stage
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "demos" / "bench"))
-import fuzz
 
 # A red box of 0.1 x 0.2 x 0.3 m from a mesh file, in two places of which one mirrors it; a small ball collides.
 URDF = """<robot name="r"><link name="base"><inertial><mass value="1"/>
