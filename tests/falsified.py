@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-from mechanisms import add, at, four_bars, limit, rod
+from mechanisms import add, at, four_bars, hang, limit, lump, rod, serial
 
 import nsdyn as nd
 from nsdyn.recording.retrace import trees
@@ -17,12 +17,7 @@ from nsdyn.scene import shapes
 
 def _arm():
     """Three links with limits and dry friction that fall on the ground and against their limits."""
-    model, parent, place = pin.Model(), 0, at((0, 0, 0))
-    for k in range(3):
-        parent = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}")
-        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.array([0, 0, -0.2]), np.eye(3) / 50), at((0, 0, 0)))
-        place = at((0, 0, -0.4))
-    limit(model, -0.5, 0.9)
+    model = limit(serial([pin.JointModelRY()] * 3, lump(1.0, 1 / 50, (0, 0, -0.2)), (0, 0, -0.4)), -0.5, 0.9)
     scene, material = nd.Scene(name="arm"), nd.Material(mu=0.5)
     scene.add_halfspace("ground", offset=-1.1, material=material)
     capsule = shapes.capsule(0.03, 0.3), at((0, 0, -0.2))
@@ -62,10 +57,8 @@ def _bars():
 def _cart():
     """A pendulum on a driven cart, which strikes nothing."""
     model = pin.Model()
-    cart = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "cart")
-    model.appendBodyToJoint(cart, pin.Inertia(2.0, np.zeros(3), 0.01 * np.eye(3)), at((0, 0, 0)))
-    pole = model.addJoint(cart, pin.JointModelRY(), at((0, 0, 0)), "pole")
-    model.appendBodyToJoint(pole, rod((0, 0, -1)), at((0, 0, 0)))
+    cart = hang(model, 0, "cart", pin.JointModelPX(), lump(2.0, 0.01))
+    hang(model, cart, "pole", pin.JointModelRY(), rod((0, 0, -1)))
     scene = nd.Scene(name="cart")
     add(scene, "cart", limit(model), q=(0.0, 1.0), v=(1.5, 2.0))
     scene.set_motion("cart/cart", velocity=1.5)
@@ -74,11 +67,7 @@ def _cart():
 
 def _machine():
     """A geared arm under a saturated motor, with a forearm that is pushed and strikes its limits."""
-    model, parent = pin.Model(), 0
-    for k in range(3):
-        parent = model.addJoint(parent, pin.JointModelRY(), at((0, 0, -0.5 if k else 0)), f"j{k}")
-        model.appendBodyToJoint(parent, rod((0, 0, -0.5)), at((0, 0, 0)))
-    limit(model)
+    model = limit(serial([pin.JointModelRY()] * 3, rod((0, 0, -0.5)), (0, 0, -0.5)))
     model.lowerPositionLimit[2], model.upperPositionLimit[2] = -0.3, 0.3
     scene = nd.Scene(name="machine")
     add(
@@ -107,16 +96,11 @@ def _machine():
 
 def _crank():
     """A rod on a crank that turns to and fro, between limits."""
-    model = pin.Model()
-    crank = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "crank")
-    model.appendBodyToJoint(crank, rod((0, 0, -0.5)), at((0, 0, 0)))
-    end = model.addJoint(crank, pin.JointModelRY(), at((0, 0, -0.5)), "rod")
-    model.appendBodyToJoint(end, rod((0, 0, -0.5)), at((0, 0, 0)))
-    limit(model)
+    model = limit(serial([pin.JointModelRY()] * 2, rod((0, 0, -0.5)), (0, 0, -0.5)))
     model.lowerPositionLimit[1], model.upperPositionLimit[1] = -0.2, 0.2
     scene = nd.Scene(name="crank")
     add(scene, "crank", model, v=[0.0, 2.0], damping=0.02)
-    scene.set_motion("crank/crank", velocity=lambda t: 2.0 * np.sin(20.0 * t))
+    scene.set_motion("crank/j0", velocity=lambda t: 2.0 * np.sin(20.0 * t))
     return nd.simulate(scene, 0.3, 5e-3)
 
 
@@ -126,8 +110,7 @@ def _snake():
     kinds = pin.JointModelFreeFlyer, pin.JointModelSpherical, pin.JointModelRX, pin.JointModelSpherical
     link = pin.Inertia(0.5, np.array([0, 0, -0.15]), np.diag([3.75e-3, 3.75e-3, 2e-4]))
     for k, kind in enumerate(kinds):
-        parent = model.addJoint(parent, kind(), at((0, 0, -0.3 if k else 0)), f"s{k}")
-        model.appendBodyToJoint(parent, link, at((0, 0, 0)))
+        parent = hang(model, parent, f"s{k}", kind(), link, (0, 0, -0.3 if k else 0))
     limit(model)
     q = pin.integrate(model, pin.neutral(model), 0.4 * rng.normal(size=model.nv))
     q[:3] = 0.0, 0.0, 1.25
@@ -151,8 +134,7 @@ def _snake():
 def _ball():
     """A link on a ball joint with dry friction."""
     model = pin.Model()
-    model.addJoint(0, pin.JointModelSpherical(), at((0, 0, 0)), "ball")
-    model.appendBodyToJoint(1, rod((0, 0, -0.5)), at((0, 0, 0)))
+    hang(model, 0, "ball", pin.JointModelSpherical(), rod((0, 0, -0.5)))
     scene = nd.Scene(name="ball")
     add(scene, "ball", limit(model), v=(1.0, 2.0, 0.5), limits=False, friction=0.2)
     return nd.simulate(scene, 0.1, 5e-3)

@@ -22,10 +22,32 @@ def at(point):
     return pin.SE3(np.eye(3), np.array(point, dtype=float))
 
 
+def lump(mass, moments, middle=(0, 0, 0)):
+    """Inertia of a body with its moments, or its one moment, about its middle."""
+    moments = np.array(moments, dtype=float)
+    return pin.Inertia(mass, np.array(middle, dtype=float), moments if moments.ndim == 2 else moments * np.eye(3))
+
+
 def rod(end, mass=1.0):
     """Inertia of a thin homogeneous rod from the origin to `end`."""
     d = np.array(end, dtype=float)
     return pin.Inertia(mass, d / 2, mass / 12 * (d @ d * np.eye(3) - np.outer(d, d)) + 1e-9 * np.eye(3))
+
+
+def hang(model, parent, name, joint, inertia, place=(0, 0, 0)):
+    """Hang a body on a parent by a joint, at a point of it or turned; its index."""
+    index = model.addJoint(parent, joint, place if isinstance(place, pin.SE3) else at(place), name)
+    model.appendBodyToJoint(index, inertia, pin.SE3.Identity())
+    return index
+
+
+def serial(joints, inertias, place):
+    """A model of bodies that hang from each other at a place of the one before; one inertia may be that of all."""
+    model, parent = pin.Model(), 0
+    for k, joint in enumerate(joints):
+        inertia = inertias if isinstance(inertias, pin.Inertia) else inertias[k]
+        parent = hang(model, parent, f"j{k}", joint, inertia, place if k else (0, 0, 0))
+    return model
 
 
 def limit(model, lower=-np.inf, upper=np.inf):
@@ -38,18 +60,13 @@ def limit(model, lower=-np.inf, upper=np.inf):
 
 def pendulum(links=1, lower=-np.inf, upper=np.inf):
     """Rods of 1 m and 1 kg that hang from each other and turn about y."""
-    model, joint = pin.Model(), 0
-    for k in range(links):
-        joint = model.addJoint(joint, pin.JointModelRY(), at((0, 0, -1 if k else 0)), f"j{k}")
-        model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
-    return limit(model, lower, upper)
+    return limit(serial([pin.JointModelRY()] * links, rod((0, 0, -1)), (0, 0, -1)), lower, upper)
 
 
 def slider(mass=2.0, lower=-np.inf, upper=np.inf):
     """A mass on a rail along x."""
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    hang(model, 0, "rail", pin.JointModelPX(), lump(mass, 0.01))
     return limit(model, lower, upper)
 
 
@@ -61,13 +78,10 @@ def four_bars(windows):
     """
     up, right = np.array((0, 0, 1.0)), np.array((1.0, 0, 0))
     model, loops = pin.Model(), []
-    joint, tip = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "v0"), up
-    model.appendBodyToJoint(joint, rod(up), pin.SE3.Identity())
+    joint, tip = hang(model, 0, "v0", pin.JointModelRY(), rod(up)), up
     for k in range(windows):
-        bar = model.addJoint(joint, pin.JointModelRY(), at(tip), f"h{k}")
-        model.appendBodyToJoint(bar, rod(right), pin.SE3.Identity())
-        joint, tip = model.addJoint(bar, pin.JointModelRY(), at(right), f"v{k + 1}"), np.zeros(3)
-        model.appendBodyToJoint(joint, rod(-up), pin.SE3.Identity())
+        bar = hang(model, joint, f"h{k}", pin.JointModelRY(), rod(right), tip)
+        joint, tip = hang(model, bar, f"v{k + 1}", pin.JointModelRY(), rod(-up), right), np.zeros(3)
         loops.append(Loop(f"foot{k + 1}", 0, at((k + 1, 0, 0)), joint, at(-up)))
     return limit(model), loops, np.array([1.0, *([-1.0, 1.0] * windows)])
 
@@ -86,9 +100,10 @@ def bricard():
         """Rods along the edges from places[0] on; half of the last one."""
         joint, origin = 0, np.zeros(3)
         for k, hinge in enumerate(hinges):
-            joint = model.addJoint(joint, hinge(), at(places[k] - origin), names[k])
             share = 0.5 if k == 2 else 1.0
-            model.appendBodyToJoint(joint, rod(share * (places[k + 1] - places[k]), share), pin.SE3.Identity())
+            joint = hang(
+                model, joint, names[k], hinge(), rod(share * (places[k + 1] - places[k]), share), places[k] - origin
+            )
             origin = places[k]
         return joint, at((places[3] - places[2]) / 2)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import DATA, write_stl
-from mechanisms import add, at, four_bars, pendulum
+from mechanisms import add, at, four_bars, hang, limit, lump, pendulum, serial
 
 import nsdyn as nd
 from nsdyn.audit.findings import TOLERANCES
@@ -41,9 +41,8 @@ def test_true_recordings_pass(name):
 def test_a_link_that_spins_fast_passes(v, dt, how):
     """It turns by a tenth of a rad in half a step: what acts there is as much in doubt as where it is."""
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     inertia = pin.Inertia(1.0, np.array([0, 0, -0.1]), np.diag([4e-3, 3e-3, 3e-3]))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    joint = hang(model, 0, "body", pin.JointModelFreeFlyer(), inertia)
     model.addBodyFrame("link", joint, pin.SE3.Identity(), model.addJointFrame(joint))
     scene = nd.Scene()
     scene.add_model("robot", model, v=v)
@@ -55,10 +54,8 @@ def test_a_link_that_spins_fast_passes(v, dt, how):
 def test_what_is_driven_by_a_round_number_passes(speed, dt):
     """It turns by a tenth of a rad in half a step, which the step takes in one part: in two its doubt was too small."""
     model = pin.Model()
-    spin = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "spin")
-    model.appendBodyToJoint(spin, pin.Inertia(5.0, np.zeros(3), np.diag([1.0, 1.0, 2.0])), pin.SE3.Identity())
-    arm = model.addJoint(spin, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0])), "arm")
-    model.appendBodyToJoint(arm, pin.Inertia(1.0, np.array([0.2, 0.0, -0.3]), 0.01 * np.eye(3)), pin.SE3.Identity())
+    spin = hang(model, 0, "spin", pin.JointModelRZ(), lump(5.0, (1.0, 1.0, 2.0)))
+    hang(model, spin, "arm", pin.JointModelRY(), lump(1.0, 0.01, (0.2, 0.0, -0.3)), (0.3, 0.0, 0.0))
     scene = nd.Scene()
     scene.add_model("robot", model, v=(speed, 0.0), friction=(0.0, 100.0))
     scene.set_motion("robot/spin", velocity=speed)
@@ -272,12 +269,8 @@ def test_random_robots_pass(seed):
 @pytest.mark.parametrize("kind", [pin.JointModelRY, pin.JointModelSpherical])
 def test_a_heavy_payload_passes(kind):
     """Links whipped by 10 000 times their mass, which are fast for a short time: thousands of parts of one length."""
-    model, parent, place = pin.Model(), 0, at((0, 0, 0))
-    for k, mass in enumerate((1.0, 1.0, 1e4)):
-        parent = model.addJoint(parent, kind(), place, f"j{k}")
-        body = pin.Inertia(mass, np.array([0, 0, -0.25]), mass / 48.0 * np.eye(3))
-        model.appendBodyToJoint(parent, body, at((0, 0, 0)))
-        place = at((0, 0, -0.5))
+    bodies = [lump(mass, mass / 48, (0, 0, -0.25)) for mass in (1.0, 1.0, 1e4)]
+    model = serial([kind()] * 3, bodies, (0, 0, -0.5))
     scene, start = nd.Scene(), np.resize([0.5, 0.2, -0.3, 0.4], model.nv)
     scene.add_model("arm", model, q=pin.integrate(model, pin.neutral(model), start), limits=False)
     audit = nd.check(nd.simulate(scene, 0.15, 1e-2))
@@ -287,12 +280,7 @@ def test_a_heavy_payload_passes(kind):
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 def test_a_driven_arm_that_hits_a_box_passes(restitution):
     """With θ = 1 the moves after impacts act when these do; drives work in flows of a whole step, to fourth order."""
-    model, parent, place = pin.Model(), 0, at((0, 0, 0))
-    for k in range(3):
-        parent = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}")
-        model.addJointFrame(parent)
-        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.array([0, 0, -0.2]), 0.02 * np.eye(3)), at((0, 0, 0)))
-        place = at((0, 0, -0.4))
+    model = limit(serial([pin.JointModelRY()] * 3, lump(1.0, 0.02, (0, 0, -0.2)), (0, 0, -0.4)))
     scene, material = nd.Scene(), nd.Material(mu=0.4, restitution=restitution)
     scene.add_halfspace("ground", offset=-1.1, material=material)
     scene.add_box("box", (0.2, 0.2, 0.2), 0.7, position=(-0.85, 0, -1.0), material=material)
@@ -308,8 +296,7 @@ def test_a_driven_arm_that_hits_a_box_passes(restitution):
 def test_what_hangs_still_passes():
     """Its weight has no part along the joint but round-off, which nothing else is of the size of."""
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.1, 0.0, -0.3]), 0.02 * np.eye(3)), pin.SE3.Identity())
+    hang(model, 0, "hinge", pin.JointModelRY(), lump(1.0, 0.02, (0.1, 0.0, -0.3)))
     scene = nd.Scene()
     scene.add_model("a", model, q=[np.arctan2(0.1, 0.3)])
     t = nd.simulate(scene, 0.5, dt=5e-3)
@@ -321,13 +308,9 @@ def test_what_hangs_still_passes():
 def test_rolling_of_a_boat_creates_nothing():
     """The work of contacts that stay closed is O(h²) of a motion, and in the ledger as numerics."""
     model = pin.Model()
-    hull = model.addJoint(0, pin.JointModelFreeFlyer(), at((0, 0, 0)), "hull")
+    hull = hang(model, 0, "hull", pin.JointModelFreeFlyer(), lump(1.0, (0.003, 0.004, 0.003), (0, 0, -0.05)))
     model.addJointFrame(hull)
-    model.appendBodyToJoint(
-        hull, pin.Inertia(1.0, np.array([0, 0, -0.05]), np.diag([0.003, 0.004, 0.003])), at((0, 0, 0))
-    )
-    inside = model.addJoint(hull, pin.JointModelRX(), at((0, 0, 0)), "inside")
-    model.appendBodyToJoint(inside, pin.Inertia(0.2, np.array([0, 0, -0.03]), 1e-4 * np.eye(3)), at((0, 0, 0)))
+    hang(model, hull, "inside", pin.JointModelRX(), lump(0.2, 1e-4, (0, 0, -0.03)))
     lying = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.zeros(3))
     scene, material = nd.Scene(), nd.Material(mu=0.8)
     scene.add_halfspace("ground", material=material)
@@ -347,10 +330,8 @@ def test_what_touches_at_the_start_stays():
 def test_limits_and_contacts_that_rebound_in_turn():
     """Their works are what changes the kinetic energy in all: parts are bounded, the sum is known to round-off."""
     model = pin.Model()
-    base = model.addJoint(0, pin.JointModelFreeFlyer(), at((0, 0, 0)), "base")
-    model.appendBodyToJoint(base, pin.Inertia(3.0, np.zeros(3), np.diag([0.05, 0.06, 0.08])), at((0, 0, 0)))
-    leg = model.addJoint(base, pin.JointModelRY(), at((0.2, 0.12, -0.03)), "leg")
-    model.appendBodyToJoint(leg, pin.Inertia(0.3, np.array([0, 0, -0.1]), np.diag([2e-3, 2e-3, 2e-4])), at((0, 0, 0)))
+    base = hang(model, 0, "base", pin.JointModelFreeFlyer(), lump(3.0, (0.05, 0.06, 0.08)))
+    leg = hang(model, base, "leg", pin.JointModelRY(), lump(0.3, (2e-3, 2e-3, 2e-4), (0, 0, -0.1)), (0.2, 0.12, -0.03))
     for joint in (base, leg):
         model.addJointFrame(joint)
     for bound, sign in ((model.lowerPositionLimit, -1.0), (model.upperPositionLimit, 1.0)):
@@ -424,8 +405,7 @@ def test_light_links_that_carry_a_load_on_a_loop_pass(force, duration, dt):
 def test_a_rod_that_falls_on_the_edge_of_a_driven_plate_passes(quickens):
     """It strikes anywhere in a step, on an edge that moves: where the plate is then counts, not where it is halfway."""
     model = pin.Model()
-    cart = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "cart")
-    model.appendBodyToJoint(cart, pin.Inertia.FromSphere(10.0, 0.1), at((0, 0, 0)))
+    cart = hang(model, 0, "cart", pin.JointModelPX(), pin.Inertia.FromSphere(10.0, 0.1))
     hinge = model.addJoint(cart, pin.JointModelRY(), at((0, 0, 0.2)), "rod")
     model.appendBodyToJoint(hinge, pin.Inertia.FromCapsule(0.3, 0.02, 0.3), at((0, 0, 0.2)))
     model.addBodyFrame("limb", hinge, at((0, 0, 0.2)), 0)
@@ -452,8 +432,7 @@ def test_a_linkage_at_rest_passes():
 def test_limits_and_bodies_that_strike_in_turn_with_theta_above_half():
     """A capsule falls on an arm that rests on its limit: where it strikes is in doubt in a step that is cut."""
     model, material = pin.Model(), nd.Material(mu=0.5, restitution=0.6)
-    arm = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "arm")
-    model.appendBodyToJoint(arm, pin.Inertia(0.2, np.array([0.2, 0, 0]), np.diag([1e-3, 3e-3, 3e-3])), at((0, 0, 0)))
+    arm = hang(model, 0, "arm", pin.JointModelRY(), lump(0.2, (1e-3, 3e-3, 3e-3), (0.2, 0, 0)))
     model.addJointFrame(arm)
     model.lowerPositionLimit[:], model.upperPositionLimit[:] = -1.0, 0.0
     scene, lying = nd.Scene(), pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.array([0.2, 0, 0]))
@@ -478,8 +457,7 @@ def test_many_true_recordings_pass(monkeypatch, capsys):
 def test_a_joint_that_friction_holds_at_the_origin_passes(friction):
     """Its placement and its centre of mass are 0: the size of its energy is that of its inertia."""
     model = pin.Model()
-    model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "j")
-    model.appendBodyToJoint(1, pin.Inertia(3.7, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    hang(model, 0, "j", pin.JointModelPZ(), lump(3.7, 1.0))
     scene = nd.Scene()
     scene.add_model("r", model, q=[0.0], friction=np.array([3.7 * 9.81 + friction]))
     assert nd.check(nd.simulate(scene, 0.2, dt=5e-3)).passed

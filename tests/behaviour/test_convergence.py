@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanisms import hang, lump
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
@@ -316,10 +317,7 @@ def test_stiff_springs_do_not_shorten_moves(stiffness):
     """They are solved implicitly, so that no move is halved for their vibrations."""
     model, parent = pin.Model(), 0
     for name in ("inner", "outer"):
-        parent = model.addJoint(parent, pin.JointModelRY(), pin.SE3(np.eye(3), np.array((0.0, 0.0, -0.5))), name)
-        model.appendBodyToJoint(
-            parent, pin.Inertia(1.0, np.array((0.0, 0.0, -0.5)), np.eye(3) / 12), pin.SE3.Identity()
-        )
+        parent = hang(model, parent, name, pin.JointModelRY(), lump(1.0, 1 / 12, (0.0, 0.0, -0.5)), (0.0, 0.0, -0.5))
     scene = nd.Scene()
     scene.add_model("arm", model, q=(0.3, -0.2), stiffness=(stiffness, stiffness), rest=(0.1, 0.0))
     stepper = nd.Stepper(scene, dt=1e-2)

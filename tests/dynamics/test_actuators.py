@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanisms import add, at, four_bars, limit, pendulum, slider
+from mechanisms import add, at, four_bars, limit, lump, pendulum, serial, slider
 
 import nsdyn as nd
 from nsdyn.scene import shapes
@@ -186,11 +186,7 @@ def test_limit_friction_and_actuator_in_one_joint(kp, kd):
 
 def chain():
     """Two masses on each other along x, the second within 5 cm of the first."""
-    model, joint = pin.Model(), 0
-    for k in range(2):
-        joint = model.addJoint(joint, pin.JointModelPX(), pin.SE3.Identity(), f"j{k}")
-        model.appendBodyToJoint(joint, pin.Inertia(1.0 + k, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    limit(model)
+    model = limit(serial([pin.JointModelPX()] * 2, [lump(1.0, 0.01), lump(2.0, 0.01)], (0, 0, 0)))
     model.lowerPositionLimit, model.upperPositionLimit = np.array((-1.0, -0.05)), np.array((1.0, 0.05))
     return model
 

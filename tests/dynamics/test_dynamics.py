@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanisms import hang, lump
 
 import nsdyn as nd
 from nsdyn.collision.contacts import ContactSet
@@ -47,8 +48,7 @@ def test_free_bodies_against_one_pinocchio_model():
 
     model = pin.Model()
     for body in scene.free_bodies:
-        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), body.name)
-        model.appendBodyToJoint(joint, pin.Inertia(body.mass, np.zeros(3), body.inertia), pin.SE3.Identity())
+        hang(model, 0, body.name, pin.JointModelFreeFlyer(), lump(body.mass, body.inertia))
     q = np.concatenate([np.r_[there.x[b], pin.Quaternion(there.R[b].copy()).coeffs()] for b in range(3)])
     data = model.createData()
     # Pinocchio's linear velocity is in body axes: v = T v_pin with T = diag(R, I) per body.

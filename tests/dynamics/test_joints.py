@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanisms import add, at, four_bars, limit, pendulum, slider
+from mechanisms import add, at, four_bars, hang, limit, lump, pendulum, slider
 
 import nsdyn as nd
 from nsdyn.dynamics.ledger import PHYSICS
@@ -371,8 +371,7 @@ def test_limits_can_be_switched_off():
 def test_limits_push_on_what_they_carry():
     """A box on a table that a rail carries up to its stop: the contact with the box takes part in the impact."""
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
-    model.appendBodyToJoint(joint, pin.Inertia(3.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    hang(model, 0, "lift", pin.JointModelPZ(), lump(3.0, 1.0))
     scene = nd.Scene()
     table = shapes.box((1, 1, 0.1)), at((0, 0, -0.05))
     add(scene, "lift", limit(model, 0.0, 0.5), q=[0.1], collisions={"lift": [table]})
@@ -568,8 +567,7 @@ def test_a_box_that_driven_fingers_squeeze_is_told():
     scene.add_box("box", (0.1, 0.1, 0.1), 1.0, position=(0, 0, 0.05))
     for name, side in (("left", -1.0), ("right", 1.0)):
         model = pin.Model()
-        model.addJoint(0, pin.JointModelPX(), at((0.07 * side, 0, 0.05)), "slide")
-        model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), at((0, 0, 0)))
+        hang(model, 0, "slide", pin.JointModelPX(), lump(1.0, 0.01), (0.07 * side, 0, 0.05))
         add(scene, name, limit(model), collisions={"slide": [shapes.box((0.02, 0.05, 0.05))]})
         scene.set_motion(f"{name}/slide", velocity=-0.1 * side)
     with pytest.raises(nd.NotConverged, match=r"prescribed motions that contradict each other.*'box'"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanisms import add, at, bricard, four_bars, limit, pendulum, rod
+from mechanisms import add, at, bricard, four_bars, hang, limit, lump, pendulum, rod, serial
 
 import nsdyn as nd
 from nsdyn.dynamics import sliding
@@ -95,21 +95,20 @@ def test_admissible_velocities_of_redundant_rows(rng):
     np.testing.assert_allclose(Z.T @ M @ P @ b, 0.0, rtol=0, atol=1e-11)
 
 
+def floating_rods(count):
+    """Rods of 1 m and 1 kg that hang from each other on hinges about y, of which the first floats."""
+    joints = pin.JointModelFreeFlyer(), *[pin.JointModelRY()] * (count - 1)
+    return limit(serial(joints, rod((0, 0, -1)), (0, 0, -1)))
+
+
 @pytest.mark.parametrize("tilt", [0.0, 1e-15, 1e-13, 1e-11, 1e-9])
 def test_a_planar_loop_that_floats_turns_out_of_its_plane(tilt):
     """A triangle of rods is one body; across its plane its rows are round-off, or all but a copy of the others."""
-    model = pin.Model()
-    base = model.addJoint(0, pin.JointModelFreeFlyer(), at((0, 0, 0)), "base")
-    model.appendBodyToJoint(base, rod((0, 0, -1)), pin.SE3.Identity())
-    one = model.addJoint(base, pin.JointModelRY(), at((0, 0, -1)), "one")
-    model.appendBodyToJoint(one, rod((0, 0, -1)), pin.SE3.Identity())
-    two = model.addJoint(one, pin.JointModelRY(), at((0, 0, -1)), "two")
-    model.appendBodyToJoint(two, rod((0, 0, -1)), pin.SE3.Identity())
-    scene = nd.Scene(gravity=(0, 0, 0))
+    model, scene = floating_rods(3), nd.Scene(gravity=(0, 0, 0))
     third = 2 * np.pi / 3
     q = (0, 0, 0, tilt, 3 * tilt, -2 * tilt, 1, third, third)
-    add(scene, "truss", limit(model), q=q, loops=[Loop("knee", base, at((0, 0, 0)), two, at((0, 0, -1)))])
-    step = nd.Stepper(scene, 1e-3, external_force=lambda t, q, v: {"truss/base": ((0, 0, 0), (1, 0, 2))}).step()
+    add(scene, "truss", model, q=q, loops=[Loop("knee", 1, at((0, 0, 0)), 3, at((0, 0, -1)))])
+    step = nd.Stepper(scene, 1e-3, external_force=lambda t, q, v: {"truss/j0": ((0, 0, 0), (1, 0, 2))}).step()
     data = model.createData()
     body = pin.ccrba(model, data, step.q, step.v) is not None and data.Ig.inertia
     # Neither the turn of the step nor the tilt changes more than 1e-6 of the velocity.
@@ -118,17 +117,13 @@ def test_a_planar_loop_that_floats_turns_out_of_its_plane(tilt):
 
 def test_a_loop_that_floats_knows_nothing_of_the_axes_of_the_world():
     """Four rods that fold and tumble, their plane 1e-3 rad from that of two axes, move as they do turned anyhow."""
-    model, parent = pin.Model(), 0
-    for k, joint in enumerate((pin.JointModelFreeFlyer(), *[pin.JointModelRY()] * 3)):
-        parent = model.addJoint(parent, joint, at((0, 0, -1 if k else 0)), f"rod{k}")
-        model.appendBodyToJoint(parent, rod((0, 0, -1)), pin.SE3.Identity())
-    limit(model)
+    model = floating_rods(4)
 
     def velocity(turn):
         scene = nd.Scene(gravity=(0, 0, 0))
         q = (0, 0, 0, *(turn * pin.Quaternion(pin.exp3(np.array((1e-3, 0, 0))))).coeffs(), 1.0, 2.0, 1.2)
         scene.add_model("rods", model, q=q, v=(0, 0, 0, 2, 3, 1, 5, -5, 5))
-        scene.add_loop("rods", "last", "rod3", "rod0", position=(0, 0, -1))
+        scene.add_loop("rods", "last", "j3", "j0", position=(0, 0, -1))
         return nd.Stepper(scene, 1e-2).step().v
 
     turned = velocity(pin.Quaternion(np.array((0.5, -0.5, 0.1, 0.7))).normalized())
@@ -138,13 +133,10 @@ def test_a_loop_that_floats_knows_nothing_of_the_axes_of_the_world():
 
 def test_a_loop_that_floats_keeps_its_momenta():
     """Four rods that fold and tumble, in steps so long that the midpoint rule alone errs by 1e-3 in a step."""
-    model, parent = pin.Model(), 0
-    for k, joint in enumerate((pin.JointModelFreeFlyer(), *[pin.JointModelRY()] * 3)):
-        parent = model.addJoint(parent, joint, at((0, 0, -1 if k else 0)), f"rod{k}")
-        model.appendBodyToJoint(parent, rod((0, 0, -1)), pin.SE3.Identity())
+    model = floating_rods(4)
     scene = nd.Scene(gravity=(0, 0, 0))
-    scene.add_model("rods", limit(model), q=(0, 0, 0, 0, 0, 0, 1, 1.0, 2.0, 1.2), v=(0, 0, 0, 2, 3, 1, 5, -5, 5))
-    scene.add_loop("rods", "last", "rod3", "rod0", position=(0, 0, -1))
+    scene.add_model("rods", model, q=(0, 0, 0, 0, 0, 0, 1, 1.0, 2.0, 1.2), v=(0, 0, 0, 2, 3, 1, 5, -5, 5))
+    scene.add_loop("rods", "last", "j3", "j0", position=(0, 0, -1))
     run, data = nd.simulate(scene, 0.5, 1e-2), model.createData()
     momenta = np.array([pin.computeCentroidalMomentum(model, data, *x).vector for x in zip(run.q, run.v, strict=True)])
     # Round-off of 100 motions: 1e-16 of 20 N·s and N·m·s each.
@@ -220,12 +212,9 @@ def test_a_crank_drives_a_loop():
 def crank(speed):
     """(tree, q, v) of a slider-crank of 0.1 m and 0.3 m without weight."""
     model = pin.Model()
-    turning = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "crank")
-    model.appendBodyToJoint(turning, rod((0.1, 0, 0), 0.2), at((0, 0, 0)))
-    arm = model.addJoint(turning, pin.JointModelRY(), at((0.1, 0, 0)), "rod")
-    model.appendBodyToJoint(arm, rod((0.3, 0, 0), 0.3), at((0, 0, 0)))
-    slider = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "slider")
-    model.appendBodyToJoint(slider, pin.Inertia(0.5, np.zeros(3), 1e-3 * np.eye(3)), at((0, 0, 0)))
+    turning = hang(model, 0, "crank", pin.JointModelRY(), rod((0.1, 0, 0), 0.2))
+    arm = hang(model, turning, "rod", pin.JointModelRY(), rod((0.3, 0, 0), 0.3), (0.1, 0, 0))
+    slider = hang(model, 0, "slider", pin.JointModelPX(), lump(0.5, 1e-3))
     a, b = 0.5, np.arcsin(np.sin(0.5) / 3)
     slope = np.cos(a) / (3 * np.cos(b))
     q = np.array((a, -a - b, 0.1 * np.cos(a) + 0.3 * np.cos(b)))
@@ -290,8 +279,7 @@ def test_a_start_has_velocities_that_gears_admit():
     """The closest in the kinetic metric, beside a driven joint its own; sliders turn nothing."""
     model = limit(pin.Model())
     for name, mass in (("a", 1.0), ("b", 2.0)):
-        joint = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), name)
-        model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+        hang(model, 0, name, pin.JointModelPX(), lump(mass, 1.0))
     for driven in (False, True):
         scene = nd.Scene()
         add(scene, "a", model, v=(1.0, 0.5))
@@ -307,8 +295,7 @@ def test_a_start_has_velocities_that_gears_admit():
 def test_driven_joints_that_open_a_gear_are_told():
     model = limit(pin.Model())
     for name in ("a", "b"):
-        joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), name)
-        model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
+        hang(model, 0, name, pin.JointModelRY(), rod((0, 0, -1)))
     scene = nd.Scene()
     add(scene, "wheels", model)
     scene.add_gear("wheels", "a", "b", 2.0)
@@ -321,8 +308,7 @@ def test_driven_joints_that_open_a_gear_are_told():
 
 def test_loops_that_cannot_close_are_refused():
     model = limit(pin.Model())
-    joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "j")
-    model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
+    hang(model, 0, "j", pin.JointModelRY(), rod((0, 0, -1)))
     scene = nd.Scene()
     add(scene, "a", model, loops=[Loop("pin", 0, at((3, 0, 0)), 1, at((0, 0, -1)))])
     with pytest.raises(ValueError, match=r"loops or gears \['pin'\] do not close: they are apart by 2"):
@@ -335,8 +321,7 @@ def test_a_linkage_far_from_the_origin_moves_as_at_it():
     for base in (np.zeros(3), np.array((7e4, -8e4, 3e4))):
         model, joint, place = limit(pin.Model()), 0, base
         for name, end in (("crank", (0, 0, 0.5)), ("coupler", (1.1, 0, 0.2)), ("rocker", (0.1, 0, -0.7))):
-            joint = model.addJoint(joint, pin.JointModelRY(), at(place), name)
-            model.appendBodyToJoint(joint, rod(end), pin.SE3.Identity())
+            joint = hang(model, joint, name, pin.JointModelRY(), rod(end), place)
             place = end
         scene = nd.Scene()
         foot = Loop("foot", 0, at(base + np.array((1.2, 0, 0))), joint, at(end))
@@ -349,8 +334,7 @@ def test_wheels_that_have_turned_far_keep_their_gear():
     """After 1e4 rad the gear is known to 4e-12 rad."""
     model = limit(pin.Model())
     for name in ("motor", "wheel"):
-        joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), name)
-        model.appendBodyToJoint(joint, rod((0, 0, -1)), pin.SE3.Identity())
+        hang(model, 0, name, pin.JointModelRY(), rod((0, 0, -1)))
     scene = nd.Scene()
     add(scene, "wheels", model, q=(1e4, 2.7e4), v=(300.0, 810.0))
     scene.add_gear("wheels", "motor", "wheel", 2.7)

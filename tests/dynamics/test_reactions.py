@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanisms import add, at, four_bars, limit, pendulum, rod
+from mechanisms import add, at, four_bars, hang, limit, lump, pendulum, rod
 
 import nsdyn as nd
 from nsdyn.recording import retrace
@@ -32,9 +32,8 @@ def test_pendulum(push, rows):
 
     def error(dt):
         model = pin.Model()
-        joint = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "hinge")
         point = pin.Inertia(mass, np.array([0, 0, -length]), 1e-12 * np.eye(3))
-        model.appendBodyToJoint(joint, point, at((0, 0, 0)))
+        joint = hang(model, 0, "hinge", pin.JointModelRY(), point)
         model.addBodyFrame("end", joint, at((0, 0, -length)), 0)
         scene = nd.Scene()
         add(scene, "p", model, q=[1.0], v=[0.5])
@@ -96,12 +95,9 @@ def test_slider_crank(every):
 
     def error(dt):
         model = pin.Model()
-        crank = model.addJoint(0, pin.JointModelRY(), at((0, 0, 0)), "crank")
-        model.appendBodyToJoint(crank, rod((0.3, 0, 0), 0.5), at((0, 0, 0)))
-        link = model.addJoint(crank, pin.JointModelRY(), at((0.3, 0, 0)), "rod")
-        model.appendBodyToJoint(link, rod((0.8, 0, 0), 1.0), at((0, 0, 0)))
-        slider = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "slider")
-        model.appendBodyToJoint(slider, pin.Inertia(2.0, np.zeros(3), 0.01 * np.eye(3)), at((0, 0, 0)))
+        crank = hang(model, 0, "crank", pin.JointModelRY(), rod((0.3, 0, 0), 0.5))
+        link = hang(model, crank, "rod", pin.JointModelRY(), rod((0.8, 0, 0), 1.0), (0.3, 0, 0))
+        slider = hang(model, 0, "slider", pin.JointModelPX(), lump(2.0, 0.01))
         turn = 0.6
         tilt = -np.arcsin(0.3 * np.sin(turn) / 0.8) - turn
         reach = 0.3 * np.cos(turn) + 0.8 * np.cos(turn + tilt)
@@ -150,9 +146,8 @@ def test_slider_crank(every):
 def test_a_box_on_a_platform_that_is_driven(rows):
     """The platform's joint carries both, m (g + a); the box is pushed by its own share."""
     model = pin.Model()
-    lift = model.addJoint(0, pin.JointModelPZ(), at((0, 0, 0)), "lift")
+    lift = hang(model, 0, "lift", pin.JointModelPZ(), lump(3.0, 1.0))
     model.addJointFrame(lift)
-    model.appendBodyToJoint(lift, pin.Inertia(3.0, np.zeros(3), np.eye(3)), at((0, 0, 0)))
     scene = nd.Scene()
     scene.add_model("p", model, collisions={"lift": [shapes.box((1, 1, 0.1))]})
     scene.add_box("box", (0.2, 0.2, 0.2), 2.0, position=(0.3, 0, 0.15))

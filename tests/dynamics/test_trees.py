@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanisms import add, at, bricard, four_bars, limit, pendulum, rod
+from mechanisms import add, at, bricard, four_bars, hang, limit, lump, pendulum, rod, serial
 
 import nsdyn as nd
 from nsdyn._kernels import reductions
@@ -21,15 +21,11 @@ JOINTS = [pin.JointModelRX(), pin.JointModelSpherical(), pin.JointModelRUBZ(), p
 def robot():
     """A floating body with four joints in a row, and its scalar coordinates."""
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(
-        joint, pin.Inertia(5.0, np.array((0.02, 0, 0.01)), np.diag((0.1, 0.2, 0.25))), at((0, 0, 0))
-    )
+    joint = hang(model, 0, "root", pin.JointModelFreeFlyer(), lump(5.0, (0.1, 0.2, 0.25), (0.02, 0, 0.01)))
     for k, kind in enumerate(JOINTS):
         turned = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.1 * k, 0.2), np.array((0.2, 0.1, -0.1 * k)))
-        joint = model.addJoint(joint, kind, turned, f"j{k}")
         inertia = pin.Inertia(1.0, np.array((0.1, 0.05, -0.2)), np.diag((0.02, 0.03, 0.04)))
-        model.appendBodyToJoint(joint, inertia, at((0, 0, 0)))
+        joint = hang(model, joint, f"j{k}", kind, inertia, turned)
     scalar = np.zeros(model.nv)
     scalar[[j.idx_v for j in model.joints if j.nv == 1]] = 1.0
     return model, scalar
@@ -222,19 +218,12 @@ def test_tame_trees_move_in_one_part(monkeypatch):
 
 def payload(links, load, driven):
     """An arm of links of 1 kg and half a metre with a load at its end, perhaps beside a driven joint."""
-    model, parent, place = pin.Model(), 0, at((0, 0, 0))
-    for k in range(links):
-        mass = load if k == links - 1 else 1.0
-        parent = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}")
-        model.appendBodyToJoint(
-            parent, pin.Inertia(mass, np.array((0, 0, -0.25)), mass / 48 * np.eye(3)), at((0, 0, 0))
-        )
-        place = at((0, 0, -0.5))
+    bodies = [lump(mass, mass / 48, (0, 0, -0.25)) for mass in [1.0] * (links - 1) + [load]]
+    model = serial([pin.JointModelRY()] * links, bodies, (0, 0, -0.5))
     q = [0.5, 0.2, -0.3, 0.25, -0.1, 0.3][:links]
     scene = nd.Scene()
     if driven:
-        joint = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "beside")
-        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), at((0, 0, 0)))
+        hang(model, 0, "beside", pin.JointModelPX(), lump(1.0, 1.0))
     scene.add_model("a", model, q=q + driven * [0.0], limits=False)
     if driven:
         scene.set_motion("a/beside", 0.3)
@@ -280,10 +269,8 @@ def test_a_robot_that_hardly_turns_keeps_its_momentum():
 def test_what_floats_keeps_its_momentum_where_it_is_lifted():
     """A box with an arm tumbles at 100 m/s on ice, which pushes it upwards only; projections turn it."""
     model, arm = pin.Model(), pin.SE3(pin.utils.rotate("y", 0.5 * np.pi), np.array((0.12, 0, 0)))
-    base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
-    model.appendBodyToJoint(base, pin.Inertia(1.0, np.zeros(3), np.diag((0.01, 0.012, 0.014))), pin.SE3.Identity())
-    elbow = model.addJoint(base, pin.JointModelRY(), at((0.1, 0.05, 0)), "arm")
-    model.appendBodyToJoint(elbow, pin.Inertia(0.4, np.array((0.1, 0, 0)), 0.003 * np.eye(3)), pin.SE3.Identity())
+    base = hang(model, 0, "base", pin.JointModelFreeFlyer(), lump(1.0, (0.01, 0.012, 0.014)))
+    hang(model, base, "arm", pin.JointModelRY(), lump(0.4, 0.003, (0.1, 0, 0)), (0.1, 0.05, 0))
     scene, ice = nd.Scene(), nd.Material(mu=0.0)
     scene.add_halfspace("ice", material=ice)
     shapes = {"base": [box((0.2, 0.1, 0.1))], "arm": [(capsule(0.03, 0.15), arm)]}
@@ -384,10 +371,8 @@ def test_a_driven_joint_does_the_work_of_its_speed():
 
     def works(dt):
         model, cart = pin.Model(), None
-        cart = model.addJoint(0, pin.JointModelPX(), at((0, 0, 0)), "cart")
-        model.appendBodyToJoint(cart, pin.Inertia(2.0, np.zeros(3), 0.01 * np.eye(3)), at((0, 0, 0)))
-        pole = model.addJoint(cart, pin.JointModelRY(), at((0, 0, 0)), "pole")
-        model.appendBodyToJoint(pole, rod((0, 0, -1)), at((0, 0, 0)))
+        cart = hang(model, 0, "cart", pin.JointModelPX(), lump(2.0, 0.01))
+        pole = hang(model, cart, "pole", pin.JointModelRY(), rod((0, 0, -1)))
         for joint in (cart, pole):
             model.addJointFrame(joint)
         scene = nd.Scene()
@@ -427,8 +412,7 @@ def test_displacements_are_exact_however_small(size):
 def test_a_disk_on_a_plane_goes_straight_however_slowly_it_turns(turning):
     """Pinocchio's displacements of planar joints were off by 4 mm at 1e-11 rad/s."""
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "disk")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    hang(model, 0, "disk", pin.JointModelPlanar(), lump(1.0, 0.01))
     scene = nd.Scene()
     scene.add_model("disk", model, v=(1.0, 0.5, turning))
     end = nd.simulate(scene, 10.0, 1e-2).q[-1]

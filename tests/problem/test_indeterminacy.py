@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanisms import at
+from mechanisms import at, hang, lump
 from scipy.optimize import linprog
 
 import nsdyn as nd
@@ -131,9 +131,8 @@ def test_sliding_makes_rays_of_cones():
 def test_an_arm_of_two_joints_does_not_tell_the_force_across():
     """A tip in a plane takes two forces of three up in its joints; the third is any in the cone. A slide takes one."""
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPZ(), at((0, 0, 0)), "lift")
+    joint = hang(model, 0, "lift", pin.JointModelPZ(), lump(1.0, 1 / 100))
     model.addJointFrame(joint)
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3) / 100), at((0, 0, 0)))
     for material, unique in ((SMOOTH, True), (GRIP, False)):
         scene = on_ground(material)
         ball = [(nd.scene.shapes.sphere(0.1), at((0, 0, 0)))]

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import INERTIAL
+from mechanisms import hang, lump
 from robot_texts import scene_of
 from scipy.linalg import null_space
 
@@ -154,8 +155,7 @@ def test_joints_are_depth_first(parents, taken):
     """Pinocchio's mass matrix lacks the elements of what a joint carries that does not come right after it."""
     model = pin.Model()
     for k, parent in enumerate(parents, start=1):
-        model.addJoint(parent, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.1])), f"j{k}")
-        model.appendBodyToJoint(k, pin.Inertia(1.0, np.array([0.1, 0.0, 0.0]), 0.1 * np.eye(3)), pin.SE3.Identity())
+        hang(model, parent, f"j{k}", pin.JointModelRY(), lump(1.0, 0.1, (0.1, 0.0, 0.0)), (0.3, 0.0, 0.1))
     q, zero = np.linspace(0.1, 0.5, model.nv), np.zeros(model.nv)
     data = model.createData()
     upper = np.triu(pin.crba(model, data, q))
@@ -483,9 +483,8 @@ def rod(axis=(0.0, 1.0, 0.0), placement=None):
     """A rod on a hinge at the end of it, with its shape."""
     model, shape = pin.Model(), pin.GeometryModel()
     place = pin.SE3.Identity() if placement is None else placement
-    joint = model.addJoint(0, pin.JointModelRevoluteUnaligned(np.array(axis)), place, "hinge")
     inertia = pin.Inertia(1.0, np.array([0.3, 0.0, 0.0]), 0.1 * np.eye(3))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    joint = hang(model, 0, "hinge", pin.JointModelRevoluteUnaligned(np.array(axis)), inertia, place)
     model.addBodyFrame("rod", joint, pin.SE3.Identity(), 0)
     shape.addGeometryObject(pin.GeometryObject("end", joint, 0, pin.SE3.Identity(), coal.Sphere(0.1)))
     return model, shape
@@ -535,7 +534,7 @@ def test_rounded_placements():
 def test_axes_that_are_no_unit_vectors(joint):
     """Pinocchio turns by other angles about them."""
     model = pin.Model()
-    model.appendBodyToJoint(model.addJoint(0, joint, pin.SE3.Identity(), "j"), pin.Inertia.Random(), pin.SE3.Identity())
+    hang(model, 0, "j", joint, pin.Inertia.Random())
     with pytest.raises(ValueError, match="axis of joint 'j' of 'r' must be of length 1, got"):
         nd.Scene().add_model("r", model)
 
@@ -545,7 +544,6 @@ def test_joints_have_names_of_their_own(names):
     """By which they are found: what was driven by its name stood still."""
     model, parent = pin.Model(), 0
     for name in names:
-        parent = model.addJoint(parent, pin.JointModelRX(), pin.SE3.Identity(), name)
-        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+        parent = hang(model, parent, name, pin.JointModelRX(), lump(1.0, 1.0))
     with pytest.raises(ValueError, match=f"joint '{names[0]}' of 'r' must have a name of its own, which is not"):
         nd.Scene().add_model("r", model)

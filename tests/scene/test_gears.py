@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import INERTIAL
+from mechanisms import hang, lump
 from robot_texts import robot_of, scene_of
 from scipy.integrate import solve_ivp
 
@@ -25,10 +26,9 @@ def model_of(*kinds, inertias=(0.1, 0.4), chain=False):
     model = pin.Model()
     for k, (kind, inertia) in enumerate(zip(kinds, inertias, strict=True)):
         down = np.array([0.0, 0.0, -1.0 if chain else 0.0])
-        at = pin.SE3(np.eye(3), down if chain and k else np.array([0.0, 0.0 if chain else k, 0.0]))
-        joint = model.addJoint(k if chain else 0, kind, at, f"j{k}")
+        place = down if chain and k else (0.0, 0.0 if chain else k, 0.0)
+        joint = hang(model, k if chain else 0, f"j{k}", kind, lump(1.0, inertia, down), place)
         model.addJointFrame(joint)
-        model.appendBodyToJoint(joint, pin.Inertia(1.0, down, inertia * np.eye(3)), pin.SE3.Identity())
     return model
 
 
@@ -181,8 +181,7 @@ def test_mimic_joints_of_a_model(tmp_path, kind):
 def test_mimic_joints_keep_what_the_others_have():
     """Coordinates after a mimic joint keep their limits, friction and inertia; what cannot mimic is named."""
     model = model_of(pin.JointModelRY(), pin.JointModelPrismaticUnaligned(np.array([0.6, 0.8, 0.0])), chain=True)
-    last = model.addJoint(2, pin.JointModelRX(), pin.SE3.Identity(), "last")
-    model.appendBodyToJoint(last, pin.Inertia(2.0, np.array([0.0, 0.1, 0.2]), np.eye(3)), pin.SE3.Identity())
+    hang(model, 2, "last", pin.JointModelRX(), lump(2.0, 1.0, (0.0, 0.1, 0.2)))
     model.upperPositionLimit, model.armature = np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3])
     model.upperDryFrictionLimit = np.array([0.4, 0.5, 0.6])
     model.lowerDryFrictionLimit = -model.upperDryFrictionLimit

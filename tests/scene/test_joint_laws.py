@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import INERTIAL
+from mechanisms import at, hang, limit, lump, serial
 from robot_texts import robot_of
 from scipy.integrate import solve_ivp
 
@@ -16,8 +17,7 @@ MASS, INERTIA, MOST = 2.0, 0.1, 1.0
 
 def model_of(joint, **limits):
     model = pin.Model()
-    j = model.addJoint(0, joint, pin.SE3.Identity(), "j")
-    model.appendBodyToJoint(j, pin.Inertia(MASS, np.zeros(3), INERTIA * np.eye(3)), pin.SE3.Identity())
+    hang(model, 0, "j", joint, lump(MASS, INERTIA))
     for name, value in limits.items():
         setattr(model, name, np.array(value, dtype=float))
     return model
@@ -117,8 +117,7 @@ def test_friction_of_a_ball_joint_turns_with_the_spin_of_a_body_of_three_inertia
         atol=1e-13,
     )
     model, errors = pin.Model(), []
-    j = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "j")
-    model.appendBodyToJoint(j, pin.Inertia(1.0, np.zeros(3), np.diag(J)), pin.SE3.Identity())
+    hang(model, 0, "j", pin.JointModelSpherical(), lump(1.0, J))
     for dt in (1e-2, 5e-3):
         scene = nd.Scene(gravity=(0, 0, 0))
         scene.add_model("a", model, v=begin, friction=[most] * 3)
@@ -143,8 +142,7 @@ def test_friction_of_a_planar_joint_turns_with_its_slip():
 
     exact = solve_ivp(motion, (0.0, 0.5), np.r_[0, 0, 0, begin], method="DOP853", rtol=1e-12, atol=1e-13).y[:3, -1]
     model, errors = pin.Model(), []
-    j = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "j")
-    model.appendBodyToJoint(j, pin.Inertia(MASS, np.array((arm, 0.0, 0.0)), INERTIA * np.eye(3)), pin.SE3.Identity())
+    hang(model, 0, "j", pin.JointModelPlanar(), lump(MASS, INERTIA, (arm, 0.0, 0.0)))
     for dt in (1e-2, 5e-3):
         scene = nd.Scene(gravity=(0, 0, 0))
         scene.add_model("a", model, v=begin, friction=(MOST, MOST, turning))
@@ -158,15 +156,9 @@ def test_friction_of_a_planar_joint_turns_with_its_slip():
 @pytest.mark.slow
 def test_chain_of_ball_joints_lands_and_comes_to_rest_under_their_friction():
     """Five shares at once, with contacts: friction is in every ball, and against the spin wherever there is any."""
-    model, parent, at, n = pin.Model(), 0, pin.SE3.Identity(), 5
-    middle = pin.SE3(np.eye(3), np.array([0, 0, -0.2]))
-    for k in range(n):
-        parent = model.addJoint(parent, pin.JointModelSpherical(), at, f"j{k}")
-        model.addJointFrame(parent)
-        model.appendBodyToJoint(
-            parent, pin.Inertia(1.0, middle.translation, np.diag((0.02, 0.02, 0.005))), pin.SE3.Identity()
-        )
-        at = pin.SE3(np.eye(3), np.array([0, 0, -0.4]))
+    n, middle = 5, at((0, 0, -0.2))
+    link = lump(1.0, (0.02, 0.02, 0.005), middle.translation)
+    model = limit(serial([pin.JointModelSpherical()] * n, link, (0, 0, -0.4)))
     scene, material = nd.Scene(), nd.Material(mu=0.5)
     scene.add_halfspace("ground", offset=-1.7, material=material)
     q = pin.integrate(model, pin.neutral(model), 0.5 * np.random.default_rng(2).normal(size=model.nv))

@@ -6,6 +6,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanisms import hang
 from robot_texts import robot_of
 
 import nsdyn as nd
@@ -536,8 +537,7 @@ def chain():
     """Three balls on hinges, and what they are as collision shapes."""
     model, geometry, parent = pin.Model(), pin.GeometryModel(), 0
     for k in range(3):
-        parent = model.addJoint(parent, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([1.0, 0, 0])), f"j{k}")
-        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
+        parent = hang(model, parent, f"j{k}", pin.JointModelRX(), pin.Inertia.Random(), (1.0, 0, 0))
         geometry.addGeometryObject(pin.GeometryObject(f"g{k}", parent, pin.SE3.Identity(), coal.Sphere(0.1)))
     return model, geometry
 

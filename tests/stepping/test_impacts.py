@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanisms import hang, lump, serial
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
@@ -450,9 +451,7 @@ def rail(e, elevation, azimuth, mu):
     model = pin.Model()
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     along = np.cos(elevation) * level - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
-    origin = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.2]))
-    model.addJoint(0, pin.JointModelPrismaticUnaligned(along), origin, "slide")
-    model.appendBodyToJoint(1, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    hang(model, 0, "slide", pin.JointModelPrismaticUnaligned(along), pin.Inertia.FromSphere(1.0, 0.1), (0, 0, 0.2))
     model.addBodyFrame("tip", 1, pin.SE3.Identity(), 0)
     scene, material = nd.Scene(), nd.Material(mu=mu, restitution=e)
     scene.add_halfspace("ground", material=material)
@@ -478,11 +477,7 @@ def test_what_friction_jams_on_a_rail_comes_to_rest(e):
 
 def hinges(count, limits, q, v, inertia=1.0, **laws):
     """Links on hinges about parallel axes, 0.3 m apart, between limits; no gravity."""
-    model, parent, place = pin.Model(), 0, pin.SE3.Identity()
-    for k in range(count):
-        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"hinge{k}")
-        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.zeros(3), inertia * np.eye(3)), pin.SE3.Identity())
-        place = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    model = serial([pin.JointModelRZ()] * count, lump(1.0, inertia), (0.3, 0, 0))
     model.lowerPositionLimit, model.upperPositionLimit = (np.full(count, x) for x in limits)
     scene = nd.Scene(gravity=(0, 0, 0))
     scene.add_model("arm", model, q=q, v=v, **laws)

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanisms import hang, lump
 
 import nsdyn as nd
 from nsdyn._kernels.solvers.start import widest
@@ -133,8 +134,7 @@ def elastic(scene):
 
 def pendulum(scene):
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([FAR, 0, 5.0])), "pivot")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0, 0, -0.2]), np.eye(3) / 50), pin.SE3.Identity())
+    hang(model, 0, "pivot", pin.JointModelRY(), lump(1.0, 1 / 50, (0, 0, -0.2)), (FAR, 0, 5.0))
     scene.add_model("pendulum", model, q=[1.0])
 
 
@@ -171,9 +171,8 @@ def test_a_swivel_rubs_as_it_does_alone(v, duration):
     Whether it slides where the step begins is told by its impulses then, not by those of a first solve.
     """
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "swivel")
     rod = pin.Inertia(1.0, np.array([0.0, 0.0, -0.2]), np.diag([0.02, 0.02, 5e-4]))
-    model.appendBodyToJoint(joint, rod, pin.SE3.Identity())
+    hang(model, 0, "swivel", pin.JointModelSpherical(), rod)
     angles = []
     for eggs in range(2):
         scene = nd.Scene()

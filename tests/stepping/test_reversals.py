@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanisms import add, pendulum
+from mechanisms import add, hang, lump, pendulum
 from scipy.integrate import solve_ivp
 
 import nsdyn as nd
@@ -106,8 +106,7 @@ def test_a_block_that_its_belt_overtakes_is_exact():
 def dry_hinge(v):
     """A body with J = 1 on a hinge with 2 N m of dry friction, at v rad/s."""
     model, scene = pin.Model(), nd.Scene()
-    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    hang(model, 0, "hinge", pin.JointModelRZ(), lump(1.0, 1.0))
     scene.add_model("arm", model, v=[v], friction=[2.0])
     return scene
 
@@ -125,8 +124,7 @@ def test_two_dry_joints_that_turn_round_in_one_step_are_exact():
     mass, most, push = np.array([[2.5, 0.9], [0.9, 1.5]]), np.array([1.0, 0.6]), np.array([3.0, 2.5])
     model, joint = pin.Model(), 0
     for k, m, axis in ((0, 1.0, (1.0, 0.0, 0.0)), (1, 1.5, (0.6, 0.8, 0.0))):
-        joint = model.addJoint(joint, pin.JointModelPrismaticUnaligned(np.array(axis)), pin.SE3.Identity(), f"rail{k}")
-        model.appendBodyToJoint(joint, pin.Inertia(m, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+        joint = hang(model, joint, f"rail{k}", pin.JointModelPrismaticUnaligned(np.array(axis)), lump(m, 0.01))
     both = np.linalg.solve(mass, push + most)
     for turns in ((0.1, 0.5), (0.1, 0.12), (0.2, 0.22), (0.9, 0.1), (0.5, 0.7), (0.7, 0.02)):
         begin = -0.01 * both * (1.0 + np.array(turns))
