@@ -9,22 +9,6 @@ import nsdyn as nd
 g = 9.81
 
 
-def load_per_storey(trajectory, storeys, dt):
-    """Sum of the normal forces on each storey's lower face, N, in the order of the contacts."""
-    contacts = trajectory.contacts(-1)
-    names = list(dict.fromkeys(zip(contacts.body1, contacts.body2, strict=True)))
-    assert len(names) == storeys
-    pairs = list(zip(contacts.body1, contacts.body2, strict=True))
-    return [sum(contacts.impulse[k, 0] for k, p in enumerate(pairs) if p == name) / dt for name in names]
-
-
-def test_stack_of_ten():
-    trajectory = nd.simulate(nd.scenes.load("stack")(), 5.0, dt=1e-2)
-    assert drift(trajectory) <= 1e-9
-    assert penetration(trajectory) <= 1e-8
-    np.testing.assert_allclose(load_per_storey(trajectory, 10, 1e-2), g * np.arange(10, 0, -1), rtol=1e-8)
-
-
 def test_ten_stacks_of_ten():
     trajectory = nd.simulate(nd.scenes.load("stacks")(), 0.5, dt=5e-3, solver=nd.solvers.Auto(tol=1e-8))
     assert len(trajectory.contacts(1)) == 400
@@ -61,15 +45,6 @@ def test_what_rests_is_not_solved_again():
     late = trajectory.solver.iterations[-60:]
     assert (late == 0).mean() >= 0.5  # 0.85; in none where each start is followed by all that it lacked
     assert trajectory.solver.residual[-60:].max() <= 1e-11  # `Tuning.polish` of the tolerance
-
-
-@pytest.mark.parametrize("below", [1, 9])
-def test_heavy_on_light(below):
-    trajectory = nd.simulate(nd.scenes.load("heavy_on_light")(ratio=1000.0, below=below), 1.0, dt=1e-2)
-    assert penetration(trajectory) <= 1e-8
-    assert drift(trajectory) <= 1e-8
-    weights = g * (1000.0 + np.arange(below, -1, -1))
-    np.testing.assert_allclose(load_per_storey(trajectory, below + 1, 1e-2), weights, rtol=1e-8)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanisms import add, hang, lump, pendulum
+from mechanisms import add, hang, limit, lump, pendulum, serial
 from scipy.integrate import solve_ivp
 
 import nsdyn as nd
@@ -182,11 +182,8 @@ def test_a_dry_joint_past_its_reversals_is_second_order():
 def test_a_controlled_slide_that_turns_on_a_slope_is_second_order():
     """A ball on two rails, across and along a slope, with a control against its motion, in closed form."""
     mu, c, mass, speed = 0.3, 0.5, 2.0, 2.0
-    model, joint = pin.Model(), 0
-    for kind in (pin.JointModelPX(), pin.JointModelPZ()):
-        joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"rail{joint}")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    model.addJointFrame(joint)
+    rails, bodies = (pin.JointModelPX(), pin.JointModelPZ()), (pin.Inertia.Zero(), lump(mass, 0.01))
+    model = limit(serial(rails, bodies, (0, 0, 0)))
     # v' = a - c v: x and v after t seconds.
     up, down = (g * (math.sin(SLOPE) + s * mu * math.cos(SLOPE)) / c for s in (1.0, -1.0))
     turn = math.log(1.0 + speed / up) / c
@@ -198,7 +195,7 @@ def test_a_controlled_slide_that_turns_on_a_slope_is_second_order():
     def run(n):
         scene, material = nd.Scene(gravity=(g * math.sin(SLOPE), 0, -g * math.cos(SLOPE))), nd.Material(mu)
         scene.add_halfspace("slope", material=material)
-        ball = {"rail1": [(shapes.sphere(0.1), pin.SE3.Identity())]}
+        ball = {"j1": [shapes.sphere(0.1)]}
         scene.add_model("a", model, collisions=ball, q=[0.0, 0.1], v=[-speed, 0.0], material=material)
         trajectory = nd.simulate(scene, 1.0, 1.0 / n, controller=lambda t, q, v: {"a": (-mass * c * v[0], 0.0)})
         return trajectory, (trajectory.q[-1, 0], trajectory.v[-1, 0], trajectory.energy.friction.sum())
