@@ -1,10 +1,11 @@
 """Shared fixtures: seeded randomness, the solvers, a step of a small mixed scene."""
 
+import importlib.metadata
 import os
 import shutil
-import struct
 from pathlib import Path
 
+import fuzz
 import numpy as np
 import pages
 import pytest
@@ -75,19 +76,20 @@ INERTIAL = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="
 DATA = Path(__file__).parent / "data"
 
 
-def write_stl(path, size):
-    """Binary STL of a box with full edges `size`, one corner at the origin."""
-    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * size
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    data = b"".join(struct.pack("<12fH", 0, 0, 0, *corners[list(t)].ravel(), 0) for t in triangles)
-    path.write_bytes(bytes(80) + struct.pack("<I", len(triangles)) + data)
+@pytest.fixture
+def share():
+    """The folder of packages with the robots of example-robot-data."""
+    try:
+        package = importlib.metadata.distribution("example-robot-data")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("the extra 'robots' is not installed")
+    return Path(str(package.locate_file("cmeel.prefix/share")))
 
 
 @pytest.fixture
 def robot(tmp_path):
     """A robot with a bit of everything, and the folder that holds its package."""
     (tmp_path / "share" / "thing").mkdir(parents=True)
-    write_stl(tmp_path / "share" / "thing" / "box.stl", (0.1, 0.2, 0.3))
+    (tmp_path / "share" / "thing" / "box.stl").write_bytes(fuzz.binary_stl())
     path = Path(shutil.copy(DATA / "robot.urdf", tmp_path))
     return path, [tmp_path / "share"]

@@ -1,8 +1,6 @@
 """`nsdyn check` and `nd.check`: one way for motions, scenes and robot files, of which nothing is lost in silence."""
 
-import importlib.metadata
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,13 +99,8 @@ def test_a_shape_of_sdf_that_is_not_read_fails(tmp_path):
     assert not found.passed and found.missing == ("robot: collision 'c' of link 'a': its shape",)
 
 
-def test_a_quadruped_of_example_robot_data(run):
+def test_a_quadruped_of_example_robot_data(share, run):
     """Its knees start outside their limits at q = 0; what it weighs is all of it, standing free or held."""
-    try:
-        package = importlib.metadata.distribution("example-robot-data")
-    except importlib.metadata.PackageNotFoundError:
-        pytest.skip("the extra 'robots' is not installed")
-    share = Path(str(package.locate_file("cmeel.prefix/share")))
     path = share / "example-robot-data/robots/a1_description/urdf/a1.urdf"
     # The sum of the 22 masses in the file.
     code, out, _ = run(path, "--base", "free", "--package-dir", share)

@@ -13,7 +13,7 @@ import fuzz
 import h5py
 import numpy as np
 import pytest
-from conftest import INERTIAL, write_stl
+from conftest import INERTIAL
 
 import nsdyn as nd
 from nsdyn.audit.findings import TOLERANCES
@@ -146,8 +146,8 @@ def test_bad_meshes_are_told(name, data, words, tmp_path):
 def outside(tmp_path):
     """A folder with a robot's file in it and a mesh beside the folder."""
     (tmp_path / "robot").mkdir()
-    write_stl(tmp_path / "secret.stl", (0.1, 0.2, 0.3))
-    write_stl(tmp_path / "robot" / "box.stl", (0.1, 0.2, 0.3))
+    (tmp_path / "secret.stl").write_bytes(fuzz.binary_stl())
+    (tmp_path / "robot" / "box.stl").write_bytes(fuzz.binary_stl())
     (tmp_path / "robot" / "link.stl").symlink_to(tmp_path / "secret.stl")
     return tmp_path / "robot"
 

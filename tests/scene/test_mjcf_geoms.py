@@ -1,8 +1,8 @@
 """Geoms of MJCF: as many sizes as MuJoCo takes, its poses between two points, and one line for everything else."""
 
+import fuzz
 import numpy as np
 import pytest
-from conftest import write_stl
 from robot_texts import robot_of, scene_of
 
 import nsdyn as nd
@@ -115,7 +115,7 @@ def test_sizes_are_those_of_mujoco(tmp_path, kind, count, ends):
     ],
 )
 def test_bad_geoms_are_told_in_one_line(tmp_path, capsys, geom, words):
-    write_stl(tmp_path / "box.stl", (0.1, 0.2, 0.3))
+    (tmp_path / "box.stl").write_bytes(fuzz.binary_stl())
     corners = '<mesh name="corners" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>'
     assets = f'<asset><mesh file="box.stl"/><mesh file="gone.stl"/><mesh name="bad"/>{corners}</asset>'
     path = tmp_path / "r.xml"

@@ -1,14 +1,14 @@
 """Readers of robot files: what they find, what they leave out, and what they refuse."""
 
-import importlib.metadata
 import re
 import shutil
 from pathlib import Path
 
+import fuzz
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import DATA, INERTIAL, write_stl
+from conftest import DATA, INERTIAL
 from robot_texts import robot_of, scene_of
 
 import nsdyn as nd
@@ -212,7 +212,7 @@ def test_bad_mass_of_a_model():
 @pytest.fixture
 def mjcf(tmp_path):
     """A file with three trees, classes, an included file, a mesh, loops, masks and a keyframe."""
-    write_stl(tmp_path / "box.stl", (0.1, 0.2, 0.3))
+    (tmp_path / "box.stl").write_bytes(fuzz.binary_stl())
     shutil.copy(DATA / "assets.xml", tmp_path)
     return Path(shutil.copy(DATA / "robot.xml", tmp_path))
 
@@ -604,12 +604,7 @@ ROBOTS = {
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:'r")
 @pytest.mark.parametrize("name", ROBOTS)
-def test_robots_of_example_robot_data_load_and_move(name):
-    try:
-        package = importlib.metadata.distribution("example-robot-data")
-    except importlib.metadata.PackageNotFoundError:
-        pytest.skip("the extra 'robots' is not installed")
-    share = Path(str(package.locate_file("cmeel.prefix/share")))
+def test_robots_of_example_robot_data_load_and_move(share, name):
     path, needed = share / "example-robot-data/robots" / name, ROBOTS[name]
     scene = nd.Scene()
     scene.add_urdf("r", path, base="free", package_dirs=[share], **needed)

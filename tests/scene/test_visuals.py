@@ -1,8 +1,5 @@
 """What robots look like: visual shapes of URDF, MJCF and SDF, their meshes, colours and what a recording keeps."""
 
-import importlib.metadata
-from pathlib import Path
-
 import fuzz
 import numpy as np
 import pytest
@@ -216,13 +213,8 @@ def test_a_recording_keeps_them(folder):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:'r")
-def test_robots_of_example_robot_data_are_seen():
+def test_robots_of_example_robot_data_are_seen(share):
     """Their files are read and simplified: nothing is left out, with no more triangles than a page may have."""
-    try:
-        package = importlib.metadata.distribution("example-robot-data")
-    except importlib.metadata.PackageNotFoundError:
-        pytest.skip("the extra 'robots' is not installed")
-    share = Path(str(package.locate_file("cmeel.prefix/share")))
     for name, count in (
         ("panda_description/urdf/panda.urdf", 20),
         ("anymal_b_simple_description/robots/anymal.urdf", 18),
