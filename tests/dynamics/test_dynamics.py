@@ -130,46 +130,6 @@ def test_rows_are_gap_rates(rng):
         assert rows.full.relative_velocity(v)[3 * k] == pytest.approx((high - low) / (2 * h), abs=1e-5)
 
 
-def test_torque_free_motion_is_exact():
-    """J = (1, 2, 3), spin about the unstable axis: energy and motion to round-off at any step."""
-    inertia = np.diag([1.0, 2.0, 2.9])
-
-    def run(dt):
-        scene = nd.Scene(gravity=(0, 0, 0))
-        scene.add_box("b", (1, 1, 1), 1.0, inertia=inertia, angular_velocity=(0.3, 1.0, 0.2))
-        trajectory = nd.simulate(scene, 4.0, dt=dt)
-        energy = trajectory.energy
-        # 4000 steps of round-off.
-        assert np.abs(energy.kinetic - energy.kinetic[0]).max() < 1e-13
-        assert np.abs(energy.integration).max() < 1e-15
-        return np.concatenate((trajectory.q[-1], trajectory.v[-1]))
-
-    fine = run(1e-3)
-    assert np.abs(run(1e-1) - fine).max() <= 1e-13
-    # Steps of 0.5 rad are the largest that are not subdivided.
-    assert np.abs(run(0.5) - fine).max() <= 5e-11
-
-
-@pytest.mark.slow
-def test_pendulum_of_two_links_is_fourth_order():
-    """The arm of `models`, swinging under a tilted gravity without contacts, against a fine run."""
-
-    def run(dt):
-        scene = nd.Scene(gravity=(9.81, 0, 0))
-        path = nd.scenes.folder() / "arm.urdf"
-        scene.add_urdf("arm", path, q=(1.0, 0.5), v=(0.3, -0.2))
-        trajectory = nd.simulate(scene, 1.0, dt=dt)
-        assert np.abs(trajectory.energy.defect).max() < 1e-13
-        return trajectory.q[-1]
-
-    fine = run(5e-4)
-    errors = {dt: np.abs(run(dt) - fine).max() for dt in (2e-2, 1e-2, 2.5e-3, 1.25e-3)}
-    assert errors[2.5e-3] / errors[1.25e-3] == pytest.approx(16.0, rel=0.1)
-    # Longer steps go in parts, of which some hundred err by 1e-9 of the velocity, or of a rad in their time: 4e-7 and
-    # 1.3e-6 where one part each would miss by 4e-5 and 5e-6.
-    assert errors[2e-2] <= 1e-6 and errors[1e-2] <= 2e-6
-
-
 def test_initial_velocity_is_in_world_axes():
     scene = nd.Scene(gravity=(0, 0, 0))
     turned = (0, 0, np.sqrt(0.5), np.sqrt(0.5))

@@ -444,29 +444,6 @@ def test_shaker_throws_a_box_above_one_g(amplitude, flies):
 
 
 @pytest.mark.slow
-def test_turntable_carries_a_box_around():
-    """Within the radius μ g / ω² a box turns with the table."""
-    scene = nd.Scene()
-    scene.add_box("table", (1, 1, 0.1), position=(0, 0, -0.05), fixed=True)
-    scene.set_motion("table", velocity=((0, 0, 0), (0, 0, 2.0)))
-    scene.add_box(
-        "box", (0.1, 0.1, 0.1), 1.0, position=(0.2, 0, 0.05), linear_velocity=(0, 0.4, 0), angular_velocity=(0, 0, 2.0)
-    )
-    scene.set_pair("box", "table", mu=0.5)
-    h = np.pi / 2000
-    trajectory = nd.simulate(scene, 0.5 * np.pi, h)
-    # Half a turn, to second order in the 3 mrad of a step.
-    radius, angle = (
-        np.hypot(*trajectory.body("box").position[-1, :2]),
-        np.arctan2(*-trajectory.body("box").position[-1, 1::-1]),
-    )
-    assert radius / 0.2 - 1.0 == pytest.approx(0.0, abs=0.1 * (2.0 * h) ** 2)
-    assert angle == pytest.approx(0.0, abs=1e-4)
-    assert abs(trajectory.body("table").quaternion[-1, 3]) == pytest.approx(0.0, abs=1e-9)
-    assert closes(trajectory) < 1e-12
-
-
-@pytest.mark.slow
 def test_driven_joint_moves_as_told_and_its_work_is_booked():
     """The first joint of a double pendulum is a crank, also below a second, free joint that swings."""
     scene = nd.Scene()

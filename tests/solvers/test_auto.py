@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
-from test_problem import corner_box, one_block
+from test_problem import one_block
 
 import nsdyn as nd
 from nsdyn._kernels.problem import linear
@@ -54,17 +54,6 @@ def test_iterations_do_not_grow_with_the_mass_ratio(ratio):
     assert solution.converged
     # Of which sweeps are ten rounds' at most; alone they would grow with the square of the ratio.
     assert solution.iterations <= 6400
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_ten_copies_of_every_contact(solver):
-    problem = corner_box(mu=0.1, push=(0.5, 0.2))[0]
-    copies = np.tile(np.arange(12), 10)
-    W = problem.W.toarray()[np.ix_(copies, copies)]
-    solution = nd.solve(nd.FC3D(W, problem.q[copies], np.tile(problem.mu, 10)), solver)
-    assert solution.converged
-    # The velocity of the box is unique; tolerance times the condition of order 10.
-    np.testing.assert_allclose(solution.u[:12], nd.solve(problem).u, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,6 @@ from nsdyn.problem import operators
 from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import PENALTY, newton
 from nsdyn.tools.options import Options
-
-FILES = Path(__file__).resolve().parents[3] / "shared" / "fc3d"
 
 
 def cases():
@@ -264,13 +261,6 @@ def test_options_say_what_they_may_be():
 def test_options_of_solvers_are_numbers_of_python():
     """Those of NumPy had kernels compiled anew, and another text in recordings."""
     assert repr(nd.solvers.PGS(np.float64(1e-8), np.int32(40))) == repr(nd.solvers.PGS(1e-8, 40))
-
-
-@pytest.mark.skipif(not FILES.is_dir(), reason="the folder of FCLIB problems is not here")
-@pytest.mark.parametrize("name", ["CubeH8", "GFC3D_TwoRods1", "NESpheres_10_1", "local_problem_test"])
-def test_problems_of_the_literature(name):
-    problem = nd.fclib.read(FILES / f"{name}.hdf5")
-    assert nd.solve(problem, tol=1e-8).converged
 
 
 def test_mixture_of_anderson_is_the_least_squares_one(rng):
