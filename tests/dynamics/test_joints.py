@@ -306,12 +306,6 @@ def test_joint_friction_holds_below_its_threshold(links, duration):
 
 
 @pytest.mark.slow
-def test_joint_friction_holds_for_a_minute():
-    trajectory = run(pendulum(2), 60.0, 5e-3, q=(0.5, -0.3), friction=(20.0, 10.0))
-    assert np.abs(trajectory.q - trajectory.q[0]).max() <= 1e-12
-
-
-@pytest.mark.slow
 def test_joint_friction_slips_at_the_analytic_rate():
     """A flywheel under 0.5 N m of dry friction slows by τ/I each second and stops at I v²/2τ for good."""
     tau, v = 0.5, 2.0
