@@ -49,23 +49,6 @@ INERTIA = np.array([1.0, 2.0, 3.0])
 UNSTABLE = np.array([0.01, 1.0, 0.01])
 
 
-def test_period_of_the_tumbling_body_is_exact():
-    J1, J2, J3 = INERTIA
-    E2, L2 = INERTIA @ UNSTABLE**2, INERTIA**2 @ UNSTABLE**2
-    # Landau & Lifshitz, Mechanics, §37, for L² > 2E J2.
-    assert L2 > E2 * J2
-    k2 = (J2 - J1) * (E2 * J3 - L2) / ((J3 - J2) * (L2 - E2 * J1))
-    rate = math.sqrt((J3 - J2) * (L2 - E2 * J1) / (J1 * J2 * J3))
-    period = 4.0 * ellipk(k2) / rate
-    assert period == pytest.approx(39.105734, abs=1e-6)
-
-    def error(steps):
-        return nd.simulate(spinning(INERTIA, UNSTABLE), period, dt=period / steps).v[-1, 3:] - UNSTABLE
-
-    # Sixth order, down to round-off.
-    assert np.abs(error(100)).max() <= 2e-11 and np.abs(error(400)).max() <= 5e-13
-
-
 @pytest.mark.parametrize(
     "turn", [0.5, 50.0, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (1.9, 5.0, 1000.0))]
 )
