@@ -20,7 +20,6 @@ from nsdyn.recording import file as recording
 from nsdyn.recording import link_names, rows
 from nsdyn.recording.columns import ADDED_META, FORMAT_VERSION, Columns
 from nsdyn.recording.file import Saved
-from nsdyn.recording.kept import Kept
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
 
@@ -58,8 +57,6 @@ class Recorder:
     state : callable, optional
         Returns the arrays, by names, with which the run continues from the initial state. Without it a recording cannot
         be resumed.
-    expected : int
-        Expected number of rows, 0 if not known.
 
     Raises
     ------
@@ -88,10 +85,9 @@ class Recorder:
         scene: Mapping[str, Any],
         first: Any,
         state: State | None = None,
-        expected: int = 0,
     ) -> None:
         columns = rows.begin(first) | rows.none(scene, _left_out({**ADDED_META, **meta}), _pushed(meta, scene))
-        self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()), expected)
+        self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()))
 
     def _begin(
         self,
@@ -100,7 +96,6 @@ class Recorder:
         scene: Mapping[str, Any],
         columns: Columns,
         saved: Saved | None,
-        expected: int = 0,
     ) -> None:
         self.meta, self.scene = dict(meta), dict(scene)
         if path is not None and files.is_special(path):
@@ -111,7 +106,7 @@ class Recorder:
         self._held = 0
         self._state: State | None = None
         self._whole: Trajectory | None = None  # the recording, once its file accepts no more rows
-        self._kept = Kept(columns, expected if path is None else 0)
+        self._blocks = [columns]  # rows that are in no file, in the order of time
         self._rows = len(columns["t"]) - 1
         self._ends = {name: int(values[-1]) for name, values in columns.items() if name.endswith("/offset")}
         if self.path is not None:
@@ -122,7 +117,7 @@ class Recorder:
                 recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
             lock = files.lock(self.path)
             self._file, self._release = os.fstat(lock), weakref.finalize(self, os.close, lock)
-            self._kept.clear()
+            self._blocks = []
         self._carriers = link_names.carriers(scene) if scene["articulations"] and _left_out(meta) else None
         self._clock = time.perf_counter()
         self._deadline = self._clock + _FLUSH_SECONDS
@@ -216,33 +211,45 @@ class Recorder:
     def flush(self) -> None:
         """Write the rows collected so far, and the state after them, to the file, if there is one."""
         self._pack()
-        if self.path is not None and self._kept.columns()["t"].size:
+        if self.path is not None and self._blocks:
             state = None if self._state is None else (self._rows, self._state())
             if not os.path.exists(self.path) or not os.path.samestat(os.stat(self.path), self._file):
                 raise ValueError(f"{self.path} was replaced or removed while it was being recorded")
-            recording.extend(self.path, self._kept.columns(), state)
-            self._kept.clear()
+            recording.extend(self.path, self._columns(), state)
+            self._blocks = []
             self._deadline = time.perf_counter() + _FLUSH_SECONDS
 
     def trajectory(self) -> Trajectory:
         """Return all that was recorded so far."""
         self.flush()
         if self.path is None:
-            return Trajectory(self.meta, self.scene, self._kept.columns())
+            return Trajectory(self.meta, self.scene, self._columns())
         return Trajectory.load(self.path) if self._whole is None else self._whole
+
+    def _columns(self) -> Columns:
+        """Return the rows of all blocks, which become one block."""
+        blocks = self._blocks
+        if len(blocks) > 1:
+            # Memory is let go column by column, but an interrupt must lose no rows of a file.
+            take = dict.pop if self.path is None else dict.get
+            whole: Columns = {}
+            for name in [*blocks[0]]:
+                whole[name] = np.concatenate([take(block, name) for block in blocks if name in block])
+            self._blocks = [whole]
+        return dict(self._blocks[0])
 
     def _pack(self) -> None:
         """Move the complete rows into arrays."""
         every = self.meta["every"]
         if size := len(self._steps) // every * every:
             shown, pushed = self.meta["contacts"], _pushed(self.meta, self.scene)
-            block, *contacts = rows.pack(self._steps[:size], every, shown, self._carriers, pushed)
+            block = rows.pack(self._steps[:size], every, shown, self._carriers, pushed)
             wall, ends = np.array(self._wall[:size]).reshape(-1, every), dict(self._ends)
-            block[0]["wall_time"] = wall.sum(axis=1)
+            block["wall_time"] = wall.sum(axis=1)
             for name, end in ends.items():
-                block[0][name] = end + np.cumsum(block[0][name])
-                ends[name] = int(block[0][name][-1])
-            self._kept.add([block, *contacts])
+                block[name] = end + np.cumsum(block[name])
+                ends[name] = int(block[name][-1])
+            self._blocks.append(block)
             self._steps, self._wall, self._held, self._ends = self._steps[size:], self._wall[size:], 0, ends
 
     def __enter__(self) -> Recorder:

@@ -26,7 +26,6 @@ from nsdyn.recording.columns import (
     Columns,
     rows_of,
 )
-from nsdyn.recording.kept import Part
 from nsdyn.tools.arrays import Array, Index
 
 _STATE = "t", "q", "v", "frames_x", "frames_quat", "energy"
@@ -75,8 +74,8 @@ def _none(name: str, sizes: Mapping[str, int]) -> NDArray[Any]:
     return np.empty((0, *(lengths[axis] for axis in column.axes)), column.kind)
 
 
-def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | None, pushed: bool) -> list[Part]:
-    """Return the columns of steps without wall times, with counts in place of offsets.
+def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | None, pushed: bool) -> Columns:
+    """Return the columns of steps and of their contacts, without wall times, with counts in place of offsets.
 
     Parameters
     ----------
@@ -92,7 +91,7 @@ def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | Non
         Whether wrenches on free bodies are recorded.
     """
     parts = [_steps(run) for run in _runs(steps)]
-    block = parts[0] if len(parts) == 1 else {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+    block = {name: _joined(name, [part[name] for part in parts]) for name in parts[0]}
     shown = steps[every - 1 :: every] if contacts else ()
     if not pushed:
         block = {name: x for name, x in block.items() if not name.startswith("wrenches/")}
@@ -102,11 +101,9 @@ def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | Non
         block.pop(ON_LINKS, None)
     elif len(shown) < len(steps):
         row = np.repeat(np.arange(len(steps)) // every, [step.nc for step in steps])
-        of_all = [_one_by_one(*_contacts(run)) for run in _runs(steps)]
-        columns = {name: np.concatenate([of[name] for of in of_all]) for name in of_all[0]}
-        link_names.by_contacts(carriers, columns, row, block[ON_LINKS])
+        link_names.by_contacts(carriers, _of_contacts(steps), row, block[ON_LINKS])
     block["contacts/offset"] = np.array([step.nc for step in shown] if contacts else [0] * len(block["t"]))
-    return [(block, None), *map(_contacts, _runs(shown))]
+    return block | _of_contacts(shown)
 
 
 def _runs(steps: Sequence[Any]) -> list[list[Any]]:
@@ -119,19 +116,23 @@ def _steps(run: Sequence[Any]) -> Columns:
     return _columns(_stacked([s.step for s in run]) if isinstance(run[0], _Known) else _read_step(run[0].steps(run)))
 
 
-def _contacts(run: Sequence[Any]) -> Part:
+def _of_contacts(steps: Sequence[Any]) -> Columns:
     """Return the columns of the contacts of steps."""
+    runs = [_contacts(run) for run in _runs(steps)]
+    return {name: _joined(name, [_none(name, {}), *(run[k] for run in runs)]) for k, name in enumerate(_CONTACTS)}
+
+
+def _contacts(run: Sequence[Any]) -> list[NDArray[Any]]:
+    """Return the values of the contacts of steps that are packed together, by the columns of `CONTACT`."""
     if isinstance(run[0], _Known):
-        columns = [np.concatenate(of) for of in zip(*(step.contacts for step in run), strict=True)]
-        return dict(zip(_CONTACTS, columns, strict=True)), (len(columns[-1]),)
-    return dict(zip(_CONTACTS, _read_contacts(run[0].contacts(run)), strict=True)), (len(run), run[0].nc)
+        return [np.concatenate(of) for of in zip(*(step.contacts for step in run), strict=True)]
+    m, nc, read = len(run), run[0].nc, _read_contacts(run[0].contacts(run))
+    return [np.broadcast_to(x, (m, nc, *x.shape[2:])).reshape(m * nc, *x.shape[2:]) for x in read]
 
 
-def _one_by_one(columns: Columns, fitted: tuple[int, ...] | None) -> Columns:
-    """Return columns of contacts with one axis for the contacts of all steps."""
-    if fitted is None or len(fitted) == 1:
-        return columns
-    return {n: np.broadcast_to(c, (*fitted, *c.shape[2:])).reshape(-1, *c.shape[2:]) for n, c in columns.items()}
+def _joined(name: str, parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Return parts of a column as one array of its own, of the kind that it has in files."""
+    return np.concatenate(parts, dtype=LAYOUT[name].kind, casting="same_kind")
 
 
 def _stacked(rows: list[tuple[Any, ...]]) -> tuple[Any, ...]:

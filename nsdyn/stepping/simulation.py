@@ -150,7 +150,7 @@ def simulate(
         raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
     steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))
     kept = {"max_points": max_points, "every": every, "contacts": contacts, "polish": polish}
-    with _recorder(stepper, record, resume, kept, duration, steps // every) as recorder:
+    with _recorder(stepper, record, resume, kept, duration) as recorder:
         done = every * recorder.rows
         # disable=None: tqdm draws only on a terminal
         disable = None if progress else True
@@ -170,7 +170,6 @@ def _recorder(
     resume: str | Path | None,
     kept: dict[str, Any],
     duration: float,
-    rows: int,
 ) -> Recorder:
     """Return the recorder of a stepper; with `resume` the stepper is set to the last state of that recording."""
     scene = stepper.scene
@@ -190,7 +189,7 @@ def _recorder(
     }
     begin = stepper.get_state()
     if resume is None:
-        return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin), rows)
+        return Recorder(record, meta, scene.describe(), stepper.start(), partial(checkpoint.pack, begin))
     names = checkpoint.pack(begin).keys()
     recorder, arrays = Recorder.resumed(resume, meta, scene.describe(), stepper.start(), names, duration)
     stepper.set_state(checkpoint.unpack(arrays, begin, stepper.dynamics))
