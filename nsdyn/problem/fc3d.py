@@ -216,7 +216,10 @@ class FC3D:
         return self.solved(r, 0.0)[1]
 
     def residual(self, r: Any) -> float:
-        """Return the unit-invariant residual, m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ, ρ = 1/λ_max(W_cc)."""
+        """Return the unit-invariant residual, m/s: max over contacts of ‖r - P_K(r - ρ û)‖ / ρ and -u_N.
+
+        ρ = 1/λ_max(W_cc). The first term alone would be |u_N| / (1 + μ²)^½ at a contact that closes without impulse.
+        """
         return self.solved(r, 0.0)[2]
 
     def round_off(self, r: Any) -> float:

@@ -67,6 +67,17 @@ def test_error_is_the_formula(rng):
     assert problem.error(r) == pytest.approx(expected, rel=1e-13)
 
 
+@pytest.mark.parametrize("mu", [0.0, 1.0, 1e6, 1e20, 1e300])
+def test_a_contact_that_closes_is_not_solved_however_rough_it_is(mu):
+    """The distance of û from K* is 1/μ of the velocity at which contacts that slip close."""
+    rng = np.random.default_rng(4)
+    H = rng.normal(size=(12, 12))
+    problem = nd.FC3D(H.T @ H / 4 + np.eye(12), rng.normal(size=12) - np.tile([1.0, 0, 0], 4), np.full(4, mu))
+    assert problem.q[0] < -1.0 and problem.residual(np.zeros(12)) >= -problem.q[0::3].min()
+    solution = nd.solve(problem, tol=1e-4)
+    assert not solution.converged or solution.u[0::3].min() >= -1e-4
+
+
 @pytest.mark.slow
 def test_gap_bounds_the_velocity_error(rng):
     """½|v - v*|²_M <= gap for any r in K with u_N >= 0, against a frozen problem solved by an independent method."""

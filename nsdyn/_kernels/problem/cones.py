@@ -66,20 +66,21 @@ def measures(W_diagonal, u, r, mu):
     """Return (error, residual) of an impulse r and its velocity u.
 
     The error is |r - P_K(r - u_hat)|_2 over all contacts, the numerator of the literature's error. The residual is the
-    largest |r - P_K(r - rho u_hat)| / rho, with rho = 1 / W_diagonal[c], in m/s. It is at least the rounding of W_cc
-    r_c, since impulses so large that q vanishes in the round-off of u = W r + q solve nothing.
+    largest |r - P_K(r - rho u_hat)| / rho, with rho = 1 / W_diagonal[c], in m/s. It is at least -u_N, of which the
+    distance of u_hat from K* is only the part 1 / (1 + mu^2)^(1/2), and the rounding of W_cc r_c, since impulses so
+    large that q vanishes in the round-off of u = W r + q solve nothing.
     """
     total, worst = 0.0, 0.0
     for c in range(mu.size):
         i, rho = 3 * c, 1.0 / W_diagonal[c]
         s = mu[c] * math.sqrt(u[i + 1] * u[i + 1] + u[i + 2] * u[i + 2])
-        if r[i] == r[i + 1] == r[i + 2] == 0.0 and u[i] + s >= s:  # open; a NaN fails this test
+        if r[i] == r[i + 1] == r[i + 2] == 0.0 and u[i] >= 0.0 and s >= 0.0:  # open; a NaN fails this test
             continue
         pn, p1, p2 = project(r[i] - u[i] - s, r[i + 1] - u[i + 1], r[i + 2] - u[i + 2], mu[c])
         total += square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)
         pn, p1, p2 = project(r[i] - rho * (u[i] + s), r[i + 1] - rho * u[i + 1], r[i + 2] - rho * u[i + 2], mu[c])
         e = math.sqrt(square(r[i] - pn) + square(r[i + 1] - p1) + square(r[i + 2] - p2)) / rho
-        floor = ROUNDING * math.sqrt(square(r[i]) + square(r[i + 1]) + square(r[i + 2])) / rho
+        floor = max(-u[i], ROUNDING * math.sqrt(square(r[i]) + square(r[i + 1]) + square(r[i + 2])) / rho)
         e = floor if e < floor else e
         if not e <= worst:  # a NaN is the worst
             worst = e
