@@ -54,7 +54,8 @@ def certify(
 
     The bound is linear in the error where this is tighter than that of `gauss.certify`, and the defect in Coulomb's law
     is included. Parameters and results are those of `gauss.certify`. Two convex problems take some Newton steps each,
-    about as long as the solve. Round-off of velocities is counted.
+    about as long as the solve. Round-off of velocities is counted, unless nothing opens every contact: the bound is
+    then that of `gauss.certify`.
     """
     r = problem.impulse(r)
     certificate, slater = gauss.certify(problem, r, u, slater)
@@ -66,8 +67,9 @@ def certify(
     d = slater.d if slater is not None and (slater.d.size or slater.wedged) else gauss.of_all(problem)
     shift = _shift(problem, u)
     first, bound = _polished(problem, shift, impulse, d)
-    # The bound of the certificate does not count round-off.
+    # The bound of the certificate does not count round-off, which between wedged contacts leaves no bound at all.
     bound = min(_bound(problem, shift, impulse, d), _distance(problem, impulse, first) + bound)
+    bound = bound if bound < math.inf else certificate.bound
     second, _ = _polished(problem, _shift(problem, problem.velocity(first)), first, d)
     return certificate._replace(bound=bound, coulomb=_distance(problem, first, second)), slater
 

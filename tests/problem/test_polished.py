@@ -156,6 +156,18 @@ def test_wedge_without_a_direction_keeps_its_plain_certificate():
     assert polished.certify(problem, np.full(6, np.nan))[0].bound == np.inf
 
 
+@pytest.mark.parametrize("mu", [0.1, 1.0])
+def test_ball_in_a_steep_cup_has_a_bound(mu):
+    """With much friction nothing opens all three contacts, so that round-off, if it counts, leaves no bound."""
+    scene, steep = nd.Scene(), 0.3
+    for angle in 2.0 * np.pi * np.arange(3) / 3:
+        normal = np.array([np.cos(angle), np.sin(angle), steep]) / np.hypot(1.0, steep)
+        scene.add_halfspace(f"wall {angle:.0f}", normal=normal, material=nd.Material(mu=mu))
+    scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.1 * np.hypot(1.0, steep) / steep), material=nd.Material(mu=mu))
+    run = nd.simulate(scene, 0.02, dt=5e-3, polish=True)
+    assert (run.gauss.bound < 1e-6).all()
+
+
 def test_recorded_where_it_is_asked_for(tmp_path):
     """The motion is the same to the last bit; bounds are tighter, defects recorded; elsewhere they are NaN."""
     scene = nd.scenes.load("stack")(height=3)
