@@ -25,7 +25,7 @@ def _as_blocks3(W: Any) -> tuple[Index, Index, Array]:
     if sp.issparse(W) and W.dtype.kind == "c":
         raise ValueError("W must be real, got complex numbers")
     if not sp.issparse(W):
-        W = numbers(W, "square with 3 rows per contact", "W")
+        W = numbers(W, "real and square with 3 rows per contact", "W")
     if W.ndim != 2 or W.shape[0] != W.shape[1] or W.shape[0] % 3:
         raise ValueError(f"W must be square with 3 rows per contact, got shape {W.shape}")
     nc = W.shape[0] // 3

@@ -154,10 +154,10 @@ def test_blocks_against_dense(rng):
     [
         ({"W": np.eye(6)[:, :5]}, "W must be square"),
         ({"W": np.eye(5)}, "W must be square"),
-        ({"W": np.eye(3) * (1 + 1j)}, r"W must be square with 3 rows per contact, got "),
+        ({"W": np.eye(3) * (1 + 1j)}, r"W must be real and square with 3 rows per contact, got "),
         ({"W": sp.csr_array(np.eye(3) * (1 + 1j))}, "W must be real, got complex numbers"),
         ({"q": np.array([-1.0, 1j, 0.0])}, r"q must be 3 numbers per contact, got "),
-        ({"W": {}}, r"W must be square with 3 rows per contact, got \{\}"),
+        ({"W": {}}, r"W must be real and square with 3 rows per contact, got \{\}"),
         ({"q": "fast"}, "q must be 3 numbers per contact, got 'fast'"),
         ({"mu": [None, "x"]}, r"mu must be a number per contact, got \[None, 'x'\]"),
         ({"W": np.full((6, 6), np.nan)}, "W must be finite"),
