@@ -164,6 +164,14 @@ def test_other_matrices(kind, mu):
         assert solution.converged, (seed, solution.error, solution.residual)
 
 
+def test_a_path_is_followed_to_its_end():
+    """It takes 275 factorisations."""
+    problem = rank_deficient(30.0, 2)
+    search = auto.Search(problem, np.zeros_like(problem.q), 1e-8, 1e-8, effort=0.0)
+    search.follow(auto.TUNING.smoothing[0])
+    assert search.best <= 1e-8
+
+
 @FORMS
 @pytest.mark.parametrize("mu", [0.5, *(pytest.param(mu, marks=pytest.mark.slow) for mu in (0.0, 10.0))])
 def test_inconsistent_walls_are_reported(form, mu):
