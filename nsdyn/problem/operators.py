@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import qdldl
 import scipy.sparse as sp
+from scipy.linalg.lapack import dgetrf, dgetrs
 from scipy.sparse.linalg import splu
 
 from nsdyn._kernels.problem import blocks as _blocks
@@ -179,14 +180,25 @@ class Velocity:
         return self.graph.factor(self.blocks, A)(self.blocks.momentum(P) - missing)
 
 
+def _dense(K: Array) -> Callable[[Array], Array]:
+    """Return the function b ↦ K⁻¹ b; RuntimeError when K is singular."""
+    lu, pivots, bad = dgetrf(K)
+    if bad:
+        raise RuntimeError("the matrix is singular")
+    return lambda b: np.asarray(dgetrs(lu, pivots, b)[0])
+
+
 class Local:
-    """W given as a sparse matrix, which need not be symmetric."""
+    """W given as a sparse matrix, which need not be symmetric. LAPACK factorises it where all contacts are coupled."""
 
     def __init__(self, W: sp.bsr_array) -> None:
         self.W = W
         self.row = np.repeat(np.arange(W.shape[0] // 3), np.diff(W.indptr))
         self.diagonal = np.flatnonzero(self.row == W.indices)
         count, blocks = W.shape[0] // 3, np.arange(W.data.size).reshape(W.data.shape)
+        self._ordered: Ordered | None = None
+        if self.row.size == count * count:
+            return
         order = elimination_order(count, self.row, W.indices)
         number = sp.csr_array((np.arange(self.row.size), W.indices, W.indptr), shape=(count, count))[order][:, order]
         # Indices, among the entries of W, of the entries of the matrix in that order.
@@ -204,8 +216,11 @@ class Local:
         """Return the function g ↦ W (I + A W)⁻¹ g."""
         data = A[self.row] @ self.W.data
         data[self.diagonal] += np.eye(3)
-        np.take(data, self._entry, out=self._ordered.K.data)
-        solve = self._ordered.factor()
+        if self._ordered is None:
+            solve = _dense(data.reshape(A.shape[0], -1, 3, 3).swapaxes(1, 2).reshape(self.W.shape))
+        else:
+            np.take(data, self._entry, out=self._ordered.K.data)
+            solve = self._ordered.factor()
         return lambda g: self.product(solve(g))
 
     def change(self, r: Array) -> Array:

@@ -234,6 +234,17 @@ def test_operators(operator, rng):
     np.testing.assert_allclose(made.product(g), W @ g, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("as_sparse", [False, True])
+def test_operator_that_couples_all_contacts(as_sparse, rng):
+    """It is no sparse matrix, and need not be symmetric; I + A W of an indefinite W may be singular."""
+    W, A, g = rng.normal(size=(12, 12)) + 8.0 * np.eye(12), rng.normal(size=(4, 3, 3)), rng.normal(size=12)
+    made = Local(nd.FC3D(sp.csr_array(W[:, ::-1])[:, ::-1] if as_sparse else W, np.ones(12), np.ones(4)).W)
+    expected = W @ np.linalg.solve(np.eye(12) + scipy.linalg.block_diag(*A) @ W, g)
+    np.testing.assert_allclose(made.factor(A)(g), expected, rtol=1e-12)
+    with pytest.raises(RuntimeError, match="singular"):
+        Local(nd.FC3D([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]], np.ones(3), [1.0]).W).factor(-np.diag([1.0, 0, 0])[None])
+
+
 def test_scaling_point(rng):
     """T z = T⁻¹ x = λ with T symmetric, and the mean of x·z."""
     nc = 5
