@@ -22,8 +22,8 @@ def has_slater_point(problem: FC3D, facets: int = 16) -> bool | None:
     found soon, a linear program is solved on a pyramid of `facets` facets inside K*. True is a proof. False may be
     wrong only when no velocity clears the cone by more than the gap between pyramid and cone (2 % of μ ‖u_T‖ for 16
     facets). None if the program took too many iterations (some seconds). Without factors the range of W replaces that
-    of Hᵀ. A body on one side of everything it touches can leave and has a Slater point; a box jammed between two walls
-    has none.
+    of Hᵀ; with mass ratios from 1e10 on rounding hides parts of it, and False may be wrong. A body on one side of
+    everything it touches can leave and has a Slater point; a box jammed between two walls has none.
 
     References
     ----------
