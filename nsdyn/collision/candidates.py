@@ -13,7 +13,7 @@ from nsdyn._kernels.collision import broadphase
 from nsdyn._kernels.collision.geometry import Geometry
 from nsdyn._kernels.packing import pack
 from nsdyn.collision.contacts import ContactSet
-from nsdyn.collision.distances import SHRINK, Batch, empty_model, split
+from nsdyn.collision.distances import SHRINK, SLOTS, Batch, Solids, empty_model, exponents, numbered, split
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.shapes import HALFSPACE, ROUND, SPHERE
 from nsdyn.tools.arrays import Array, Bools, Index
@@ -65,29 +65,22 @@ class Candidates:
         n = len(geoms)
         self._max_points, self._pair_material = max_points, pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
-        cores: dict[int, Any] = {id(g.shape): g.shape.core(SHRINK) for g in geoms}
-        for g in geoms:
-            if g.shape.kind != HALFSPACE:  # distances to it need none, and with an infinite one it cannot be copied
-                g.shape.geometry.computeLocalAABB()
-                cores[id(g.shape)].computeLocalAABB()
-        self._set_geoms(_flatten(geoms), [g.shape.geometry for g in geoms], [cores[id(g.shape)] for g in geoms])
+        self._set_geoms(_flatten(geoms), Solids([g.shape for g in geoms]))
 
     def only(self, geoms: Index, frame: Index) -> Self:
         """Return the candidates of some geoms (k,), ascending, on other frames (k,); their contacts are the same."""
-        out, n, material = copy(self), len(self._cores), self._pair_material
+        out, n, material = copy(self), self.frame.size, self._pair_material
         out._pair_material = lambda i, j: material(geoms[i], geoms[j])
         place = np.full(n, -1)
         place[geoms] = np.arange(geoms.size)
         first, second = place[np.array(np.divmod(self._excluded, n))]
         out._excluded = (first * geoms.size + second)[(first >= 0) & (second >= 0)]
-        some = geoms.tolist()
-        shapes = [self._solids[g] for g in some], [self._cores[g] for g in some]
-        out._set_geoms(_some(self._geometry, geoms, frame), *shapes)
+        out._set_geoms(_some(self._geometry, geoms, frame), self._solids.only(geoms))
         return out
 
-    def _set_geoms(self, geometry: Geometry, solids: list[Any], cores: list[Any]) -> None:
-        """Set up all arrays that depend on the geoms: their shapes, with those of Coal, and without `SHRINK`."""
-        n, kind, self._geometry, self._solids, self._cores = len(cores), geometry.kind, geometry, solids, cores
+    def _set_geoms(self, geometry: Geometry, solids: Solids) -> None:
+        """Set up all arrays that depend on the geoms: their shapes, with those of Coal."""
+        n, kind, self._geometry, self._solids = geometry.kind.size, geometry.kind, geometry, solids
         self.fields = tuple(geometry)
         self._half, self._round = kind == HALFSPACE, np.isin(kind, ROUND)
         self._ball = self._half | (kind == SPHERE)
@@ -145,7 +138,7 @@ class Candidates:
 
     def codes(self, contacts: ContactSet) -> Index:
         """Code of the pair of geoms of every contact, one number each, shape (nc,)."""
-        return contacts.geom1 * len(self._cores) + contacts.geom2
+        return contacts.geom1 * self.frame.size + contacts.geom2
 
     def ask(self, x: Array, R: Array, reach: Array) -> None:
         """Place the geoms, and compute the distances of the candidate pairs with Coal."""
@@ -169,24 +162,32 @@ class Candidates:
     def _set_pairs(self, codes: Index) -> None:
         """Set up all arrays that depend on the list of candidate pairs alone."""
         self._codes = codes
-        first, second = np.divmod(codes, len(self._cores))
+        first, second = np.divmod(codes, self.frame.size)
         half, both_round = self._half[first] | self._half[second], self._round[first] & self._round[second]
         asked = ~(half | both_round)
         self._first, self._second, self._asked = first, second, asked
         slot = np.where(asked, np.cumsum(asked) - 1, -1)
         radius = np.where(self._moving, self._geometry.radius, np.inf)
-        self._pair_base = base = MARGIN * np.minimum(radius[first], radius[second])
+        radius = np.minimum(radius[first], radius[second])
+        self._pair_base, self._exponent = base, k = MARGIN * radius, exponents(radius)
         room, material = len(codes) * self._max_points, self._pair_material(first, second)
         found, asks = (np.empty((room, 3)), np.empty((room, 3)), np.empty(room)), np.empty((int(asked.sum()), 10))
         floats, integers, f, _ = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
         self._search = (self._packed, (floats, integers), self._max_points, TOLERANCE)
         self._coal, self._batches = f[3], []
-        of_coal = first[asked], second[asked], base[asked]
-        for k, (lo, hi) in enumerate(split(*of_coal[:2])):
-            if k == len(self._models):
-                self._models.append(empty_model(len(self._cores)))
+        of_coal = numbered(first, k)[asked], numbered(second, k)[asked], base[asked]
+        for lo, hi in split(*of_coal[:2]):
             one, other, margin = (part[lo:hi] for part in of_coal)
-            self._batches.append(Batch(self._models[k], self._cores, one, other, margin, self._coal[lo:hi]))
+            self._batches.append(Batch(self._model, self._solids, one, other, margin, self._coal[lo:hi]))
+
+    def _model(self, solids: int) -> pin.GeometryModel:
+        """Return the model of the next batch, that of an earlier one if it has room."""
+        k = len(self._batches)
+        if k == len(self._models):
+            self._models.append(empty_model(min(max(solids, self.frame.size), SLOTS)))
+        elif self._models[k].ngeoms < solids:
+            self._models[k] = empty_model(solids)
+        return self._models[k]
 
     def _pack_geoms(self) -> None:
         """Pack the arrays of the geoms, which do not depend on the candidates, for `seek`, and make them views."""

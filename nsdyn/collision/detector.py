@@ -7,6 +7,7 @@ points and gaps from the faces, edges and curved surfaces that this normal selec
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import coal
@@ -185,17 +186,17 @@ class Detector(Candidates):
         parted, stride = least is None, near if least is None else max(near, min(least[g] for g in geoms))
         together = near
         room, motion, some = (self._R.copy(), self._t.copy()), (begin.x, begin.R, end.x, turn), list(geoms)
-        solids = [self._solids[g] for g in geoms]
+        unit = math.ldexp(1.0, int(self._exponent[p]))
+        solids = [self._solids(g, unit, 0.0) for g in geoms]
         for _ in range(ADVANCES):
             advancement.place_at(self.fields, room, motion, s, geoms)
             R, t = (a[some] for a in room)
-            distance, result = _distance(solids, R, t)
-            n, points = result.normal, (result.getNearestPoint1(), result.getNearestPoint2())
+            distance, n, *points = _distance(solids, R, t, unit)
             if not np.isfinite(n).all():  # in deep penetration
                 break
             together = near + max(0.0, distance) if s == 0.0 else together
             parted = parted or distance > together
-            shown = s, distance, near if parted else stride, tuple(n), points
+            shown = s, distance, near if parted else stride, tuple(n), tuple(points)
             later, speed = advancement.advance(self.fields, self._arm, motion, geoms, shown, room)
             if distance <= (near if parted else -stride) and speed > 0.0:
                 return s, R, t
@@ -210,8 +211,8 @@ class Detector(Candidates):
         all_R, all_t, asked = self._R.copy(), self._t.copy(), np.empty((1, 10))
         all_R[geoms], all_t[geoms] = R, t
         if self._asked[p]:
-            asked[0, 0], result = _distance([self._cores[g] for g in geoms], R, t)
-            asked[0, 1:4] = result.normal
+            unit = math.ldexp(1.0, int(self._exponent[p]))
+            asked[0, 0], asked[0, 1:4], *_ = _distance([self._solids(g, unit) for g in geoms], R, t, unit)
         found = np.empty((self._max_points, 3)), np.empty((self._max_points, 3)), np.empty(self._max_points)
         slot, pair = np.where(self._asked[one], 0, -1), np.empty(self._max_points, np.int64)
         placed = self.fields, all_R, all_t, np.zeros(len(all_R)), self._slack
@@ -246,10 +247,12 @@ class Detector(Candidates):
         return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered, _NONE)
 
 
-def _distance(shapes: Any, R: Array, t: Array) -> tuple[float, Any]:
-    """Distance of two geometries of Coal at their poses, m, and Coal's result."""
-    placed, result = [coal.Transform3s(R[k], t[k]) for k in (0, 1)], coal.DistanceResult()
-    return coal.distance(shapes[0], placed[0], shapes[1], placed[1], distance_request(), result), result
+def _distance(solids: Any, R: Array, t: Array, unit: float) -> tuple[float, Array, Array, Array]:
+    """Distance of two solids of Coal, in a unit in m, at their poses; normal and nearest points. All in m."""
+    placed, result = [coal.Transform3s(R[k], t[k] / unit) for k in (0, 1)], coal.DistanceResult()
+    distance = coal.distance(solids[0], placed[0], solids[1], placed[1], distance_request(), result)
+    points = unit * result.getNearestPoint1(), unit * result.getNearestPoint2()
+    return unit * distance, np.array(result.normal), *points
 
 
 def _room(count: int) -> tuple[Index, Array, Array]:

@@ -1,12 +1,15 @@
 """Distances of many pairs in one call of Pinocchio and Coal, between cores slightly smaller than the shapes.
 
 The poses of the geoms are written, and the results read, through views of the memory that Pinocchio owns.
+
+Coal has constants that are lengths. It therefore gets each pair in a unit of its own: a power of two, which changes no
+digit, of the size of its smaller geom. Grains and ships so have the distances of what is as large as a hand.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -15,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn._kernels.collision import broadphase as _broadphase
+from nsdyn.scene.shapes import HALFSPACE, Shape
 from nsdyn.tools.arrays import Array, Index
 
 SHRINK = 1e-3
@@ -23,28 +27,71 @@ any angle (half of them are for ellipsoids); those of bodies slightly apart are 
 still apart."""
 
 GJK_TOLERANCE = 1e-9
-"""m; with Coal's 1e-6, two bodies closer than 1e-6 m count as overlapping and get an arbitrary normal."""
+"""In units of the pair; cores closer than this count as overlapping and get an arbitrary normal, with Coal's 1e-6 too
+many."""
 
 SLOTS = 256
-"""Geoms per call of Pinocchio: time and memory of its GeometryModel grow with the square of their number."""
+"""Solids per call of Pinocchio: time and memory of its GeometryModel grow with the square of their number."""
+
+_EXPONENTS = 4096
+"""More than there are exponents of floats."""
+
+
+class Solids:
+    """Coal's solids of shapes in any unit of length, made once.
+
+    Parameters
+    ----------
+    shapes : sequence of Shape
+        Of all geoms.
+    made : dict, optional
+        Solids made already, which the selections of `only` share.
+    """
+
+    def __init__(self, shapes: Sequence[Shape], made: dict[tuple[int, float, float], Any] | None = None) -> None:
+        self.shapes, self._made = shapes, {} if made is None else made
+
+    def __call__(self, geom: int, unit: float, fraction: float = SHRINK) -> Any:
+        """Return the solid of a geom, smaller by `fraction` as of `Shape.core`, in a unit in m."""
+        shape = self.shapes[geom]
+        key = id(shape), unit, fraction
+        if (solid := self._made.get(key)) is None:
+            solid = self._made[key] = shape.core(fraction, unit)
+            if shape.kind != HALFSPACE:  # a solid with an infinite box cannot be copied
+                solid.computeLocalAABB()
+        return solid
+
+    def only(self, geoms: Index) -> Solids:
+        """Return the solids of some geoms."""
+        return Solids([self.shapes[g] for g in geoms.tolist()], self._made)
+
+
+def exponents(radius: Array) -> Index:
+    """Return k of the units 2ᵏ m in which lengths (m) are from 1 to 2."""
+    return np.frexp(radius)[1].astype(np.int64) - 1
+
+
+def numbered(geoms: Index, exponent: Index) -> Index:
+    """Return one number for each geom in a unit 2ᵏ, k = `exponent`."""
+    return _EXPONENTS * geoms + exponent + _EXPONENTS // 2
 
 
 def split(first: Index, second: Index) -> list[tuple[int, int]]:
-    """Ranges of consecutive pairs that involve at most `SLOTS` geoms each."""
+    """Ranges of consecutive pairs of solids that involve at most `SLOTS` of them each."""
     ranges, start = [], 0
-    geoms: set[int] = set()
+    solids: set[int] = set()
     for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        if len(geoms) + (i not in geoms) + (j not in geoms) > SLOTS:
+        if len(solids) + (i not in solids) + (j not in solids) > SLOTS:
             ranges.append((start, k))
-            start, geoms = k, set()
-        geoms |= {i, j}
+            start, solids = k, set()
+        solids |= {i, j}
     return [*ranges, (start, len(first))] if len(first) else []
 
 
-def empty_model(geoms: int) -> pin.GeometryModel:
-    """Model of at most `SLOTS` placeholders on the universe, which get their shapes later."""
+def empty_model(solids: int) -> pin.GeometryModel:
+    """Model of placeholders on the universe, which get their shapes later."""
     model, ball = pin.GeometryModel(), coal.Sphere(1.0)
-    for k in range(min(geoms, SLOTS)):
+    for k in range(solids):
         model.addGeometryObject(pin.GeometryObject(str(k), 0, pin.SE3.Identity(), ball))
     return model
 
@@ -71,12 +118,12 @@ class Batch:
 
     Parameters
     ----------
-    model : pin.GeometryModel
-        Made by `empty_model`; its placeholders get the shapes.
-    shapes : sequence of Coal's geometries
+    model : callable
+        ``model(n)`` returns a model of at least n placeholders, made by `empty_model`.
+    solids : Solids
         Of all geoms.
     first, second : ndarray of int, shape (m,)
-        Geoms of the pairs.
+        Solids of the pairs, `numbered`; both of a pair are in one unit.
     margin : ndarray, shape (m,)
         m; pairs farther apart than this and the reach of both are of no interest.
     out : ndarray, shape (m, 10)
@@ -84,17 +131,23 @@ class Batch:
     """
 
     def __init__(
-        self, model: pin.GeometryModel, shapes: Sequence[object], first: Index, second: Index, margin: Array, out: Array
+        self, model: Callable[[int], Any], solids: Solids, first: Index, second: Index, margin: Array, out: Array
     ) -> None:
-        self._pairs, self._near = (first, second, margin), np.ones(first.size, np.bool_)
+        both = np.concatenate((first, second))
+        pairs = *(both // _EXPONENTS).reshape(2, -1), margin
+        self._pairs, self._near = pairs, np.ones(first.size, np.bool_)
         self._changed = np.empty(first.size, np.int64)
-        self._geoms, slots = np.unique(np.concatenate((first, second)), return_inverse=True)
-        for k, g in enumerate(self._geoms):
-            model.geometryObjects[k].geometry = shapes[g]
+        numbers, slots = np.unique(both, return_inverse=True)
+        self._geoms, exponent = np.divmod(numbers, _EXPONENTS)
+        unit = np.ldexp(1.0, exponent - _EXPONENTS // 2)
+        self._of_solids, self._of_pairs = unit[:, None], unit[slots[: first.size], None]
+        self._model = model(numbers.size)
+        for k, of in enumerate(zip(self._geoms.tolist(), unit.tolist(), strict=True)):
+            self._model.geometryObjects[k].geometry = solids(*of)
         m = len(first)
-        del model.collisionPairs[:]
-        model.collisionPairs.extend([_pair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
-        self._model, self._data, self._out = model, pin.GeometryData(model), out
+        del self._model.collisionPairs[:]
+        self._model.collisionPairs.extend([_pair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
+        self._data, self._out = pin.GeometryData(self._model), out
         request = distance_request()
         requests = self._data.distanceRequests
         for k in range(m):  # Pinocchio's own requests start from the last result: not reproducible
@@ -110,7 +163,7 @@ class Batch:
         """
         R, t, _ = placed
         self._rotation[:] = R[self._geoms]
-        self._translation[:] = t[self._geoms]
+        np.divide(t[self._geoms], self._of_solids, out=self._translation)
         count = _broadphase.of_interest(fields, placed, boxes, self._pairs, self._near, self._changed)
         for k in self._changed[:count].tolist():
             if self._near[k]:
@@ -119,7 +172,9 @@ class Batch:
                 self._data.deactivateCollisionPair(k)
                 self._results[k, 0] = np.inf
         pin.computeDistances(self._model, self._data)
-        self._out[:] = self._results
+        self._out[:, 1:4] = self._results[:, 1:4]
+        np.multiply(self._results[:, :1], self._of_pairs, out=self._out[:, :1])
+        np.multiply(self._results[:, 4:], self._of_pairs, out=self._out[:, 4:])
 
 
 def _memory(address: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> Array:

@@ -98,28 +98,30 @@ class Shape:
             return CURVED[self.kind][0]
         return "halfspace" if self.kind == HALFSPACE else "box" if self.size.any() else "convex"
 
-    def core(self, fraction: float) -> Any:
+    def core(self, fraction: float, unit: float = 1.0) -> Any:
         """Return Coal's geometry of the shape shrunk by a fraction of its inscribed radius, with the same normals.
 
-        Half-spaces, spheres and capsules are returned unchanged.
+        Half-spaces, spheres and capsules are not shrunk.
 
         Parameters
         ----------
         fraction : float
             In [0, 1).
+        unit : float
+            Unit of its lengths, m.
 
         Returns
         -------
         coal.ShapeBase
         """
-        thinner = fraction * self.inscribed_radius
-        if self.kind == HALFSPACE or self.kind in ROUND:
-            return self.geometry
+        thinner = 0.0 if self.kind in ROUND else fraction * self.inscribed_radius
+        if self.kind == HALFSPACE:
+            return coal.Halfspace(self.size, self.offset / unit)
         if self.kind in CURVED:
-            return CURVED[self.kind][1](self.size - thinner)
+            return CURVED[self.kind][1]((self.size - thinner) / unit)
         if self.size.any():
-            return coal.Box(*(self.size - 2.0 * thinner))
-        return coal_convex(self.vertices * (1.0 - fraction), self.face_loop, self.face_ptr)
+            return coal.Box(*((self.size - 2.0 * thinner) / unit))
+        return coal_convex(self.vertices * (1.0 - fraction) / unit, self.face_loop, self.face_ptr)
 
     def inertia(self, mass: float) -> Array:
         """Return the inertia of the homogeneous solid about its centre of mass, shape axes, shape (3, 3), in kg m².

@@ -485,6 +485,37 @@ def test_swapped_bodies_mirror_the_contacts(rng):
         np.testing.assert_allclose(two.point, one.point, rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize("unit", [2.0**-14, 2.0**14])
+def test_contacts_are_the_same_in_any_unit_of_length(unit, rng):
+    """To the last bit for powers of two, beside a body of another size: Coal has constants that are lengths."""
+
+    def made(u):
+        curved = (
+            shapes.capsule(0.3 * u, 0.6 * u),
+            shapes.cylinder(0.45 * u, 0.6 * u),
+            shapes.ellipsoid((0.2 * u, 0.4 * u, 0.5 * u)),
+        )
+        return shapes.box((u, 0.8 * u, 0.6 * u)), shapes.convex(HEXAGON * u)[0], *curved
+
+    metre, other, crumb, found = made(1.0), made(unit), shapes.box((2e-3, 1e-3, 1e-3)), 0
+    for k in range(120):
+        a, b = rng.choice(len(metre), size=2)
+        tilt, gap, axis = 10.0 ** rng.uniform(-9, -3), rng.choice([-1e-6, 1e-6]), rng.normal(size=3)
+        R1, R2 = (LYING, UPRIGHT)[k % 2], about(axis / np.linalg.norm(axis), tilt) @ (LYING, UPRIGHT)[k // 2 % 2]
+        up = np.array((0.0, 0.0, 1.0))
+        x = (support(metre[a], R1, up) - support(metre[b], R2, -up) + gap * up)[2] * up + [0.1, 0.05, 0.0]
+        near = x - 0.4 * up + support(metre[b], R2, np.array((1.0, 0.0, 0.0)))
+        c, d = (
+            contacts_of((s[a], np.zeros(3), R1), (s[b], u * x, R2), (shape, u * near, R1))
+            for s, u, shape in ((metre, 1.0, crumb), (other, unit, shapes.box(unit * np.array((2e-3, 1e-3, 1e-3)))))
+        )
+        np.testing.assert_array_equal(d.normal, c.normal)
+        np.testing.assert_array_equal(d.point, unit * c.point)
+        np.testing.assert_array_equal(d.gap, unit * c.gap)
+        found += len(c.gap)
+    assert found > 200
+
+
 @pytest.mark.parametrize(
     ("first", "second", "flat"),
     [
