@@ -229,6 +229,26 @@ def test_parallel_round_sides_touch_at_both_ends_of_the_overlap(first, second, r
         np.testing.assert_allclose(c.point[np.argsort(c.point @ Q[:, 2])], expected, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("second", [shapes.capsule(0.15, 0.6), shapes.cylinder(0.15, 0.6)], ids=["capsule", "cylinder"])
+def test_round_sides_that_are_almost_parallel_touch_with_their_ends(second, rng):
+    """As the end of an axis and the other axis are apart, whichever body is first."""
+    first, up = shapes.capsule(0.2, 1.0), np.array((0.0, 0.0, 1.0))
+    for _ in range(40):
+        along, axis = rng.uniform(-0.7, 0.7), rng.normal(size=3)
+        R = about(axis / np.linalg.norm(axis), 10.0 ** rng.uniform(-6, -3.1))
+        x = np.array((0.35, 0.0, along))
+        c = contacts_of((first, np.zeros(3), UPRIGHT), (second, x, R), reach=1e-2)
+        d = contacts_of((second, x, R), (first, np.zeros(3), UPRIGHT), reach=1e-2)
+        np.testing.assert_allclose(d.normal, -c.normal, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(d.gap, c.gap, rtol=0, atol=1e-15)
+        if second.kind == shapes.CAPSULE:
+            ends = [(x + s * R @ up - np.clip(x[2] + s * R[2, 2], -0.5, 0.5) * up) for s in (-0.3, 0.3)]
+            feet = [np.clip(R[:, 2] @ (s * up - x), -0.3, 0.3) * R[:, 2] + x - s * up for s in (-0.5, 0.5)]
+            apart = min((np.linalg.norm(v), *v) for v in ends + feet)
+            assert c.gap.min() == pytest.approx(apart[0] - 0.35, abs=1e-15)
+            np.testing.assert_allclose(c.normal[c.gap.argmin()], np.array(apart[1:]) / apart[0], rtol=0, atol=1e-14)
+
+
 @pytest.mark.parametrize("floor", [GROUND, shapes.box((0.8, 2, 1))], ids=["plane", "box"])
 @pytest.mark.parametrize("shape", [shapes.capsule(0.2, 1.0), shapes.cylinder(0.2, 1.0)], ids=["capsule", "cylinder"])
 def test_lying_round_sides_touch_twice_each_with_its_gap(shape, floor):

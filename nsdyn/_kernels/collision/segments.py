@@ -71,6 +71,26 @@ def touch(a, radius1, b, radius2, n, out, at):
 
 
 @no_alloc(forceinline=True)
+def end_opposite(end, line):
+    """Contact of the end of one segment with another: (unit vector to it, point, gap, distance of cores, arc length).
+
+    `end` is (a, g, radius, flat): the end, the direction and the radius of its segment, and whether its end is flat.
+    `line` is (c, f, length, radius, flat) of the other, which starts at c with direction f. Where that has ends that
+    are balls, the foot of a on it stays between them.
+    """
+    (a, g, radius, flat), (c, f, length, other, bounded) = end, line
+    if flat:  # its end is a circle, not a ball
+        m = minus(along(c, dot(f, minus(a, c)), f), a)
+        m, _ = unit(along(m, -dot(m, g), g))
+        a, radius = along(a, radius, m), 0.0
+    s = dot(f, minus(a, c))
+    foot = along(c, s if bounded else min(max(s, 0.0), length), f)
+    m, distance = unit(minus(foot, a))
+    middle = times(0.5, along(along(a, radius, m), 1.0, along(foot, -other, m)))
+    return m, middle, distance - radius - other, distance, s
+
+
+@no_alloc(forceinline=True)
 def segments(geometry, i, j, lines, n, out, at):
     """Contacts of two segments with radii, one of each geom, into `out` from index `at` on; returns their number.
 
@@ -85,19 +105,26 @@ def segments(geometry, i, j, lines, n, out, at):
     common, sine = unit(cross(d, e))
     rounded, tiny = radius1 + radius2 > 0.0, SAME * smaller(geometry, i, j)
     if length1 > 0.0 and length2 > 0.0 and sine < PARALLEL:
-        # Both ends of the overlap, as arc lengths on segment 1.
-        low, high = dot(d, minus(p2, p1)), dot(d, minus(q2, p1))
-        low, high = max(min(low, high), 0.0), min(max(low, high), length1)
+        # Both ends of the overlap, as arc lengths on segment 1. Each is an end of one of the segments.
+        begin, end = dot(d, minus(p2, p1)), dot(d, minus(q2, p1))
+        low, high = max(min(begin, end), 0.0), min(max(begin, end), length1)
         if high - low > tiny:
             across, _ = unit(along(n, -dot(n, d), d))
             count = 0
             for s in (low, high):
-                a = along(p1, s, d)
-                b = along(p2, dot(e, minus(a, p2)), e)
-                touch(a, radius1, b, radius2, across, out, at + count)
                 if rounded:
-                    apart = out.gap[at + count] + radius1 + radius2 > tiny
+                    sign, b = -1.0, p2 if s == begin else q2
+                    own, line = (b, e, radius2, flat2), (p1, d, length1, radius1, flat1)
+                    if s == 0.0 or s == length1:
+                        sign, own, line = 1.0, (along(p1, s, d), d, radius1, flat1), (p2, e, length2, radius2, flat2)
+                    m, middle, out.gap[at + count], distance, _ = end_opposite(own, line)
+                    put(out.normal, at + count, times(sign, m))
+                    put(out.point, at + count, middle)
+                    apart = distance > tiny
                 else:  # edges that touch lie one above the other, not side by side in almost parallel faces
+                    a = along(p1, s, d)
+                    b = along(p2, dot(e, minus(a, p2)), e)
+                    touch(a, radius1, b, radius2, across, out, at + count)
                     gap, away = out.gap[at + count], minus(b, a)
                     apart = dot(away, away) <= square(gap) + square(ANGLE * abs(gap) + tiny)
                 if apart and (not known or dot(row(out.normal, at + count), n) > 0.5):
@@ -193,24 +220,16 @@ def ends(geometry, i, j, n, margin, out, at, count):
     e, length2 = unit(minus(q2, p2))
     if abs(dot(d, e)) < OBLIQUE:
         return count
-    one = has_rim(geometry, i), radius1, d, length1, 1.0, p2, radius2, e, length2
-    two = has_rim(geometry, j), radius2, e, length2, -1.0, p1, radius1, d, length1
+    flat1, flat2 = has_rim(geometry, i), has_rim(geometry, j)
+    one = (d, radius1, flat1), (p2, e, length2, radius2, flat2), length1, 1.0
+    two = (e, radius2, flat2), (p1, d, length1, radius1, flat1), length2, -1.0
     for a, lines in ((p1, one), (q1, one), (p2, two), (q2, two)):
-        # An end a of one segment with direction g; the other segment starts at c with direction f.
-        flat, radius, g, opposite, sign, c, other, f, length = lines
-        if flat:  # its end is a circle, not a ball
-            m = minus(along(c, dot(f, minus(a, c)), f), a)
-            m, _ = unit(along(m, -dot(m, g), g))
-            a, radius = along(a, radius, m), 0.0
-        s = dot(f, minus(a, c))
-        foot = along(c, s, f)
-        m, distance = unit(minus(foot, a))
-        if not (s > 0.0 and s < length and opposite > 0.0) or sign * dot(m, n) < 0.5:
+        (g, radius, flat), line, opposite, sign = lines
+        m, middle, height, _, s = end_opposite((a, g, radius, flat), line)
+        if not (s > 0.0 and s < line[2] and opposite > 0.0) or sign * dot(m, n) < 0.5:
             continue
         if not may_meet(geometry, i, j, times(sign, m), out.gap[at], margin):
             continue
-        height = distance - radius - other
-        middle = times(0.5, along(along(a, radius, m), 1.0, along(foot, -other, m)))
         new = height <= margin
         for q in range(count):
             away = minus(middle, row(out.point, at + q))
