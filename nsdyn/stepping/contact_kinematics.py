@@ -246,7 +246,7 @@ class ContactKinematics(NamedTuple):
         return self._replace(local=local)
 
     def corrected(
-        self, gap: Array, off: Bools, closed: float, ahead: float, ended: tuple[Index, Array, Array]
+        self, gap: Array, off: Bools, closed: Array, ahead: float, ended: tuple[Index, Array, Array]
     ) -> ContactKinematics:
         """Return the kinematics corrected in the rows that are `off` by the gaps (rows,) at the end of the move.
 
@@ -282,7 +282,7 @@ class ContactKinematics(NamedTuple):
         local[4] = r
         return self._replace(rows=rows, local=local)
 
-    def off(self, gap: Array, r: Array, closed: float) -> Bools:
+    def off(self, gap: Array, r: Array, closed: Array) -> Bools:
         """Mark rows that persist and are pressed by r, but end with a gap (rows,), open or not."""
         out = np.empty(gap.size, np.bool_)
         _law.off(gap, r, self.stays, closed, out)

@@ -12,7 +12,6 @@ from nsdyn._kernels.stepping.solving import PASSES
 from nsdyn.collision.contacts import ContactSet, DetectionPose, among, take, united
 from nsdyn.dynamics.joints import JointRows
 from nsdyn.dynamics.values import Flow, Forces, Placement
-from nsdyn.problem.solution import Solution
 from nsdyn.stepping.active_set import (
     captured,
     captured_limits,
@@ -30,7 +29,7 @@ from nsdyn.stepping.midpoint import Loads, Midpoint, corrected, midpoint
 from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.scene_state import SceneState, System
-from nsdyn.stepping.solving import solve, update_sliding
+from nsdyn.stepping.solving import residuals, solve, update_sliding
 from nsdyn.tools.arrays import Array, Bools, Index
 
 NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
@@ -236,12 +235,13 @@ def _response(
         slips = np.zeros(sliding.size, np.bool_)
         if passes:
             slips = update_sliding(kin, problem, solution, sliding, back, off)
-        turn = turned(s, kin, mid, solution, v, sliding, couple, left) if passes and lasts else None
+        errors = residuals(kin, problem, solution) if passes and lasts else NOTHING
+        turn = turned(s, kin, mid, solution, errors, v, sliding, couple, left) if passes and lasts else None
         off = np.zeros(alone.end_gap.size, np.bool_)
         if located is not None or not passes or (turn is None and not slips.any()):
             trees, moved = _second_half(s, mid, forces, there, v, impulse, near)
             if passes and lasts and located is not None:
-                alone, off = _end_gaps(s, mid, alone, solution, moved)
+                alone, off = _end_gaps(s, mid, alone, solution.r, errors, moved)
         if turn is not None:
             couple, other = turn
             slips[: other.size] |= other
@@ -288,15 +288,18 @@ def _kinematics(
 
 
 def _end_gaps(
-    s: System, mid: Midpoint, kin: ContactKinematics, solution: Solution, moved: SceneState
+    s: System, mid: Midpoint, kin: ContactKinematics, r: Array, errors: Array, moved: SceneState
 ) -> tuple[ContactKinematics, Bools]:
-    """Return the rows with their gaps at the end of the move, and mark rows that end otherwise than predicted."""
+    """Return the rows with their gaps at the end of the move, and mark rows that end otherwise than predicted.
+
+    `errors` (rows,) are those of the velocities of the impulses r, m/s.
+    """
     d, there, joints = s.dynamics, moved.placement, kin.joints
     gap = s.detector.gaps(kin.contacts, moved.contacts, there)
     if joints is not None:
         gap = np.concatenate((gap, _limits(s, joints, there)))
-    closed = max(s.gap_tol, solution.residual * mid.h)
-    if not (off := kin.off(gap, solution.r, closed)).any():
+    closed = np.maximum(s.gap_tol, errors * mid.h)
+    if not (off := kin.off(gap, r, closed)).any():
         return kin, off
     parts = normal_velocities(d, moved.contacts, moved, mid.surfaces[2])
     rates = NOTHING if joints is None else d.joints.rates(joints.slot, moved.v)

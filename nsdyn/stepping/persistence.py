@@ -56,6 +56,7 @@ def turned(
     kin: ContactKinematics,
     mid: Midpoint,
     solution: Solution,
+    errors: Array,
     v: Array,
     sliding: Bools,
     couple: Couple,
@@ -63,9 +64,9 @@ def turned(
 ) -> tuple[Couple, Bools] | None:
     """Return the couples with which persistent contacts do no work, and the contacts whose couples changed.
 
-    None if no couple changes. The impulses of `solution` lead to the velocity v (n,). `sliding` (nc,) are contacts that
-    slide through the step, `couple` the couples so far. `left` (nc,), the work that couples leave, J, is updated as in
-    the kernel `couples`.
+    None if no couple changes. The impulses of `solution` lead to the velocity v (n,), with `errors` (rows,), m/s, of
+    relative velocities. `sliding` (nc,) are contacts that slide through the step, `couple` the couples so far. `left`
+    (nc,), the work that couples leave, J, is updated as in the kernel `couples`.
     """
     d, c, rows = s.dynamics, kin.contacts, kin.rows.full
     if not d.free:
@@ -74,7 +75,7 @@ def turned(
     if not dv.size:
         impulse, dv = np.zeros((c.gap.size, 3)), np.zeros(d.n)
     other = np.empty(c.gap.size, np.bool_)
-    exact = max(s.solver.aims[0] if isinstance(s.solver, Auto) else s.solver.tol, solution.residual)
+    exact = np.maximum(s.solver.aims[0] if isinstance(s.solver, Auto) else s.solver.tol, errors)
     turns = _persistence.turn(
         rows.arrays,
         c[:3],

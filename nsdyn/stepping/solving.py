@@ -91,6 +91,14 @@ def update_sliding(
     return out
 
 
+def residuals(kin: ContactKinematics, problem: FC3D, solution: Solution) -> Array:
+    """Return the residual of the island of each row, shape (rows,), m/s."""
+    out = np.empty(problem.nc)
+    sizes, answer = (problem.scales, problem.mu), (solution.r, solution.u)
+    _solving.residuals(kin.rows.full.arrays, sizes, answer, solution.residual, 0.0, out)
+    return out
+
+
 def grips(problem: FC3D, solution: Solution) -> bool:
     """Return whether no motion obeys a problem: no velocity opens its contacts, or impulses grow that move nothing."""
     if solution.converged:

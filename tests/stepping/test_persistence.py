@@ -59,7 +59,7 @@ class Pair:
                 np.array([0.0, 0.6 * slip, 0.8 * slip]),
                 np.array([0.5]),
                 np.array(surface_velocity, dtype=float),
-                exact,
+                np.array([exact]),
             ),
             (yes, yes & sticks, ~yes),
             (couple, dv, np.full(1, np.inf), np.empty(1, np.bool_)),

@@ -13,7 +13,7 @@ from nsdyn._kernels.solvers.start import by_factors, widest
 from nsdyn._kernels.stepping import columns as col
 from nsdyn._kernels.stepping import law, persistence, touching
 from nsdyn._kernels.stepping.eventless_contacts import DONE, SOLVE, gap_rule_of
-from nsdyn._kernels.stepping.solving import thaw, update_sliding
+from nsdyn._kernels.stepping.solving import residuals, thaw, update_sliding
 
 AGAIN = -1
 """Code: the problem has been posed anew."""
@@ -102,12 +102,15 @@ def end_gaps(geoms, active, now, f, n, gap):
 
 
 @kernel
-def corrects(num, n, active, now, flags, room):
-    """Whether persistent contacts end with gaps to correct, as in `ContactKinematics.corrected`; corrects them."""
+def corrects(num, n, active, now, flags, left, room):
+    """Whether persistent contacts end with gaps to correct, as in `ContactKinematics.corrected`; corrects them.
+
+    `left` (nc,) are the residuals of the islands of the contacts, m/s.
+    """
     (out, _, own, a), nc = room, active[0].shape[1]
     f, gap, r = out[col.RESULTS :], col.column(a, col.GAP_END, nc), a[col.IMPULSE * nc : col.U * nc]
     stays, off, alone = flags[col.STAYS, :nc], flags[col.OFF, :nc], col.local(own, col.ALONE, nc)
-    closed = max(num[col.GAP_TOL], out[col.RESIDUAL] * num[col.STEP])
+    closed = np.maximum(num[col.GAP_TOL], left * num[col.STEP])
     if not law.off(gap, r, stays, closed, off):
         return False
     parts, twists = np.empty(now[0].shape[1]), col.twists(f, n)
@@ -124,7 +127,13 @@ def changes(scene, bodies, rows, active, now, flags, head, room):
     scene = (numbers, size), bodies = (inverse_J, arm), now: contacts at the end of the move. If True the problem is
     posed anew; if False the works of couples are stored.
     """
-    (num, size), (inverse_J, arm), (blocks, _, _), (out, w, own, a), nc = scene, bodies, rows, room, active[0].shape[1]
+    (num, size), (inverse_J, arm), (blocks, _, scales), (out, w, own, a), nc = (
+        scene,
+        bodies,
+        rows,
+        room,
+        active[0].shape[1],
+    )
     if nc == 0:
         return False
     (r, u, b), local, sliding = col.answer(a, nc), col.local(own, col.LOCAL, nc), flags[col.SLIDES, :nc]
@@ -141,18 +150,19 @@ def changes(scene, bodies, rows, active, now, flags, head, room):
     R, couple = col.rotations(w, col.R, size[0]), col.vectors(a, col.COUPLE, nc)
     left = col.column(own, col.LEFT_OVER, nc)
     if head[col.PASSES_LEFT] > 0:
-        exact = max(num[col.ENOUGH], out[col.RESIDUAL])
+        errors, enough = np.empty(nc), min(num[col.ENOUGH], num[col.GAP_TOL] / num[col.STEP])
+        residuals(blocks, (scales, active[2][1]), (r, u), out[col.RESIDUAL], enough, errors)
         if persistence.turn(
             blocks,
             active,
             mean,
             (R, inverse_J, arm, num[col.STEP]),
-            (r, u, active[2][1], own[:0], exact),
+            (r, u, active[2][1], own[:0], np.maximum(num[col.ENOUGH], errors)),
             (flags[col.STAYS, :nc], flags[col.STICKS, :nc], sliding),
             (couple, col.velocity(w, col.TURN, size), left, other),
         ):
             head[col.TURNED], some = 1, True
-        some = corrects(num, size[0], active, now, flags, room) or some
+        some = corrects(num, size[0], active, now, flags, errors, room) or some
         if some:
             for c in range(nc):
                 if off[c]:

@@ -223,10 +223,13 @@ def left_open(gap, u, ahead, closed):
 
 @no_alloc
 def off(gap, r, stays, closed, out):
-    """Persistent rows with an impulse whose gap (rows,) is not 0 at the end of a move, into out (rows,); if any."""
+    """Persistent rows with an impulse whose gap (rows,) is not 0 at the end of a move, into out (rows,); if any.
+
+    `closed` (rows,) are gaps that count as none.
+    """
     some = False
     for c in range(out.size):
-        out[c] = stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > MOST_LEFT * closed
+        out[c] = stays[c] and r[3 * c] > 0.0 and abs(gap[c]) > MOST_LEFT * closed[c]
         some = some or out[c]
     return some
 
@@ -237,7 +240,7 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, excess_speed):
 
     `gap` (rows,) are the gaps at the end of the move, ended = (keys, normal speeds, speeds of joint rows) the contacts
     found there, `key` (nc,) those of the move. `excess_speed` is how much faster than foreseen they separate, m/s.
-    sizes = (h₂, gap tolerance). A row is not `off` if its gap is within `MOST_LEFT` gap tolerances of the intended one.
+    sizes = (h₂, gap tolerances (rows,)). A row is not `off` if its gap is within `MOST_LEFT` of them of that intended.
     Nor is it if its gap is larger than the drift of the rows or the excess speed can open: the gap then belongs to
     another contact, which detection gave the key of one that moved far. Returns whether any row is off.
     """
@@ -248,7 +251,7 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, excess_speed):
     for c in range(off.size):
         if off[c]:
             i = 3 * c
-            left = left_open(end_gap[c], local[0, i] - excess_speed[c], ahead, closed)
+            left = left_open(end_gap[c], local[0, i] - excess_speed[c], ahead, closed[c])
             foreseen = (left - end_gap[c]) / ahead
             if c >= nc:
                 more = ended[2][c - nc] - foreseen
@@ -257,7 +260,7 @@ def end_otherwise(off, gap, key, ended, local, sizes, end_gap, excess_speed):
             else:  # the contact rolls away: no gap is left open
                 more = local[0, i] + end_gap[c] / ahead
             bent = math.sqrt(square(local[3, i]) + square(local[3, i + 1]) + square(local[3, i + 2]))
-            off[c] = MOST_LEFT * closed < abs(gap[c] - left) <= ahead * max(bent, abs(more))
+            off[c] = MOST_LEFT * closed[c] < abs(gap[c] - left) <= ahead * max(bent, abs(more))
             if off[c]:
                 end_gap[c] += gap[c] - left
                 excess_speed[c], some = more, True

@@ -160,7 +160,8 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
         R, inverse_J, shapes (frames, 3, 3), (nf, 3, 3); how far bodies reach from their centres, (frames,), m; and h.
     pressed : tuple
         r, y = W r + b and mu, shapes (3 rows,), (3 rows,) and (rows,); what moving surfaces add to u, (3 rows,), empty
-        if none move; and the error of a relative velocity that the solver leaves, m/s, whose work is not corrected.
+        if none move; and the errors of relative velocities that the solver leaves, (nc,), m/s, whose work is not
+        corrected.
     flags : three ndarrays of bool, shape (nc,)
         Contacts that stay, stick, and slide through.
     found : tuple
@@ -212,7 +213,9 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             for c in range(first, last):
                 now += dot(row(couple, c), turning)
             rest, scale = abs(amount * speed - now), joint_load * size * speed
-            differ = rest > joint_load * exact and (rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * before)
+            differ = rest > joint_load * exact[first] and (
+                rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * before
+            )
             left[first:last] = rest
             some = some or differ
             for c in range(first, last):

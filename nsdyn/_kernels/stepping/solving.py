@@ -4,6 +4,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel
 from nsdyn._kernels.problem import blocks as _blocks
+from nsdyn._kernels.problem.cones import measures
 from nsdyn._kernels.stepping.law import reconsider
 
 PASSES = 8
@@ -23,6 +24,24 @@ def concerned(blocks, some):
     for c in range(some.size):
         out[c] = islands[label[c]]
     return out
+
+
+@kernel
+def residuals(blocks, sizes, answer, worst, enough, out):
+    """Residual of the island of each row, m/s, into out (rows,): what one leaves does not count in others.
+
+    sizes = (scales, mu) of the rows, answer = (r, u). Where the `worst` residual is `enough` for all it stands for all.
+    """
+    out[:] = worst
+    if worst <= enough:
+        return
+    (scales, mu), (r, u), label = sizes, answer, np.empty(out.size, np.int64)
+    most = np.zeros(_blocks.islands(blocks[1], blocks[0].size - 1, label))
+    for c in range(out.size):
+        one, three = slice(c, c + 1), slice(3 * c, 3 * c + 3)
+        most[label[c]] = max(most[label[c]], measures(scales[one], u[three], r[three], mu[one])[1])
+    for c in range(out.size):
+        out[c] = most[label[c]]
 
 
 @kernel
