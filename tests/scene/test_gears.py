@@ -157,6 +157,10 @@ def test_urdf_mimic(tmp_path):
     ):
         with pytest.raises(ValueError, match=words):
             scene_of(tmp_path, text.replace(before, after))
+    # A fixed joint has nothing to gear, as in files that were made so: it is told.
+    with pytest.warns(UserWarning, match="<mimic> of a fixed joint"):
+        scene = scene_of(tmp_path, text.replace('name="k" type="revolute"', 'name="k" type="fixed"'))
+    assert scene.articulations["r"].gears == ()
 
 
 @pytest.mark.parametrize("kind", [pytest.param("revolute", marks=pytest.mark.slow), "prismatic"])

@@ -23,6 +23,9 @@ from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
+UNREAD = dict.fromkeys(("planar", "floating"), "limit dynamics mimic") | {"fixed": "mimic"}
+"""Elements of a joint that are not read, by its type."""
+
 TABLE = {
     "robot": Rules(
         "name version link joint material gazebo",
@@ -156,7 +159,7 @@ def _note_unread(report: Report, root: Element, joints: Sequence[Element]) -> No
         f"joint {joint.get('name')!r}: <{e.tag}> of a {joint.get('type')} joint"
         for joint in joints
         for e in joint
-        if joint.get("type") in ("planar", "floating") and e.tag in ("limit", "dynamics", "mimic")
+        if e.tag in UNREAD.get(joint.get("type", ""), "").split()
     )
     fast = [joint.get("name") for joint in joints for e in joint.iter("limit") if is_limit(e.get("velocity"))]
     if fast:
@@ -174,7 +177,7 @@ def _mimics(joints: Sequence[Element], model: Any) -> tuple[Array, tuple[Gear, .
     """Return (zero configuration with mimic joints at the values of their gears, gears of <mimic>)."""
     gears = []
     for joint in joints:
-        for mimic in joint.findall("mimic") if joint.get("type") not in ("planar", "floating") else ():
+        for mimic in joint.findall("mimic") if joint.get("type") not in UNREAD else ():
             label = f"mimic of {joint.get('name')!r}"
             ratio, offset = (
                 scalar(mimic.get(what), default, f"{what} of {label}")
