@@ -352,7 +352,8 @@ def dependent(blocks, c):
     minor = W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2]
     determinant = W[0, 0] * minor - W[0, 1] * (W[0, 1] * W[2, 2] - W[1, 2] * W[0, 2])
     determinant += W[0, 2] * (W[0, 1] * W[1, 2] - W[1, 1] * W[0, 2])
-    return determinant <= SINGULAR * (W[0, 0] + W[1, 1] + W[2, 2]) ** 3
+    trace = W[0, 0] + W[1, 1] + W[2, 2]
+    return determinant <= SINGULAR * trace * trace * trace
 
 
 @no_alloc
