@@ -171,7 +171,7 @@ class Candidates:
         radius = np.minimum(radius[first], radius[second])
         self._pair_base, self._exponent = base, k = MARGIN * radius, exponents(radius)
         room, material = len(codes) * self._max_points, self._pair_material(first, second)
-        found, asks = (np.empty((room, 3)), np.empty((room, 3)), np.empty(room)), np.empty((int(asked.sum()), 10))
+        found, asks = (np.empty((room, 3)), np.empty((room, 3)), np.empty(room)), np.empty((int(asked.sum()), 4))
         floats, integers, f, _ = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
         self._search = (self._packed, (floats, integers), self._max_points, TOLERANCE)
         self._coal, self._batches = f[3], []

@@ -208,7 +208,7 @@ class Detector(Candidates):
     def _manifold(self, p: int, R: Array, t: Array) -> tuple[Array, Array, Array]:
         """Points, normals and gaps of pair p at these poses of its geoms, at rest."""
         one, geoms = slice(p, p + 1), [int(self._first[p]), int(self._second[p])]
-        all_R, all_t, asked = self._R.copy(), self._t.copy(), np.empty((1, 10))
+        all_R, all_t, asked = self._R.copy(), self._t.copy(), np.empty((1, 4))
         all_R[geoms], all_t[geoms] = R, t
         if self._asked[p]:
             unit = math.ldexp(1.0, int(self._exponent[p]))

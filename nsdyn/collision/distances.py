@@ -114,7 +114,7 @@ class Batch:
     """Pairs whose distances come from one call of `pin.computeDistances`, except those that their bounds show apart.
 
     The poses of the geoms are written, and the results read, through views of the memory of `pin.GeometryData`, whose
-    elements are contiguous: rotations column by column, then translations; distance, normal, nearest points.
+    elements are contiguous: rotations column by column, then translations; first distance and normal.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ class Batch:
         Solids of the pairs, `numbered`; both of a pair are in one unit.
     margin : ndarray, shape (m,)
         m; pairs farther apart than this and the reach of both are of no interest.
-    out : ndarray, shape (m, 10)
-        Room for distance, m, normal, and nearest points, m.
+    out : ndarray, shape (m, 4)
+        Room for distance, m, and normal.
     """
 
     def __init__(
@@ -140,7 +140,8 @@ class Batch:
         numbers, slots = np.unique(both, return_inverse=True)
         self._geoms, exponent = np.divmod(numbers, _EXPONENTS)
         unit = np.ldexp(1.0, exponent - _EXPONENTS // 2)
-        self._of_solids, self._of_pairs = unit[:, None], unit[slots[: first.size], None]
+        self._of_solids, self._of_pairs = unit[:, None], np.ones((first.size, 4))
+        self._of_pairs[:, 0] = unit[slots[: first.size]]
         self._model = model(numbers.size)
         for k, of in enumerate(zip(self._geoms.tolist(), unit.tolist(), strict=True)):
             self._model.geometryObjects[k].geometry = solids(*of)
@@ -153,7 +154,7 @@ class Batch:
         for k in range(m):  # Pinocchio's own requests start from the last result: not reproducible
             requests[k] = request
         self._rotation, self._translation = pose_views(self._data.oMg, len(self._geoms))
-        self._results = _memory(self._data.distanceResults[0].normal.ctypes.data - 8, (m, 10), (_strides()[1], 8))
+        self._results = _memory(self._data.distanceResults[0].normal.ctypes.data - 8, (m, 4), (_strides()[1], 8))
 
     def run(self, fields: tuple[Any, ...], placed: tuple[Array, ...], boxes: tuple[Array, Array]) -> None:
         """Write the distances of all pairs into the rows of `out`, inf for pairs whose bounds are too far apart.
@@ -172,9 +173,7 @@ class Batch:
                 self._data.deactivateCollisionPair(k)
                 self._results[k, 0] = np.inf
         pin.computeDistances(self._model, self._data)
-        self._out[:, 1:4] = self._results[:, 1:4]
-        np.multiply(self._results[:, :1], self._of_pairs, out=self._out[:, :1])
-        np.multiply(self._results[:, 4:], self._of_pairs, out=self._out[:, 4:])
+        np.multiply(self._results, self._of_pairs, out=self._out)
 
 
 def _memory(address: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> Array:
@@ -206,13 +205,13 @@ def _strides() -> tuple[int, int, int]:
     )
     rotation = _memory(address[0], (2, 3, 3), (out[0], 8, 24))
     translation = _memory(address[0] + out[2], (2, 3), (out[0], 8))
-    results = _memory(result[0].normal.ctypes.data - 8, (2, 10), (out[1], 8))
+    results = _memory(result[0].normal.ctypes.data - 8, (2, 4), (out[1], 8))
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     rotation[:], translation[:] = turn, ((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
     pin.computeDistances(model, data)
     good = np.array_equal(pose[1].rotation, turn) and np.array_equal(pose[1].translation, translation[1])
     for row, r in zip(results, result, strict=True):
-        seen = np.concatenate(([r.min_distance], r.normal, r.getNearestPoint1(), r.getNearestPoint2()))
+        seen = np.concatenate(([r.min_distance], r.normal))
         good = good and np.array_equal(row, seen)
     if not good:
         raise RuntimeError(

@@ -52,7 +52,7 @@ def seek(geoms, pairs, limit, placed, poses):
         return LEFT
     found = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)
     first, second, coal = indices(j, FIRST, PAIRS), indices(j, SECOND, PAIRS), numbers(p, j, COAL)
-    asked = indices(j, SLOT, PAIRS), coal.reshape((coal.size // 10, 10)), numbers(p, j, MARGIN)
+    asked = indices(j, SLOT, PAIRS), coal.reshape((coal.size // 4, 4)), numbers(p, j, MARGIN)
     polygons, points = (triples(f, i, POLY), triples(f, i, OTHER)), (triples(f, i, POINTS), numbers(f, i, HEIGHTS))
     room = limit, *polygons, numbers(f, i, VALUES), *points
     placed = fields, R, t, reach, numbers(f, i, SLACK)
