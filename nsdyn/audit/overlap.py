@@ -41,8 +41,8 @@ ANGLES = np.sort(
 )
 """Initial angles of the search on a circle, measured from the best known direction, in radians."""
 
-NUMBERS = 4_000_000
-"""Largest number of elements of a temporary array."""
+NUMBERS = 1_000_000
+"""Largest number of elements of a temporary array: larger ones leave the caches of processors."""
 
 
 def overlap(shape1: Mapping[str, Any], pose1: ArrayLike, shape2: Mapping[str, Any], pose2: ArrayLike) -> Any:
@@ -150,13 +150,18 @@ SAME, AXIS = 1e-12, np.array([0.0, 0.0, 1.0])
 
 def _along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
     """Separations along axes n (m, k, 3), of either sign, shape (m, k); -inf along axes of length 0."""
+    some = max(1, NUMBERS // (len(n) * max(3, len(a.corners), len(b.corners))))
+    parts = [_along_some(a, b, R, x, n[:, k : k + some]) for k in range(0, n.shape[1], some)]
+    return np.concatenate(parts, axis=1)
+
+
+def _along_some(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
+    """`_along` axes so few that temporary arrays are small."""
     length = np.linalg.norm(n, axis=2)
     n = n / np.where(length > 0.0, length, 1.0)[..., None]
-    there = n @ R
-    across = (n @ x[:, :, None])[..., 0]
-    first, second = n @ a.corners.T, there @ b.corners.T + across[..., None]
-    up = second.min(axis=2) - first.max(axis=2)
-    down = first.min(axis=2) - second.max(axis=2)
+    first, second = a.corners @ np.swapaxes(n, 1, 2), b.corners @ np.swapaxes(n @ R, 1, 2)
+    second += np.swapaxes(n @ x[:, :, None], 1, 2)
+    up, down = second.min(axis=1) - first.max(axis=1), first.min(axis=1) - second.max(axis=1)
     out: Array = np.where(length > 0.0, np.maximum(up, down) - a.radius - b.radius, -np.inf)
     return out
 
