@@ -16,6 +16,7 @@ This module handles arrays of poses of one pair of shapes. For whole scenes and 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -125,11 +126,13 @@ def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) ->
     turned = np.swapaxes(R, 1, 2)
     best = np.maximum(_over_faces(a, b, R, x), _over_faces(b, a, turned, -(turned @ x[:, :, None])[..., 0]))
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
-    for axes in (_corner_axes, _edge_axes) if a.radius or b.radius else (_edge_axes,):
+    some = max(1, NUMBERS // (3 * max(1, len(b.edges)) * len(x)))
+    edges = [partial(_edge_axes, a.edges[k : k + some]) for k in range(0, len(a.edges), some)]
+    for axes in [partial(_corner_axes, a), *edges] if a.radius or b.radius else edges:
         left = np.flatnonzero(best < enough)
         if not left.size:
             break
-        n = axes(a, b, R[left], x[left])
+        n = axes(b, R[left], x[left])
         if n.shape[1]:
             best[left] = np.maximum(best[left], _along(a, b, R[left], x[left], n).max(axis=1))
     return best
@@ -172,10 +175,10 @@ def _face_normals(a: Solid, b: Solid, R: Array, x: Array) -> Array:
     return np.concatenate([own, b.normals @ np.swapaxes(R, 1, 2)], axis=1)
 
 
-def _edge_axes(a: Solid, b: Solid, R: Array, x: Array) -> Array:
-    """Cross products of edges, 0 for parallel ones, shape (m, k, 3)."""
+def _edge_axes(edges: Array, b: Solid, R: Array, x: Array) -> Array:
+    """Cross products of edges (ne, 3) of one solid with those of b, 0 for parallel ones, shape (m, k, 3)."""
     other = b.edges @ np.swapaxes(R, 1, 2)
-    out = cross(a.edges[None, :, None], other[:, None]).reshape(len(x), -1, 3)
+    out = cross(edges[None, :, None], other[:, None]).reshape(len(x), -1, 3)
     out[np.linalg.norm(out, axis=2) < 1e-12] = 0.0
     return out
 
@@ -211,7 +214,7 @@ def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> A
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
     # The line of centres, normals of faces and cross products of edges; kinks meet in the last two.
     centres = np.where(np.linalg.norm(x, axis=1)[:, None] < SAME, AXIS, x)
-    known = np.concatenate([centres[:, None], _face_normals(a, b, R, x), _edge_axes(a, b, R, x)], axis=1)
+    known = np.concatenate([centres[:, None], _face_normals(a, b, R, x), _edge_axes(a.edges, b, R, x)], axis=1)
     best, n = _best_along(a, b, R, x, known)
     left = np.flatnonzero(best < enough)
     if not left.size:
