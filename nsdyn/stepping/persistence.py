@@ -64,9 +64,24 @@ def turned(
 ) -> tuple[Couple, Bools] | None:
     """Return the couples with which persistent contacts do no work, and the contacts whose couples changed.
 
-    None if no couple changes. The impulses of `solution` lead to the velocity v (n,), with `errors` (rows,), m/s, of
-    relative velocities. `sliding` (nc,) are contacts that slide through the step, `couple` the couples so far. `left`
-    (nc,), the work that couples leave, J, is updated as in the kernel `couples`.
+    None if no couple changes.
+
+    Parameters
+    ----------
+    s : System
+    kin : ContactKinematics
+    mid : Midpoint
+    solution : Solution
+    errors : ndarray, shape (rows,)
+        Errors of its relative velocities, m/s.
+    v : ndarray, shape (n,)
+        Velocity to which its impulses lead.
+    sliding : ndarray of bool, shape (nc,)
+        Contacts that slide through the step.
+    couple : Couple
+        The couples so far.
+    left : ndarray, shape (nc,)
+        The work that couples leave, J; updated as in the kernel `couples`.
     """
     d, c, rows = s.dynamics, kin.contacts, kin.rows.full
     if not d.free:

@@ -18,6 +18,9 @@ from nsdyn._kernels.vectors import square
 SMALLEST, LARGEST = 1e-150, 1e150
 """Range of numbers whose squares are in the range of floating-point numbers."""
 
+SINGULAR = 1e-12
+"""Determinant of W_cc over its trace³ that is round-off."""
+
 
 @no_alloc
 def relative_velocity_of(blocks, v, c):
@@ -189,6 +192,19 @@ def widest(offset):
     for k in range(offset.size - 1):
         most = max(most, offset[k + 1] - offset[k])
     return most
+
+
+@kernel
+def dependent(blocks, c):
+    """Whether the rows of contact c are linearly dependent, as those between two links that few joints part."""
+    most = widest(blocks[0])
+    x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
+    diagonal_block(blocks, c, 3, x, y, W)
+    minor = W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2]
+    determinant = W[0, 0] * minor - W[0, 1] * (W[0, 1] * W[2, 2] - W[1, 2] * W[0, 2])
+    determinant += W[0, 2] * (W[0, 1] * W[1, 2] - W[1, 1] * W[0, 2])
+    trace = W[0, 0] + W[1, 1] + W[2, 2]
+    return determinant <= SINGULAR * trace * trace * trace
 
 
 @kernel

@@ -127,13 +127,8 @@ def changes(scene, bodies, rows, active, now, flags, head, room):
     scene = (numbers, size), bodies = (inverse_J, arm), now: contacts at the end of the move. If True the problem is
     posed anew; if False the works of couples are stored.
     """
-    (num, size), (inverse_J, arm), (blocks, _, scales), (out, w, own, a), nc = (
-        scene,
-        bodies,
-        rows,
-        room,
-        active[0].shape[1],
-    )
+    (num, size), (inverse_J, arm), (blocks, _, scales), (out, w, own, a) = scene, bodies, rows, room
+    nc = active[0].shape[1]
     if nc == 0:
         return False
     (r, u, b), local, sliding = col.answer(a, nc), col.local(own, col.LOCAL, nc), flags[col.SLIDES, :nc]

@@ -10,7 +10,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics.motion import beyond_potential
-from nsdyn._kernels.problem.blocks import diagonal_block, relative_velocity, widest
+from nsdyn._kernels.problem.blocks import dependent, diagonal_block, relative_velocity, widest
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.stepping.touching import places
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
@@ -30,9 +30,6 @@ NO_SLIP = 1e-14
 
 REVERSED = 1e-8
 """Mean slip over the slip at the end that is none: the tolerance of solvers."""
-
-SINGULAR = 1e-12
-"""Determinant of W_cc over its trace³ that is round-off."""
 
 LEFT, MOST_LEFT = 1.0 / 9.0, 0.5
 """Fraction of a gap that `left_open` leaves open, and the largest gap it leaves, as a fraction of the gap tolerance."""
@@ -341,19 +338,6 @@ def states(r, mu, out):
     """`state` of every contact, into out (nc,)."""
     for c in range(out.size):
         out[c] = state(r, mu[c], 3 * c)
-
-
-@kernel
-def dependent(blocks, c):
-    """Whether the rows of contact c are linearly dependent, as those between two links that few joints part."""
-    most = widest(blocks[0])
-    x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
-    diagonal_block(blocks, c, 3, x, y, W)
-    minor = W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2]
-    determinant = W[0, 0] * minor - W[0, 1] * (W[0, 1] * W[2, 2] - W[1, 2] * W[0, 2])
-    determinant += W[0, 2] * (W[0, 1] * W[1, 2] - W[1, 1] * W[0, 2])
-    trace = W[0, 0] + W[1, 1] + W[2, 2]
-    return determinant <= SINGULAR * trace * trace * trace
 
 
 @no_alloc

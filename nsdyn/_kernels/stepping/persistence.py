@@ -213,18 +213,16 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             for c in range(first, last):
                 now += dot(row(couple, c), turning)
             rest, scale = abs(amount * speed - now), joint_load * size * speed
-            differ = rest > joint_load * exact[first] and (
-                rest > NOISE * scale or NO_WORK * scale < rest < 0.5 * before
-            )
+            left_over = max(joint_load * exact[first], NO_WORK * scale)
+            differ = rest > left_over and (rest > NOISE * scale or rest < 0.5 * before)
             left[first:last] = rest
             some = some or differ
+            total = (0.0, 0.0, 0.0)
             for c in range(first, last):
                 if differ:
                     share = r[3 * c] / joint_load if stays[c] and r[3 * c] > 0.0 else 0.0
                     put(couple, c, times(share * amount / speed, turning))
                 other[c] = differ
-            total = (0.0, 0.0, 0.0)
-            for c in range(first, last):
                 total = along(total, 1.0, row(couple, c))
             add_couple(a, -1.0, total, R, inverse_J, dv)
             add_couple(b, 1.0, total, R, inverse_J, dv)
