@@ -167,7 +167,9 @@ class Mechanism:
         at = self.turned[parent] * _pose(told["placement"]) * turn
         k = self.model.addJoint(parent, joint, at, label)
         self.turned.append(turn.inverse())
-        body = pin.Inertia(float(told["mass"]), np.array(told["com"], float), np.array(told["inertia"], float))
+        body = pin.Inertia.Zero()  # its constructor refuses inertias that no body has, as files may
+        body.mass, body.lever = float(told["mass"]), np.array(told["com"], float)
+        body.inertia = np.array(told["inertia"], float)
         self.model.appendBodyToJoint(k, body, self.turned[k])
 
     def _coordinate(self, joint: str) -> int:

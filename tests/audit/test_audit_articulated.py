@@ -469,3 +469,21 @@ def test_velocities_of_links_are_as_uncertain_as_the_motion_of_their_tree():
     v = 5.0 * rng.normal(size=model.nv)
     scene.add_model("chain", model, collisions=shapes_of, self_collisions="apart", material=material, q=q, v=v)
     assert nd.check(nd.simulate(scene, 0.03, 1e-2), velocities=1e-9).passed
+
+
+def test_an_inertia_that_no_body_has_is_named(tmp_path):
+    """Files have such: a link that turns about y with a negative moment about x. Pinocchio's constructor refuses it."""
+    path = tmp_path / "r.sdf"
+    path.write_text(
+        '<sdf version="1.7"><model name="m"><link name="a"><inertial><pose>0 0 -0.5 0 0 0</pose>'
+        "<mass>1</mass><inertia><ixx>-0.1</ixx><iyy>0.1</iyy><izz>0.1</izz></inertia></inertial></link>"
+        '<joint name="j" type="revolute"><parent>world</parent><child>a</child><axis><xyz>0 1 0</xyz></axis></joint>'
+        "</model></sdf>"
+    )
+    with pytest.raises(ValueError, match=r"inertia of link 'a' is not that of a body: .* are not all positive"):
+        nd.Scene().add_sdf("r", path)
+    scene = nd.Scene()
+    with pytest.warns(UserWarning, match="inertia of link 'a'"):
+        scene.add_sdf("r", path, inertias="trust", q=[0.5])
+    found = nd.check(nd.simulate(scene, 0.1, 0.01))
+    assert [finding.name for finding in found.findings if not finding.passed] == ["scene"]

@@ -53,7 +53,7 @@ def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description
                 reader.report.dropped.append("world: <gravity>")
         tell([root], TABLE, reader.report)
         return reader.description()
-    except (ValueError, RuntimeError) as failure:  # Pinocchio's, for negative inertias
+    except ValueError as failure:
         raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, [])}") from None
 
 
@@ -292,7 +292,8 @@ class _Reader:
         mass = check_mass(value("mass", 1.0), f"link {link!r}")
         if fault := flaw(inertia, f"link {link!r}"):
             self.flaws.append(fault)
-        body = pin.Inertia(part * mass, np.zeros(3), inertia)
+        body = pin.Inertia.Zero()  # its constructor refuses what is told as a flaw
+        body.mass, body.inertia = part * mass, inertia
         self.model.appendBodyToJoint(joint, body, self.at[joint].actInv(centre))
 
     def _shape(self, geometry: Element | None) -> tuple[Shape, Array] | None:
