@@ -6,6 +6,7 @@ from itertools import combinations_with_replacement, product
 from typing import get_args, get_type_hints
 
 import numpy as np
+import pinocchio as pin
 
 from nsdyn import compilation, solvers
 from nsdyn.collision.contacts import ContactSet
@@ -17,6 +18,7 @@ from nsdyn.problem.operators import operator
 from nsdyn.scene import checks, pairs
 from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
+from nsdyn.scene.shapes import sphere
 from nsdyn.solvers.continuation import continuation
 from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import newton
@@ -29,6 +31,21 @@ def lift() -> None:
     scene.add_halfspace("ground")
     scene.add_sphere("ball", 0.1, 1.0, position=(0, 0, 0.0995), angular_velocity=(1, 2, 3))
     Stepper(scene, on_fail="ignore").step()
+
+
+def jam() -> None:
+    """A link that leans on a wall, which leaves its joint no way, with another that swings on it."""
+    model, down = pin.Model(), np.array((0.0, 0.0, -1.0))
+    for parent in (0, 1):
+        joint = model.addJoint(parent, pin.JointModelRY(), pin.SE3(np.eye(3), parent * down), f"j{parent}")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, 0.5 * down, np.eye(3) / 12), pin.SE3.Identity())
+        model.addJointFrame(joint)
+    scene, tip = Scene(), {"j0": [(sphere(0.1), pin.SE3(np.eye(3), down))]}
+    scene.add_halfspace("wall", normal=(1, 0, 0), offset=float(np.sin(0.3)) - 0.1)
+    scene.add_model("arm", model, q=(-0.3, 0.3), v=(0.0, 8.0), collisions=tip)
+    stepper = Stepper(scene, 0.01)
+    for _ in range(3):
+        stepper.step()
 
 
 def shapes() -> None:
@@ -125,5 +142,6 @@ def everything() -> None:
     Stepper(belt, 5e-3).step()
     cones.projection_jacobian(np.ones((2, 3)), np.full(2, 0.5))
     lift()
+    jam()
     shapes()
     problems()
