@@ -126,7 +126,7 @@ def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) ->
     turned = np.swapaxes(R, 1, 2)
     best = np.maximum(_over_faces(a, b, R, x), _over_faces(b, a, turned, -(turned @ x[:, :, None])[..., 0]))
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
-    some = max(1, NUMBERS // (3 * max(1, len(b.edges)) * len(x)))
+    some = max(1, NUMBERS // (max(1, len(b.edges)) * len(x) * max(3, len(a.corners), len(b.corners))))
     edges = [partial(_edge_axes, a.edges[k : k + some]) for k in range(0, len(a.edges), some)]
     for axes in [partial(_corner_axes, a), *edges] if a.radius or b.radius else edges:
         left = np.flatnonzero(best < enough)
@@ -153,13 +153,6 @@ SAME, AXIS = 1e-12, np.array([0.0, 0.0, 1.0])
 
 def _along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
     """Separations along axes n (m, k, 3), of either sign, shape (m, k); -inf along axes of length 0."""
-    some = max(1, NUMBERS // (len(n) * max(3, len(a.corners), len(b.corners))))
-    parts = [_along_some(a, b, R, x, n[:, k : k + some]) for k in range(0, n.shape[1], some)]
-    return np.concatenate(parts, axis=1)
-
-
-def _along_some(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
-    """`_along` axes so few that temporary arrays are small."""
     length = np.linalg.norm(n, axis=2)
     n = n / np.where(length > 0.0, length, 1.0)[..., None]
     first, second = a.corners @ np.swapaxes(n, 1, 2), b.corners @ np.swapaxes(n @ R, 1, 2)

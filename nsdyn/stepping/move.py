@@ -236,7 +236,7 @@ def _response(
         if passes:
             slips = update_sliding(kin, problem, solution, sliding, back, off)
         errors = residuals(kin, problem, solution) if passes and lasts else NOTHING
-        turn = turned(s, kin, mid, solution, errors, v, sliding, couple, left) if passes and lasts else None
+        turn = turned(kin, mid, solution, errors, v, sliding, couple, left) if passes and lasts else None
         off = np.zeros(alone.end_gap.size, np.bool_)
         if located is not None or not passes or (turn is None and not slips.any()):
             trees, moved = _second_half(s, mid, forces, there, v, impulse, near)

@@ -52,7 +52,6 @@ NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0))
 
 
 def turned(
-    s: System,
     kin: ContactKinematics,
     mid: Midpoint,
     solution: Solution,
@@ -68,7 +67,6 @@ def turned(
 
     Parameters
     ----------
-    s : System
     kin : ContactKinematics
     mid : Midpoint
     solution : Solution
@@ -83,7 +81,8 @@ def turned(
     left : ndarray, shape (nc,)
         The work that couples leave, J; updated as in the kernel `couples`.
     """
-    d, c, rows = s.dynamics, kin.contacts, kin.rows.full
+    s, c, rows = mid.s, kin.contacts, kin.rows.full
+    d = s.dynamics
     if not d.free:
         return None
     impulse, dv = couple.impulse.copy(), couple.dv.copy()

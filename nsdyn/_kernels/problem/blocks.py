@@ -13,7 +13,7 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.cones import largest_eigenvalue, measures
-from nsdyn._kernels.vectors import square
+from nsdyn._kernels.vectors import adjugate, square
 
 SMALLEST, LARGEST = 1e-150, 1e150
 """Range of numbers whose squares are in the range of floating-point numbers."""
@@ -200,9 +200,7 @@ def dependent(blocks, c):
     most = widest(blocks[0])
     x, y, W = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
     diagonal_block(blocks, c, 3, x, y, W)
-    minor = W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2]
-    determinant = W[0, 0] * minor - W[0, 1] * (W[0, 1] * W[2, 2] - W[1, 2] * W[0, 2])
-    determinant += W[0, 2] * (W[0, 1] * W[1, 2] - W[1, 1] * W[0, 2])
+    _, determinant = adjugate(W)
     trace = W[0, 0] + W[1, 1] + W[2, 2]
     return determinant <= SINGULAR * trace * trace * trace
 
