@@ -17,9 +17,13 @@ from nsdyn._kernels.collision.kinds import (
     other_feature,
     side,
 )
+from nsdyn._kernels.collision.segments import ANGLE
 from nsdyn._kernels.collision.separation import INSIDE
 from nsdyn._kernels.compiled import kernel, no_alloc
-from nsdyn._kernels.vectors import along, cross, dot, minus, put, row, times, to_local, to_world, unit
+from nsdyn._kernels.vectors import along, axis, cross, dot, minus, put, row, square, times, to_local, to_world, unit
+
+
+LEVEL = 1e-9  # slope, like that of `of_cylinder`, below which the direction of the closest point of a circle is noise
 
 
 class Room(NamedTuple):
@@ -118,12 +122,12 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
             break
         q = k + 1 if k + 1 < count else 0
         e = minus(row(flat, q), u)
-        square, half = e[0] * e[0] + e[1] * e[1], e[0] * u[0] + e[1] * u[1]
-        root = half * half - square * (u[0] * u[0] + u[1] * u[1] - radius * radius)
-        if root > 0.0 and square > tol * tol:
-            length = math.sqrt(square)
+        both, half = e[0] * e[0] + e[1] * e[1], e[0] * u[0] + e[1] * u[1]
+        root = half * half - both * (u[0] * u[0] + u[1] * u[1] - radius * radius)
+        if root > 0.0 and both > tol * tol:
+            length = math.sqrt(both)
             for sign in (-1.0, 1.0):
-                s = (-half + sign * math.sqrt(root)) / square
+                s = (-half + sign * math.sqrt(root)) / both
                 # No point beside a corner: the corner itself is then on the circle.
                 if s * length > tol and (1.0 - s) * length > tol:
                     put(other, kept, along(row(poly, k), s, minus(row(poly, q), row(poly, k))))
@@ -133,13 +137,18 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
         n = (0.0, 0.0, 0.0)
         for k in range(1, count - 1):
             n = along(n, 1.0, cross(minus(row(flat, k), row(flat, 0)), minus(row(flat, k + 1), row(flat, 0))))
+        # The first point of the circle is the one closest to the plane.
+        steep = np.hypot(n[0], n[1])
+        turn = math.copysign(1.0 / steep, n[2] * flat[0, 2]) if steep > LEVEL * abs(n[2]) else 0.0
+        first = (turn * n[0], turn * n[1]) if turn != 0.0 else (1.0, 0.0)
         for p in range(rim if n[2] != 0.0 else 0):
-            x, y = radius * math.cos(2.0 * math.pi * p / rim), radius * math.sin(2.0 * math.pi * p / rim)
+            u, v = radius * math.cos(2.0 * math.pi * p / rim), radius * math.sin(2.0 * math.pi * p / rim)
+            x, y = first[0] * u - first[1] * v, first[1] * u + first[0] * v
             inside = True
             for k in range(count):
-                u, v = row(flat, k), row(flat, k + 1 if k + 1 < count else 0)
-                turn = (v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0])
-                inside = inside and turn * n[2] > 0.0
+                a, b = row(flat, k), row(flat, k + 1 if k + 1 < count else 0)
+                area = (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+                inside = inside and area * n[2] > 0.0
             if inside:
                 z = flat[0, 2] - (n[0] * (x - flat[0, 0]) + n[1] * (y - flat[0, 1])) / n[2]
                 put(other, kept, along(c, 1.0, to_world(geometry.R, g, (x, y, z))))
@@ -147,6 +156,23 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
     for k in range(kept):
         put(poly, k, row(other, k))
     return kept
+
+
+@no_alloc
+def under_disk(geometry, g, face, n, o, room):
+    """Points of the disk of geom o that faces -n, over a polytope face of world normal n, into `room.poly`.
+
+    They are those of `clip_to_disk`, moved along n to the disk, which is almost parallel. Returns their number.
+    """
+    count = corners(geometry, g, geometry.face_ptr[g] + face, room.poly)
+    count = clip_to_disk(geometry, o, room.poly, count, room.limit, room.other)
+    z = axis(geometry.R, o)
+    up = dot(z, n)
+    centre = along(row(geometry.t, o), -math.copysign(geometry.size[o, 1], up), z)
+    for k in range(count):
+        p = row(room.poly, k)
+        put(room.poly, k, along(p, dot(z, minus(centre, p)) / up, n))
+    return count
 
 
 @no_alloc(forceinline=True)
@@ -162,9 +188,12 @@ def over_face(geometry, i, j, margin, face1, face2, room):
     level = face_level(geometry, g, face)
     count, radius, main = incident(geometry, o, n, kind == HALFSPACE, room.limit, poly)
     kept, following = 0, geometry.face_ptr[o]
+    flat = kind == POLYTOPE and has_rim(geometry, o) and square(dot(n, axis(geometry.R, o))) > 1.0 - square(ANGLE)
     while count > 0:
         if has_rim(geometry, g):
             count = clip_to_disk(geometry, g, poly, count, room.limit, other)
+        elif flat and count > 2:
+            count = under_disk(geometry, g, face, n, o, room)
         elif kind == POLYTOPE:
             count = clip_to_face(geometry, g, face, n, poly, count, other, room.values)
         for k in range(count):

@@ -41,7 +41,7 @@ from nsdyn._kernels.collision.kinds import (
 )
 from nsdyn._kernels.collision.reduction import reduce
 from nsdyn._kernels.collision.segments import ANGLE, NEAR, WIDE, closest, crossing, edge, ends, segments, touch
-from nsdyn._kernels.collision.separation import SAME, SHARP, bounds_apart, may_meet, separation
+from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, bounds_apart, may_meet, separation
 from nsdyn._kernels.compiled import no_alloc
 from nsdyn._kernels.vectors import along, dot, minus, put, row, square, times, to_local, to_world, unit
 
@@ -87,7 +87,7 @@ def closest_features(geometry, i, j, n, face, out, at):
     lines = edge(geometry, i, n, angle), edge(geometry, j, times(-1.0, n), angle)
     if lines[0][3] and lines[1][3]:
         count = segments(geometry, i, j, lines, n, out, at)
-        if count == 2 or (is_round(geometry, i) and is_round(geometry, j)):
+        if count >= 2 or (is_round(geometry, i) and is_round(geometry, j)):
             return count
         if count == 1:
             # The distance is the largest separation: the touching features attain it.
@@ -216,8 +216,9 @@ def pair_contacts(geometry, i, j, given, room, out, at):
         lowest = math.inf
         for k in range(count):
             lowest = min(lowest, room.heights[k])
-        # The deepest point is not over the face.
-        if lowest > separation(geometry, i, j, m)[0] + SAME * smaller(geometry, i, j):
+        # The deepest point is not over the face, or between the points that stand for a circle over a circle.
+        close = INSIDE if has_rim(geometry, i) and has_rim(geometry, j) else SAME
+        if lowest > separation(geometry, i, j, m)[0] + close * smaller(geometry, i, j):
             first = of_features(geometry, i, j, n, max(face1, face2), margin, out, at)
             if first == 0:  # another face separates better
                 face1, face2 = reference_face(geometry, i, j, best_normal(geometry, i, j, m), WIDE)
