@@ -324,6 +324,39 @@ def test_a_tilted_cap_touches_an_edge_where_both_are(rng):
             assert from_surface(solid(shape), ((c.point[k] - there) @ turn)[None])[0] <= abs(c.gap[k]) + 1e-6
 
 
+@pytest.mark.parametrize("lower", ["capsule", "pole"])
+@pytest.mark.parametrize("upper", ["capsule", "pole"])
+def test_round_ones_that_cross_almost_parallel_touch_between_their_ends(lower, upper, rng):
+    """By the square of the tilt times half of their length, over the radii: up to 1e-5 of a radius here."""
+    side = about((0, 1, 0), 0.5 * np.pi)
+    a, b = solid(SHAPES[lower]), solid(SHAPES[upper])
+    for tilt in 10.0 ** rng.uniform(-7.0, -2.0, 100):
+        x = np.array([np.zeros(3), (rng.uniform(-0.3, 0.3), 0.3 * tilt * rng.normal(), 0.0)])
+        R = np.array([side, about((0, 0, 1), tilt) @ about((0, 1, 0), 0.1 * tilt * rng.normal()) @ side])
+        x[1, 2] = a.rounding + b.rounding - 1e-7 * rng.uniform()
+        c = detector(SHAPES[lower], SHAPES[upper]).find(x, R, np.full(2, 1e-3), ContactSet.empty())
+        exact = overlap.separation(a, R[:1], x[:1], b, R[1:], x[1:], exact=True)[0]
+        np.testing.assert_allclose(c.gap.min(), exact, rtol=0, atol=2e-9)
+
+
+@pytest.mark.parametrize("lower", ["box", "prism", "plate", "disk"])
+def test_caps_almost_flat_on_a_face_have_their_lowest_point(lower, rng):
+    """Eight points stand for the circle: between them it is up to 7.6 % of a radius times the tilt lower."""
+    cap = shapes.cylinder(0.3, 0.2)
+    a, b, pair = solid(SHAPES[lower]), solid(cap), detector(SHAPES[lower], cap)
+    for tilt in 10.0 ** rng.uniform(-8.5, -4.0, 100):
+        lie = np.eye(3) if lower == "disk" else flat_side_up(SHAPES[lower], rng)
+        way, x = rng.uniform(0.0, 2.0 * np.pi), np.zeros((2, 3))
+        R = np.array([lie, about((np.cos(way), np.sin(way), 0.0), tilt)])
+        x[1] = *rng.uniform(-0.2, 0.2, 2), 2.0
+        x[1, 2] -= 1e-7 * rng.uniform() + overlap.separation(a, R[:1], x[:1], b, R[1:], x[1:], exact=True)[0]
+        c = pair.find(x, R, np.full(2, 1e-3), ContactSet.empty())
+        k, exact = c.gap.argmin(), overlap.separation(a, R[:1], x[:1], b, R[1:], x[1:], exact=True)[0]
+        np.testing.assert_allclose(c.gap[k], exact, rtol=0, atol=2e-8 * 0.3)
+        for shape, there, turn in zip((SHAPES[lower], cap), x, R, strict=True):
+            assert from_surface(solid(shape), ((c.point[k] - there) @ turn)[None])[0] <= abs(c.gap[k]) + 1e-8
+
+
 def test_a_cap_on_a_face_that_errs_by_its_tilt(rng):
     """The corner outermost along the normal of the face is not where the rim touches, but an edge that ends there."""
     box, cap = shapes.box((0.09429, 0.17267, 0.13143)), shapes.cylinder(0.113, 0.11364)

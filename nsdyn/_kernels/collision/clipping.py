@@ -22,7 +22,6 @@ from nsdyn._kernels.collision.separation import INSIDE
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import along, axis, cross, dot, minus, put, row, square, times, to_local, to_world, unit
 
-
 LEVEL = 1e-9  # slope, like that of `of_cylinder`, below which the direction of the closest point of a circle is noise
 
 

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from nsdyn._kernels.collision.clipping import Room, merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
-from nsdyn._kernels.collision.faces import aligned_face, best_normal, reference_face
+from nsdyn._kernels.collision.faces import best_normal, reference_face
 from nsdyn._kernels.collision.geometry import Found, Placed, smaller
 from nsdyn._kernels.collision.kinds import (
     HALFSPACE,
@@ -104,9 +104,6 @@ def closest_features(geometry, i, j, n, face, out, at):
             if count > 0 or is_round(geometry, h):
                 return count
     smooth(geometry, i, j, n, lines, out, at)
-    for g, h in ((i, j), (j, i)):
-        if face >= 0 and geometry.kind[g] == POLYTOPE and has_rim(geometry, h):
-            edges_of_face(geometry, i, j, g, n, lines, out, at)
     if lines[0][3] and lines[1][3] and has_rim(geometry, i) and has_rim(geometry, j):
         # The rim of either may touch the side of the other.
         (p1, q1, radius1, _), (p2, q2, radius2, _) = lines
@@ -123,23 +120,6 @@ def keep_better(out, at):
         put(out.point, at, row(out.point, at + 1))
         put(out.normal, at, row(out.normal, at + 1))
         out.gap[at] = out.gap[at + 1]
-
-
-@no_alloc
-def edges_of_face(geometry, i, j, g, n, lines, out, at):
-    """Replace a contact by that of the edge that separates best, of the face of polytope g that n is almost normal to.
-
-    The corner outermost along n is not where a rim touches, if the two are tilted by less than n errs.
-    """
-    aligned, _ = aligned_face(geometry, g, n if g == i else times(-1.0, n), WIDE)
-    if aligned < 0:
-        return
-    f, c = geometry.face_ptr[g] + aligned, row(geometry.t, g)
-    for k in range(geometry.loop_ptr[f], geometry.loop_ptr[f + 1]):
-        u, v = side(geometry, g, f, k)
-        line = along(c, 1.0, to_world(geometry.R, g, u)), along(c, 1.0, to_world(geometry.R, g, v)), 0.0, True
-        smooth(geometry, i, j, n, (line, lines[1]) if g == i else (lines[0], line), out, at + 1)
-        keep_better(out, at)
 
 
 @no_alloc
