@@ -209,31 +209,30 @@ def update_active_set(
     s: System,
     kin: ContactKinematics,
     r: Array,
-    ends: tuple[SceneState, SceneState],
+    moved: SceneState,
     memory: ContactSet,
     mid: Midpoint,
     kept: Index,
 ) -> tuple[ContactSet, ContactSet, Index]:
-    """Update the active set to the motion of a move: drop spurious contacts and those left behind, add missed ones.
+    """Update the active set to the motion of a move: drop spurious contacts, add missed ones.
 
-    The active contacts `kin` had impulses r, and the move has two `ends`. Return the contacts, the memory, and the keys
-    of contacts to keep. A contact that ends deep with features that were not active is added as it was at the midpoint
-    `mid`, where the impulses act: the position projection would remove the penetration but not the velocity. `kept` are
-    the keys of contacts that were missed before: these stay.
+    The active contacts `kin` had impulses r, and the move ends in the state `moved`. Return the contacts, the memory,
+    and the keys of contacts to keep. A contact that ends deep with features that were not active is added as it was at
+    the midpoint `mid`, where the impulses act: the position projection would remove the penetration but not the
+    velocity. `kept` are the keys of contacts that were missed before: these stay.
     """
-    first, moved = ends
-    found = moved.contacts
-    left = overrun_contacts(s, kin, r[: 3 * kin.contacts.gap.size : 3], first, mid, moved)
-    real = ~_spurious(s, kin, r, found) | among(kin.contacts.key, kept)
-    contacts = take(kin.contacts, real if left is None else real & ~left)
+    c, begin, found = kin.contacts, mid.state.placement, moved.contacts
+    old = (r[: 3 * c.gap.size : 3] <= 0.0) | kin.stays[: c.gap.size]
+    old |= among(c.key, _separating(s, take(c, ~old), c, begin, begin).key)
+    contacts = take(c, (old & ~_spurious(s, kin, r, found)) | among(c.key, kept))
     if not mid.fast and _reductions.least(found.gap) >= -s.least_penetration:
         return contacts, memory, kept
-    begin, end = mid.state.placement, moved.placement
+    end = moved.placement
     missed = take(found, (found.gap < -s.penetration_tol(found)) & ~among(found.key, contacts.key))
     if missed.gap.size:
-        missed, memory = _separating(s, missed, kin.contacts, end, begin), memory.joined(moved.memory, missed.key)
+        missed, memory = _separating(s, missed, c, end, begin), memory.joined(moved.memory, missed.key)
     if mid.fast:
-        (passed, _, memory, _), codes = s.touches(begin, end, memory, kin.contacts), s.detector.codes
+        (passed, _, memory, _), codes = s.touches(begin, end, memory, c), s.detector.codes
         passed = carry(passed, end, begin)
         missed = united((take(missed, ~among(codes(missed), codes(passed))), passed))
     if not missed.gap.size:
@@ -278,16 +277,18 @@ def overrun_contacts(
     return out if _active_set.overrun(*given, r > 0.0, deep, out) else None
 
 
-def _separating(s: System, missed: ContactSet, kin: ContactSet, end: Poses, middle: Poses) -> ContactSet:
-    """Return the contacts found at the end whose normals separate the bodies in the middle, as they are in the middle.
+def _separating(s: System, given: ContactSet, kin: ContactSet, at: Poses, middle: Poses) -> ContactSet:
+    """Return the contacts found `at` some poses whose normals separate the bodies in the middle, as they are there.
 
     A contact with any other normal, as that of a face that meets the other body only after both have turned, would push
-    sideways a body that touches elsewhere. The contacts left out strike when they touch.
+    sideways a body that touches elsewhere. The contacts left out strike when they touch. Bodies overlap no less than
+    the contacts `kin` of the middle do.
     """
-    missed, apart = s.detector.carry(missed, end, middle)
-    same = s.detector.codes(missed)[:, None] == s.detector.codes(kin)
-    touching = np.where(same, kin.gap, 0.0).min(axis=1, initial=0.0)
-    return take(missed, apart >= touching - s.penetration_tol(missed))
+    given, apart = s.detector.carry(given, at, middle)
+    pairs, of = np.unique(np.append(s.detector.codes(kin), s.detector.codes(given)), return_inverse=True)
+    deepest = np.zeros(pairs.size)
+    np.minimum.at(deepest, of[: kin.gap.size], kin.gap)
+    return take(given, apart >= deepest[of[kin.gap.size :]] - s.penetration_tol(given))
 
 
 def _spurious(s: System, kin: ContactKinematics, r: Array, found: ContactSet) -> Bools:
