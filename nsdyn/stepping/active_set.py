@@ -281,14 +281,16 @@ def _separating(s: System, given: ContactSet, kin: ContactSet, at: Poses, middle
     """Return the contacts found `at` some poses whose normals separate the bodies in the middle, as they are there.
 
     A contact with any other normal, as that of a face that meets the other body only after both have turned, would push
-    sideways a body that touches elsewhere. The contacts left out strike when they touch. Bodies overlap no less than
-    the contacts `kin` of the middle do.
+    sideways a body that touches elsewhere. The contacts left out strike when they touch. Where bodies overlap, a normal
+    separates them that does so as well as those of the contacts `kin` of the middle.
     """
-    given, apart = s.detector.carry(given, at, middle)
-    pairs, of = np.unique(np.append(s.detector.codes(kin), s.detector.codes(given)), return_inverse=True)
-    deepest = np.zeros(pairs.size)
-    np.minimum.at(deepest, of[: kin.gap.size], kin.gap)
-    return take(given, apart >= deepest[of[kin.gap.size :]] - s.penetration_tol(given))
+    (given, apart), (_, known) = s.detector.carry(given, at, middle), s.detector.carry(kin, middle, middle)
+    codes = s.detector.codes
+    pairs, of = np.unique(np.append(codes(kin), codes(given)), return_inverse=True)
+    best = np.full(pairs.size, -np.inf)
+    np.maximum.at(best, of[: kin.gap.size], known)
+    best = np.where(best > -np.inf, np.minimum(best, 0.0), 0.0)
+    return take(given, apart >= best[of[kin.gap.size :]] - s.penetration_tol(given))
 
 
 def _spurious(s: System, kin: ContactKinematics, r: Array, found: ContactSet) -> Bools:
