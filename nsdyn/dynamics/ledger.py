@@ -23,7 +23,7 @@ class Works(NamedTuple):
     external: float = 0.0
     """Of external forces and joint actuation."""
     normal: float = 0.0
-    """Of the normal impulses of impacts, Σ ½(u_N⁺ + u_N⁻) r_N, of joint limits, and all work of jammed contacts."""
+    """Of the normal impulses of impacts, Σ ½(u_N⁺ + u_N⁻) r_N, at joint limits too, and all work of jammed contacts."""
     friction: float = 0.0
     """Of tangential contact impulses of sliding or impact, Σ ½(u_T⁺ + u_T⁻)·r_T, and of dry joint friction."""
     damping: float = 0.0
@@ -33,7 +33,7 @@ class Works(NamedTuple):
     motion."""
     integration: float = 0.0
     """Numerics: of sticking persistent contacts, as far as couples do not cancel it (`nsdyn.stepping.persistence`), of
-    the flow of trees, and of θ > ½; O(h²) of a motion."""
+    limits on which joints rest, of the flow of trees, and of θ > ½; O(h²) of a motion."""
     projection: float = 0.0
     """Numerics: of the position projection."""
 
