@@ -207,7 +207,8 @@ class FC3D:
 
         Notes
         -----
-        It mixes impulses and velocities, so it changes with the unit of mass: read `residual` beside it.
+        It mixes impulses and velocities, so it changes with the unit of mass: read `residual` beside it. For q = 0 it
+        is not divided.
 
         References
         ----------

@@ -27,8 +27,8 @@ class Energy:
     kinetic, potential : ndarray, shape (n + 1,)
         At the times t.
     external, normal, friction, damping, constraint : ndarray, shape (n,)
-        Physics, work done on the system in each step: by applied forces and joint actuation, by the normal and the
-        tangential impulses of contacts and joints, by viscous joint damping, by prescribed motion and closed loops.
+        Physics, work done on the system in each step: by applied forces and joint actuation, by the normal impulses of
+        impacts, by friction of contacts and joints, by viscous joint damping, by prescribed motion and closed loops.
     integration, projection : ndarray, shape (n,)
         Numerics: work of the time discretisation of smooth motion, and of the position projection.
     defect : ndarray, shape (n,)
@@ -103,7 +103,7 @@ class SolverLog:
         `FC3D.error` [-] and `FC3D.residual` [m/s].
     iterations : ndarray of int
     status : ndarray of int8
-        Values of `nsdyn.problem.fc3d.Status`; 0 is converged.
+        Values of `nsdyn.Status`; 0 is converged.
     time : ndarray
         Wall time of the solve, s.
     """

@@ -154,10 +154,7 @@ class Trajectory:
         return tabulated(self, kind, pattern)
 
     def body(self, name: str) -> BodyMotion:
-        """Return the motion of a body, or of a link or a joint ("arm/link2"); ValueError naming the known ones.
-
-        Links whose joint carries no shape are not recorded.
-        """
+        """Return the motion of a body, or of a link or a joint ("arm/link2"); ValueError naming the known ones."""
         return body_motion.body(self, name)
 
     @cached_property

@@ -35,7 +35,7 @@ class State(NamedTuple):
         t = origin + count dt.
     instant : SceneState
         Position, velocity, contacts and warm start.
-    rate : ndarray, shape (n,)
+    rate : ndarray, shape (nv,)
         Last free acceleration, m/s² and rad/s².
     energies : (float, float)
         Kinetic and potential energy, J.
@@ -206,7 +206,7 @@ class Step:
         with dt although nothing collides. The work of a jam is booked as that of an impact, as normal work.
     contact_time, contact_duration : ndarray, shape (nc,)
         Time of the impulse, s after the beginning of the step, and duration of its move, s: that of the step or of a
-        substep, 0 for an impact.
+        piece of it, 0 for an impact.
     work_normal, work_friction : ndarray, shape (nc,)
         Works, J; the work of the couple is in the normal one.
     joints : ndarray, shape (8, nv), or None
@@ -307,7 +307,7 @@ class Step:
 
     @property
     def joint_impulse(self) -> Array:
-        """Impulses of joint limits and dry joint friction on each coordinate, shape (n,), N m s or N s."""
+        """Impulses of joint limits and dry joint friction on each coordinate, shape (nv,), N m s or N s."""
         out = np.zeros(self.v.size)
         if self.joints is not None:
             out[self.v.size - self.joints.shape[1] :] = self.joints[1] + self.joints[2]

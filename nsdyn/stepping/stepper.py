@@ -55,12 +55,12 @@ class Stepper:
 
     All forces and impulses act at one configuration, so that their works are those of the ledger. Smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut into
-    substeps at impacts with restitution, which act in no time, until they are too many to tell apart, and at reversals
-    of slip. Each island (group of bodies that may touch) is cut by itself. Its motion depends on no other body, to the
-    last bit, except on the size of the scene's smallest moving body: a fraction of it is the gap tolerance. No shapes
-    overlap at the end of a step: a projection of the positions removes remaining penetration. Contacts of free bodies
-    that stay closed and stick do no work: a couple per pair of bodies ensures this and keeps every momentum. The ledger
-    has all other numerical works.
+    moves at impacts, which act in no time, and at reversals of slip, until these are too many to be located. Each
+    island (group of bodies that may touch) is cut by itself. Its motion depends on no other body, to the last bit,
+    except on the size of the scene's smallest moving body: a fraction of it is the gap tolerance. No shapes overlap at
+    the end of a step: a projection of the positions removes remaining penetration. Contacts of free bodies that stay
+    closed and stick do no work: a couple per pair of bodies ensures this and keeps every momentum. The ledger has all
+    other numerical works.
 
     Parameters
     ----------
@@ -267,11 +267,11 @@ class Stepper:
         return Step(t=self.t, q=q, v=v, frames_x=x, frames_quat=quaternion, ledger=ledger)
 
     def mass_matrix(self) -> Array:
-        """M(q) at the present state, shape (n, n), kg, kg m and kg m², for v in Pinocchio's layout, as `Step.v` is."""
+        """M(q) at the present state, shape (nv, nv), kg, kg m and kg m², for v in Pinocchio's layout."""
         return equations.mass_matrix(self.dynamics, self.get_state().instant)
 
     def bias(self) -> Array:
-        """Coriolis, centrifugal and gravity terms at the present state, shape (n,), N and N m.
+        """Coriolis, centrifugal and gravity terms at the present state, shape (nv,), N and N m.
 
         M v̇ + bias = joint forces + Jᵀ contact forces, without joint springs and damping; v in Pinocchio's layout.
         """
@@ -286,7 +286,7 @@ class Stepper:
             Pairs of shapes near each other, with points, normals and gaps.
         frame : ndarray, shape (nc, 3, 3)
             Rows n, t1, t2 of each, world axes.
-        J : ndarray, shape (3 nc, n)
+        J : ndarray, shape (3 nc, nv)
             u = J v [m/s], (N, T1, T2) of body 2 relative to body 1, v in Pinocchio's layout; without the velocities
             that prescribed motions and moving surfaces add.
         """
