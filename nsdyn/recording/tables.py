@@ -34,8 +34,8 @@ class Pair:
     gap : ndarray, shape (n,)
         Smallest gap at the end of the step, m; infinite without contact points.
     state : tuple of str
-        "apart" without contact points, "open" if no point carries an impulse, else "stick", or "slip" if any point
-        slips.
+        "apart" without contact points, "open" if no point carries an impulse; else "stick", "slip" if any point slips,
+        or "jam" if any jams.
     """
 
     a: str
@@ -48,7 +48,7 @@ class Pair:
     state: tuple[str, ...]
 
     def __repr__(self) -> str:
-        touching = sum(state in ("stick", "slip") for state in self.state)
+        touching = sum(state not in ("apart", "open") for state in self.state)
         return f"<Pair {self.a!r}, {self.b!r}: {counted(len(self.state), 'step')}, {touching} of them pushing>"
 
 

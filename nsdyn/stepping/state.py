@@ -69,7 +69,7 @@ class State(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """The moves and impacts of a step that was cut into substeps, in scenes with articulations, island by island.
+    """The moves and impacts of a step that was cut, in scenes with articulations, island by island.
 
     Attributes
     ----------

@@ -3,6 +3,7 @@
 import csv
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -259,6 +260,7 @@ def test_states_of_pairs(trajectory):
     assert slides.work.sum() == pytest.approx(trajectory.energy.friction.sum(), rel=1e-6)
     apart = trajectory.pair("far", "below")
     assert set(apart.state) == {"apart"} and not apart.force.any() and np.isinf(apart.gap).all()
+    assert "2 steps, 1 of them pushing" in repr(replace(apart, state=("open", "jam")))
     with pytest.raises(ValueError, match=r"did you mean 'below'\? body must be one of .*; got 'belo'"):
         trajectory.pair("belo", "ground")
 
