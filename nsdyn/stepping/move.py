@@ -107,8 +107,8 @@ def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | Non
     m = _response(s, begin, mid, there, needs, located, None, skip is None)
     kept = NO_SLOTS
     for update in range(1, UPDATES if located is None else 0):
-        mid = m.mid
-        real, memory, kept = update_active_set(s, m.kin, m.solution.r, m.moved, there.memory, mid, kept)
+        mid, r = m.mid, m.solution.r if m.captured is None else m.solution.r + m.captured.impact.r
+        real, memory, kept = update_active_set(s, m.kin, r, m.moved, there.memory, mid, kept)
         if real is m.kin.contacts and (m.solution.accepted or update > 1):
             break
         there, needs = there._replace(memory=memory), (real, needs[1])
