@@ -27,6 +27,7 @@ from nsdyn._kernels.collision.clipping import Room, merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
 from nsdyn._kernels.collision.geometry import Found, Placed, smaller
+from nsdyn._kernels.collision.keys import CLOSED
 from nsdyn._kernels.collision.kinds import (
     HALFSPACE,
     POLYTOPE,
@@ -209,9 +210,11 @@ def pair_contacts(geometry, i, j, given, room, out, at):
     overlap = min(deepest, 0.0)
     if first > 0:
         count = new(room, count, first, near, out, at)
-    count = merge(room.points, room.heights, count, SAME * smaller(geometry, i, j))
+    size = smaller(geometry, i, j)
+    count = merge(room.points, room.heights, count, SAME * size)
     if count > room.limit - first:
-        count = reduce(room.points, room.heights, count, m, room.limit - first, margin, given.base)
+        flat = room.limit - first, margin, given.base, CLOSED * size
+        count = reduce(room.points, room.heights, count, m, *flat)
     reached, total = not tilted or count == 0 or may_meet(geometry, i, j, m, deepest, margin), first
     for k in range(count):
         p, height, n = row(room.points, k), room.heights[k], m

@@ -24,20 +24,25 @@ def lowest(poly, gap, count, limit, margin, close):
     height = margin - least
     while height > close:
         height = max(0.5 * height, close)
-        low = 0
-        for k in range(count):
-            low += gap[k] <= least + height
-        if low < limit:
+        left = up_to(poly, gap, count, least + height, limit)
+        if left < limit:
             break
-        if low < count:
-            low = 0
-            for k in range(count):
-                if gap[k] <= least + height:
-                    put(poly, low, row(poly, k))
-                    gap[low] = gap[k]
-                    low += 1
-            count = low
+        count = left
     return count
+
+
+@no_alloc
+def up_to(poly, gap, count, level, limit):
+    """Remove the points above a level if at least `limit` are not; return the number of those that are not."""
+    low, kept = 0, 0
+    for k in range(count):
+        low += gap[k] <= level
+    for k in range(count if limit <= low < count else 0):
+        if gap[k] <= level:
+            put(poly, kept, row(poly, k))
+            gap[kept] = gap[k]
+            kept += 1
+    return low
 
 
 @kernel
@@ -69,21 +74,18 @@ def convex_hull(x, y):
 
 
 @kernel
-def corners_of_most_area(x, y, hull, m, deepest, limit):
+def corners_of_most_area(x, y, hull, m, stays, limit):
     """At most `limit` of m corners, as positions in the hull, that preserve most of its area: (positions, number).
 
-    The deepest point stays. If it is no corner, it counts towards the limit.
+    The points that `stays` marks stay. Those that are no corners count towards the limit.
     """
-    kept, corner, free = m, np.arange(m), limit - 1
-    for p in range(m):
-        if hull[p] == deepest:
-            free = limit
+    kept, corner, free = m, np.arange(m), limit - stays.sum() + stays[hull[:m]].sum()
     while kept > free:
         worst, smallest = -1, math.inf
         for p in range(kept):
             area = triangle(x, y, hull, corner[p - 1 if p > 0 else kept - 1], corner[p], corner[(p + 1) % kept])
             # Areas equal within round-off count as equal, so that the order decides, not noise.
-            if hull[corner[p]] != deepest and area < smallest * (1.0 - 1e-9):
+            if not stays[hull[corner[p]]] and area < smallest * (1.0 - 1e-9):
                 worst, smallest = p, area
         for p in range(worst, kept - 1):
             corner[p] = corner[p + 1]
@@ -92,7 +94,7 @@ def corners_of_most_area(x, y, hull, m, deepest, limit):
         moved = False
         for p in range(kept):
             before, after = corner[p - 1 if p > 0 else kept - 1], corner[(p + 1) % kept]
-            if hull[corner[p]] != deepest:
+            if not stays[hull[corner[p]]]:
                 best, largest = corner[p], triangle(x, y, hull, before, corner[p], after)
                 for step in range(1, (after - before) % m):
                     q = (before + step) % m
@@ -108,31 +110,33 @@ def corners_of_most_area(x, y, hull, m, deepest, limit):
 
 
 @kernel
-def reduce(poly, gap, count, n, limit, margin, close):
-    """Keep at most `limit` points: the deepest, and the corners of the patch that preserve most of its area.
+def reduce(poly, gap, count, n, limit, margin, close, same):
+    """Keep at most `limit` points: the lowest half, and the corners of the patch that preserve most of its area.
 
     The patch consists of the points that the motion closes first: from the margin down to `close` above the deepest
-    point, the highest points are removed, as long as `limit` points are left. The convex hull of the patch in the plane
-    of n then loses corner after corner, each time the one whose triangle with its neighbours is smallest. Then the
-    corners move along the hull as long as the area grows. Points on the line between others, as the two ends of an edge
-    on which a prism rolls, add no area but may carry: what is left of the limit goes to the deepest. Returns the number
-    left, in their former order.
+    point, the highest points are removed, as long as `limit` points are left. What is almost flat rests on few of them,
+    so the lowest half of the limit stays, and what is as low within `same`. If that is more than the limit, it is the
+    patch, and what is lower stays. The convex hull of the patch in the plane of n then loses corner after corner, each
+    time the one whose triangle with its neighbours is smallest. Then the corners move along the hull as long as the
+    area grows. Points on the line between others, as the two ends of an edge on which a prism rolls, add no area but
+    may carry: what is left of the limit goes to the deepest. Returns the number left, in their former order.
     """
     count = lowest(poly, gap, count, limit, margin, close)
     if count <= limit:
         return count
+    level = np.sort(gap[:count])[(limit - 1) // 2]
+    low = up_to(poly, gap, count, level + same, limit)
+    if low >= limit:
+        count, level = low, level - 2.0 * same
     e1 = perpendicular(n)
     e2 = cross(n, e1)
     x, y = np.empty(count), np.empty(count)
-    deepest = 0
     for k in range(count):
         x[k], y[k] = dot(row(poly, k), e1), dot(row(poly, k), e2)
-        if gap[k] < gap[deepest]:
-            deepest = k
+    keep = gap[:count] <= level + same
+    keep[gap[:count].argmin()] = True
     hull, m = convex_hull(x, y)
-    corner, left = corners_of_most_area(x, y, hull, m, deepest, limit)
-    keep = np.zeros(count, dtype=np.bool_)
-    keep[deepest] = True
+    corner, left = corners_of_most_area(x, y, hull, m, keep, limit)
     for p in range(left):
         keep[hull[corner[p]]] = True
     while keep.sum() < limit:
