@@ -42,7 +42,7 @@ class Retraced:
         Uncertainty of works, J: of each and of their sum (`doubt`), and of the split of the sum where limits and
         contacts strike alternately in one instant, an unrecorded number of times (`parted`).
     resting : ndarray
-        Largest work, J, of limits on which joints rest throughout a move: it may count as numerics.
+        Largest work, J, of limits on which joints rest where a move begins: it may count as numerics.
     energy : ndarray, shape (n,)
         Change of energy by projections, J.
     met : (Side, Side)
@@ -153,7 +153,7 @@ def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
 
 def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
     """Book the works of a step by columns of the ledger, with uncertainty; return that of velocities at each kick."""
-    works, doubt, late = dict.fromkeys(out.works, 0.0), 0.0, np.zeros(m.nv)
+    works, doubt, late, astray = dict.fromkeys(out.works, 0.0), 0.0, np.zeros(m.nv), np.full(m.nv, ON)
     each: list[Array] = []
     begun, end, alone = out.trees.state(i, k)[0], out.trees.state(i, k + 1)[0], len(way.kicks) == 1
     for kick, first, last in zip(way.kicks, way.flows[::2], way.flows[1::2], strict=True):
@@ -191,9 +191,9 @@ def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:
             out.energy[k] += sum(m.energies(*lifted)) - sum(m.energies(last.q, last.v))
         if kick.h > 0.0:
             bound = np.where(kick.given[1] > 0.0, m.lower, m.upper)
-            rests = np.maximum(np.abs(m.angle(begun) - bound), np.abs(m.angle(lifted[0]) - bound)) <= ON
+            rests = np.abs(m.angle(begun) - bound) <= astray
             out.resting[k, i] += float(np.abs(kick.given[1] * mean) @ rests)
-        begun = lifted[0]
+        begun, astray = lifted[0], astray + first.doubted[0] + last.doubted[0] + kick.h * late
     for name, work in works.items():
         out.works[name][k, i] = work
     out.doubt[k, i] = doubt

@@ -428,6 +428,21 @@ def test_limits_and_bodies_that_strike_in_turn_with_theta_above_half():
     assert audit.passed, audit
 
 
+@pytest.mark.parametrize(("dt", "depth", "kp"), [(5e-3, 1.2, 60.0), (1e-2, 1.2, 300.0), (1e-2, 2.0, 60.0)])
+def test_a_quadruped_that_squats_onto_the_limits_of_its_knees_passes(dt, depth, kp):
+    """Some knees rest, others strike, and projections lift what rests: only knees that rest may work as numerics."""
+    stance = np.array((0.0, 0.8, -1.6) * 4)
+
+    def squat(t, q, v):
+        down = depth * (1.0 - np.cos(8.0 * np.pi * t)) * np.tile([0.0, 0.5, -1.0], 4)
+        return {"quadruped": nd.PD(kp=kp, kd=2.0, target=stance + down)}
+
+    run = nd.simulate(nd.scenes.load("quadruped")(), 0.2, dt, controller=squat)
+    assert (run.columns["joints/limit"] != 0.0).any(), "it gets there"
+    audit = nd.check(run)
+    assert audit.passed, audit
+
+
 @pytest.mark.slow
 def test_many_true_recordings_pass(monkeypatch, capsys):
     """Sixty random robots and the named scenes; `demos/bench/audits.py` has any number."""

@@ -38,9 +38,9 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
     """Persistent rows, into out = (stays, sticks, was): they do no work along (stays), across (sticks) their normals.
 
     A contact stays if it had an impulse in the last move. It also stays if it was closed where this move begins and did
-    not approach. The same holds for joint limits. A contact does not stay if it overlaps (is squeezed), strikes or
-    separates: an approach in h s faster than `JOLT` drifts of the rows is a motion of the bodies and no error. Rows of
-    a contact that strikes lose the drift of the bodies, which turn otherwise after the impact.
+    not approach. The same holds for joint limits, but open ones never stay. A contact does not stay if it overlaps (is
+    squeezed), strikes or separates: an approach in h s faster than `JOLT` drifts of the rows is a motion of the bodies
+    and no error. Rows of a contact that strikes lose the drift of the bodies, which turn otherwise after the impact.
 
     A contact that stuck sticks however it approaches, because its slip is an error. A contact that stays and did not
     slip at the beginning sticks too. Gaps within the gap tolerance of rows that do not turn are set to 0. Returns
@@ -96,7 +96,9 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
                 if j == i:
                     end_gap[c] += 0.5 * ahead * (jacobian_drift[j] - rest)
                 jacobian_drift[j] = rest
-        if gap < -2.0 * closed or (old == 0 and (not known or gap > closed or abs(u_begin[i]) >= still)):
+        if gap < -2.0 * closed or (gap > closed and (c >= nc or old == 0)):
+            continue
+        if old == 0 and (not known or abs(u_begin[i]) >= still):
             continue
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
         if c < nc:
