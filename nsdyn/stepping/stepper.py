@@ -91,8 +91,8 @@ class Stepper:
         solution and warns once. It raises if that solution is unusable: an error above 1e-3, or no velocity that opens
         every contact, which a solution needs. "dump" does the same, and writes the problem of every such step.
     max_points : int
-        Most contact points per pair of shapes, not counting corners and points of rims that the motion shows to be
-        missed.
+        Most contact points per pair of shapes: the lowest half, and others that span most area. Corners and points of
+        rims that the motion shows to be missed do not count.
     dump_on_fail : path, optional
         Folder for the problems of failing steps, with any `on_fail`: FCLIB global files named by the step, with the
         solution found as a guess. "failed-steps" if `on_fail` is "dump".
