@@ -30,9 +30,10 @@ def described(poses: Poses, built: object) -> Found:
         rows.append((_no_body(mass, inertia), name))
     for tree in scene["articulations"]:
         model: Mapping[str, Any] = tree.get("model", {"joints": (), "loops": ()})
+        largest = max((float(np.abs(joint["inertia"]).max()) for joint in model["joints"]), default=0.0)
         for name, joint in zip(tree.get("joints", ()), model["joints"], strict=False):
-            # Joints may carry no mass.
-            massive = _no_body(joint["mass"], joint["inertia"], strictly=False)
+            # Joints may carry no mass, and moments of it that are round-off.
+            massive = _no_body(joint["mass"], joint["inertia"], strictly=False, size=largest)
             rows.append((max(_skew(joint["placement"]), massive), f"{tree['name']}/{name}"))
         rows += [
             (_skew(place), f"{tree['name']}/{loop['name']}") for loop in model["loops"] for place in loop["placements"]
@@ -82,10 +83,13 @@ def _skew(placement: Any) -> float:
     )
 
 
-def _no_body(mass: float, inertia: Any, strictly: bool = True) -> float:
-    """Violation, as a fraction, of the conditions that a body's mass and inertia satisfy; 1 for a negative mass."""
+def _no_body(mass: float, inertia: Any, strictly: bool = True, size: float = 1e-300) -> float:
+    """Violation, as a fraction, of the conditions that a body's mass and inertia satisfy; 1 for a negative mass.
+
+    Moments are fractions of the largest, or of `size`, kg m².
+    """
     J = np.array(inertia, dtype=float)
-    size = max(float(np.abs(J).max()), 1e-300)
+    size = max(float(np.abs(J).max()), size, 1e-300)
     moments = np.linalg.eigvalsh(J)
     off = max(float(np.abs(J - J.T).max()), -float(moments[0]))
     if strictly:  # links may have any mass and inertia that still allow motion

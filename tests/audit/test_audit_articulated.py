@@ -502,3 +502,19 @@ def test_an_inertia_that_no_body_has_is_named(tmp_path):
         scene.add_sdf("r", path, inertias="trust", q=[0.5])
     found = nd.check(nd.simulate(scene, 0.1, 0.01))
     assert [finding.name for finding in found.findings if not finding.passed] == ["scene"]
+
+
+def test_moments_that_are_round_off_are_those_of_a_point(tmp_path):
+    """As of iCub's hips: links of -5e-20 kg m², beside others that have moments."""
+    link = '<link name="{}"><inertial><origin xyz="0 0 -0.3"/><mass value="1"/><inertia {}/></inertial></link>'
+    joint = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><axis xyz="0 1 0"/>'
+    joint += '<origin xyz="0 0 -0.3"/><limit lower="-3" upper="3" effort="9" velocity="0"/></joint>'
+    own = [f'ixx="{x}" iyy="{x}" izz="0" ixy="0" ixz="0" iyz="0"' for x in ("0.1", "-5e-20")]
+    path = tmp_path / "r.urdf"
+    joints = joint.format("i", "base", "a") + joint.format("j", "a", "b")
+    path.write_text(
+        f'<robot name="r"><link name="base"/>{link.format("a", own[0])}{link.format("b", own[1])}{joints}</robot>'
+    )
+    scene = nd.Scene()
+    scene.add_urdf("r", path, q=[0.5, 0.2])
+    assert nd.check(nd.simulate(scene, 0.1, 0.01)).passed
