@@ -90,6 +90,41 @@ def end_opposite(end, line):
     return m, middle, distance - radius - other, distance, s
 
 
+@no_alloc
+def at_ends(one, two, n, known, tiny, out, at):
+    """Contacts of almost parallel segments at both ends of their overlap, into `out` from index `at` on; their number.
+
+    Each end is an end of one of the segments. one and two are (p, q, direction, length, radius, flat) of the segments,
+    `flat` as in `end_opposite`; n is as in `segments`, and `known` whether it is used.
+    """
+    (p1, _, d, length1, radius1, flat1), (p2, q2, e, length2, radius2, flat2) = one, two
+    begin, end = dot(d, minus(p2, p1)), dot(d, minus(q2, p1))
+    low, high = max(min(begin, end), 0.0), min(max(begin, end), length1)
+    if high - low <= tiny:
+        return 0
+    across, _ = unit(along(n, -dot(n, d), d))
+    count = 0
+    for s in (low, high):
+        if radius1 + radius2 > 0.0:
+            sign, b = -1.0, p2 if s == begin else q2
+            own, line = (b, e, radius2, flat2), (p1, d, length1, radius1, flat1)
+            if s == 0.0 or s == length1:
+                sign, own, line = 1.0, (along(p1, s, d), d, radius1, flat1), (p2, e, length2, radius2, flat2)
+            m, middle, out.gap[at + count], distance, _ = end_opposite(own, line)
+            put(out.normal, at + count, times(sign, m))
+            put(out.point, at + count, middle)
+            apart = distance > tiny
+        else:  # edges that touch lie one above the other, not side by side in almost parallel faces
+            a = along(p1, s, d)
+            b = along(p2, dot(e, minus(a, p2)), e)
+            touch(a, radius1, b, radius2, across, out, at + count)
+            gap, away = out.gap[at + count], minus(b, a)
+            apart = dot(away, away) <= square(gap) + square(ANGLE * abs(gap) + tiny)
+        if apart and (not known or dot(row(out.normal, at + count), n) > 0.5):
+            count += 1
+    return count
+
+
 @no_alloc(forceinline=True)
 def segments(geometry, i, j, lines, n, out, at):
     """Contacts of two segments with radii, one of each geom, into `out` from index `at` on; returns their number.
@@ -110,36 +145,14 @@ def segments(geometry, i, j, lines, n, out, at):
     direction, distance = unit(minus(b, a))
     crosses = s > 0.0 and s < length1 and r > 0.0 and r < length2
     if length1 > 0.0 and length2 > 0.0 and sine < PARALLEL:
-        # Both ends of the overlap, as arc lengths on segment 1. Each is an end of one of the segments.
-        begin, end = dot(d, minus(p2, p1)), dot(d, minus(q2, p1))
-        low, high = max(min(begin, end), 0.0), min(max(begin, end), length1)
-        if high - low > tiny:
-            across, _ = unit(along(n, -dot(n, d), d))
-            count = 0
-            for q in (low, high):
-                if rounded:
-                    sign, tip = -1.0, p2 if q == begin else q2
-                    own, line = (tip, e, radius2, flat2), (p1, d, length1, radius1, flat1)
-                    if q == 0.0 or q == length1:
-                        sign, own, line = 1.0, (along(p1, q, d), d, radius1, flat1), (p2, e, length2, radius2, flat2)
-                    m, middle, out.gap[at + count], far, _ = end_opposite(own, line)
-                    put(out.normal, at + count, times(sign, m))
-                    put(out.point, at + count, middle)
-                    apart = far > tiny
-                else:  # edges that touch lie one above the other, not side by side in almost parallel faces
-                    foot = along(p1, q, d)
-                    away = minus(along(p2, dot(e, minus(foot, p2)), e), foot)
-                    touch(foot, 0.0, along(foot, 1.0, away), 0.0, across, out, at + count)
-                    gap = out.gap[at + count]
-                    apart = dot(away, away) <= square(gap) + square(ANGLE * abs(gap) + tiny)
-                if apart and (not known or dot(row(out.normal, at + count), n) > 0.5):
-                    count += 1
-            if count == 2 and rounded and crosses and distance > tiny:
-                # Round segments that cross are closer there than at the ends, by half of (tilt · way)² over the radii.
-                touch(a, radius1, b, radius2, n, out, at + 2)
-                count += out.gap[at + 2] < min(out.gap[at], out.gap[at + 1]) - INSIDE * size
-            if count >= 2:
-                return count
+        one, two = (p1, q1, d, length1, radius1, flat1), (p2, q2, e, length2, radius2, flat2)
+        count = at_ends(one, two, n, known, tiny, out, at)
+        if count == 2 and rounded and crosses and distance > tiny:
+            # Round segments that cross are closer there than at the ends, by half of (tilt · way)² over the radii.
+            touch(a, radius1, b, radius2, n, out, at + 2)
+            count += out.gap[at + 2] < min(out.gap[at], out.gap[at + 1]) - INSIDE * size
+        if count >= 2:
+            return count
     if rounded and distance <= tiny:
         # The cores cross: take any separating direction, the common perpendicular if there is one.
         if known:
