@@ -43,6 +43,9 @@ PASSES = 50
 RESOLVED = 1e-4
 """Error, as a fraction of the velocity, up to which the step certainly makes a motion on loops in one part."""
 
+CLOSED = 1e-12
+"""Gap to which the step closes loops, m and rad."""
+
 ROUND_OFF = 1e-14
 """Change in a pass, as a fraction of the velocity, below which only round-off remains."""
 
@@ -186,8 +189,9 @@ def _in_chart(turned: Array, v: Array) -> Array:
 def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
     """Return the motion of a mechanism with loops or gears: one midpoint step, which defines this motion.
 
-    Driven joints keep their speed. The doubt is the difference from two steps of half the length, if the step might
-    have made the motion in parts or if joints are winding (`Mechanism.winding`); otherwise it is 0.
+    Driven joints keep their speed. The doubt is what the gaps of loops leave open. The difference from two steps of
+    half the length is added if the step might have made the motion in parts or if joints are winding
+    (`Mechanism.winding`).
     """
     end, new, mean, work = _midpoint(m, q, v, h)
     there, half, _, _ = _midpoint(m, q, v, 0.5 * h)
@@ -195,9 +199,19 @@ def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
     doubted = CONSTANTS * np.abs([displacement(m.model, end, fine), new - last])
     if not m.winding and doubted[1].max() <= CONSTANTS * RESOLVED * np.abs(v).max():
         doubted[:] = 0.0
+    doubted[1] += CONSTANTS * _loose(m, end, new)
     if m.floats:
         end, new = _with_momenta(m, q, v, h, end, new)
     return Course(end, new, mean, doubted, work)
+
+
+def _loose(m: Mechanism, q: Array, v: Array) -> Array:
+    """Return by how much v may change where loops are open by `CLOSED`: much near singular configurations."""
+    B, F = m.constraints(q)[1], np.linalg.inv(np.linalg.cholesky(m.mass(q)))
+    _, s, Vt = np.linalg.svd(B @ F.T)
+    k = int((s > RANK * s[0]).sum()) - 1
+    away = m.constraints(integrate(m.model, q, CLOSED / s[k] * Vt[k] @ F))[1]
+    return np.asarray(np.abs(respond(m.mass(q), m.zero, B, (B - away) @ v)))
 
 
 def _with_momenta(m: Mechanism, q: Array, v: Array, h: float, end: Array, new: Array) -> tuple[Array, Array]:
@@ -262,18 +276,20 @@ def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array,
 
 
 def respond(M: Array, momentum: Array, B: Array, goal: Array) -> Array:
-    """Return v with M v = momentum + Bᵀ λ and B v = goal."""
-    free, react = np.linalg.solve(M, momentum), np.linalg.solve(M, B.T)
-    return np.asarray(free + react @ np.linalg.lstsq(B @ react, goal - B @ free, rcond=RANK)[0], dtype=float)
+    """Return v with M v = momentum + Bᵀ λ and B v = goal.
+
+    B M⁻¹ Bᵀ is not formed: it has the square of the condition of B, which is large near singular configurations.
+    """
+    free, F = np.linalg.solve(M, momentum), np.linalg.inv(np.linalg.cholesky(M))
+    return np.asarray(free + np.linalg.lstsq(B @ F.T, goal - B @ free, rcond=RANK)[0] @ F, dtype=float)
 
 
 def close(m: Mechanism, q: Array) -> Array:
     """Return the closest configuration to q, in the kinetic metric, with closed loops, by Newton's method."""
     for _ in range(PASSES if m.loops else 0):
         gap, B = m.constraints(q)
-        react = np.linalg.solve(m.mass(q), B.T)
         miss = np.concatenate((gap, np.zeros(m.driven.size)))
-        q = np.array(integrate(m.model, q, -react @ np.linalg.lstsq(B @ react, miss, rcond=RANK)[0]))
+        q = np.array(integrate(m.model, q, respond(m.mass(q), m.zero, B, -miss)))
         if np.abs(gap).max() <= 1e-13:  # the step just made leaves round-off, even beside what moves by 1e-6 of a rad
             break
     return q

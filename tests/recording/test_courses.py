@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mechanisms import pendulum
+from mechanisms import add, four_bars, pendulum
 
 import nsdyn as nd
 from nsdyn.recording import courses, retrace
@@ -51,3 +51,18 @@ def test_parts_are_no_more_than_a_smooth_motion_asks_for(mechanism, monkeypatch)
     np.testing.assert_allclose(coarse.q, fine[0], rtol=0, atol=1e-13)
     np.testing.assert_allclose(coarse.v, fine[1], rtol=0, atol=1e-12)
     np.testing.assert_allclose(coarse.mean, fine[2], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("before", "least", "most"), [(0.02, 1e-9, 1e-4), (1.0, 0.0, 1e-10)])
+def test_the_doubt_of_a_motion_on_loops_covers_their_gaps(before, least, most):
+    """Near a singular configuration the gaps that a step leaves change velocities by far more than themselves."""
+    model, loops, along = four_bars(1)
+    scene = nd.Scene()
+    add(scene, "bars", model, loops)
+    m = retrace.trees(nd.simulate(scene, 1e-3, 1e-3)).mechanisms[0]
+    q, v = (np.pi / 2 - before) * along, 4.0 * along
+    _, s, Vt = np.linalg.svd(m.constraints(q)[1])
+    course, other = courses.move(m, q, v, 1e-3), courses.move(m, q + 1e-12 / s[1] * Vt[1], v, 1e-3)
+    off = np.abs(other.v - course.v)
+    assert least <= off.max() <= most
+    assert (off <= course.doubted[1] + 1e-13).all()
