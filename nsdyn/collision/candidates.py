@@ -63,7 +63,7 @@ class Candidates:
             if g.shape.kind == HALFSPACE and g.frame >= 0:
                 raise ValueError(f"halfspace {g.name!r} must be fixed, not on a moving frame")
         n = len(geoms)
-        self._max_points, self._pair_material = max_points, pair_material
+        self._max_points, self._pair_material = int(max_points), pair_material
         self._excluded = np.unique(np.array([min(p) * n + max(p) for p in excluded], dtype=np.int64))
         self._set_geoms(_flatten(geoms), Solids([g.shape for g in geoms]))
 

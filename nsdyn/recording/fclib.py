@@ -35,6 +35,7 @@ from nsdyn.scene.checks import text
 from nsdyn.tools import files
 from nsdyn.tools.arrays import Array, numbers
 from nsdyn.tools.datasets import check_heaps, created
+from nsdyn.tools.options import check_flags, is_number
 
 __all__ = ["Stored", "read", "read_guesses", "read_solution", "write", "write_solution"]
 
@@ -229,9 +230,11 @@ def write(
     if not isinstance(problem, FC3D):
         raise ValueError(f"problem must be a nsdyn.FC3D, got {type(problem).__name__}")
     blocks = problem.blocks
+    if not is_number(spacedim, int) or spacedim not in (2, 3):
+        raise ValueError(f"spacedim must be 2 or 3, got {spacedim!r}")
     rows = slice(None) if spacedim == 3 else planar(problem.nc)
-    if spacedim != 3:
-        _check_planar(problem, spacedim)
+    if spacedim == 2:
+        _check_planar(problem)
     for words, value in {"title": title, "description": description}.items():
         text(value, words)
     if not isinstance(guesses, Sequence | np.ndarray):
@@ -289,6 +292,7 @@ def write_solution(path: str | Path, source: str | Path, solution: Solution, *, 
 @contextmanager
 def _created(path: str | Path, overwrite: bool) -> Iterator[Any]:
     """Create a file that is moved to `path` when the block succeeds; otherwise no file is left."""
+    check_flags(overwrite=overwrite)
     if files.as_path(path).exists() and not overwrite:
         raise ValueError(f"cannot write {path}: it exists")
     with files.writing(path, files.PROBLEM) as part, created(part) as file:
@@ -330,10 +334,8 @@ def _finite(value: Any, size: int, words: str, what: str) -> Array:
     return out
 
 
-def _check_planar(problem: FC3D, spacedim: int) -> None:
+def _check_planar(problem: FC3D) -> None:
     """Raise a ValueError unless the second tangents are coupled to no other component."""
-    if spacedim != 2:
-        raise ValueError(f"spacedim must be 2 or 3, got {spacedim}")
     if problem.blocks is not None:
         raise ValueError("spacedim must be 3 for a problem given by its factors")
     W = problem.W.tocoo()

@@ -168,7 +168,7 @@ class Trajectory:
         ValueError if k is not a whole number or the recording has no contacts.
         """
         tables.need_contacts(self)
-        if not is_number(k, np.integer):
+        if not is_number(k, int):
             raise ValueError(f"step must be a whole number, got {k!r}")
         step = k + self.steps + 1 if k < 0 else k
         if not 1 <= step <= self.steps:
@@ -259,7 +259,7 @@ class Trajectory:
         The times include the first and the last. Works that never exceed a billionth of the largest energy are left
         out; the defect is always included.
         """
-        if not (is_number(rows, np.integer) and rows >= 1):
+        if not (is_number(rows, int) and rows >= 1):
             raise ValueError(f"rows must be a whole number, at least 1, got {rows!r}")
         k = np.unique(np.linspace(0, self.steps, rows + 1).round().astype(int))
         out = {"t": self.t[k], "kinetic": self.energy.kinetic[k], "potential": self.energy.potential[k]}

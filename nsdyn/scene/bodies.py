@@ -134,6 +134,8 @@ def make_body(
     ValueError
         Names the argument, expected and given values.
     """
+    if not isinstance(shape, Shape):
+        raise ValueError(f"shape of {name!r} must be one of nsdyn.scene.shapes, got {shape!r}")
     centre = checks.vector(com, 3, f"com of {name!r}")
     v = checks.vector(linear_velocity, 3, f"linear_velocity of {name!r}")
     w = checks.vector(angular_velocity, 3, f"angular_velocity of {name!r}")

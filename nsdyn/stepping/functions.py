@@ -30,7 +30,9 @@ class Functions:
     def __init__(self, controller: Callback | None, external_force: Callback | None, dynamics: Dynamics) -> None:
         self._dynamics = dynamics
         self._given = {"controller": controller, "external_force": external_force}
-        self._seeing = {what for what, given in self._given.items() if given and callbacks.takes(given, "last")}
+        self._seeing = {
+            what for what, given in self._given.items() if callable(given) and callbacks.takes(given, "last")
+        }
         for what, given in self._given.items():
             if given is None:
                 continue

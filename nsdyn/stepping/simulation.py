@@ -22,9 +22,9 @@ from nsdyn.stepping.functions import Callback
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.state import State
 from nsdyn.stepping.stepper import Stepper
-from nsdyn.stepping.system import check_flags, check_seconds
+from nsdyn.stepping.system import check_seconds
 from nsdyn.tools.files import as_path
-from nsdyn.tools.options import is_number
+from nsdyn.tools.options import check_flags, is_number
 
 MOST_STEPS = 2**53
 """Number of steps up to which the times k dt are distinct."""
@@ -148,8 +148,9 @@ def simulate(
             as_path(file, name)
     if resume is not None and record is not None:
         raise ValueError(f"record must be None where resume names the file to go on with, got {record}")
+    every, duration = int(every), float(duration)
     steps = every * max(1, math.ceil(duration / stepper.dt / every - 1e-9))
-    kept = {"max_points": max_points, "every": every, "contacts": contacts, "polish": polish}
+    kept = {"max_points": int(max_points), "every": every, "contacts": contacts, "polish": polish}
     with _recorder(stepper, record, resume, kept, duration) as recorder:
         done = every * recorder.rows
         # disable=None: tqdm draws only on a terminal

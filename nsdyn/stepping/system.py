@@ -17,7 +17,7 @@ from nsdyn.solvers import Solver
 from nsdyn.stepping.impacts import Law
 from nsdyn.stepping.move_kernel import MoveKernel
 from nsdyn.stepping.scene_state import System
-from nsdyn.tools.options import is_number
+from nsdyn.tools.options import check_flags, is_number
 
 
 def check_seconds(**given: Any) -> None:
@@ -25,13 +25,6 @@ def check_seconds(**given: Any) -> None:
     for name, value in given.items():
         if not (is_number(value) and 0.0 < value < math.inf):
             raise ValueError(f"{name} must be a positive number of seconds, got {value!r}")
-
-
-def check_flags(**given: Any) -> None:
-    """ValueError for a flag that is neither True nor False."""
-    for name, value in given.items():
-        if not isinstance(value, bool):
-            raise ValueError(f"{name} must be True or False, got {value!r}")
 
 
 def check_options(scene: Any, dt: Any, theta: Any, overlap: Any, lift: Any, polish: Any) -> None:

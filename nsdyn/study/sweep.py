@@ -24,6 +24,7 @@ from nsdyn.study.identity import told
 from nsdyn.study.store import Store
 from nsdyn.tools.callbacks import called, text
 from nsdyn.tools.naming import check_known
+from nsdyn.tools.options import check_flags
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +102,7 @@ def sweep(
     [({'mu': 0.25}, 1.5095), ({'mu': 0.5}, 1.019)]
     """
     check_known(options, Options.__optional_keys__)
+    check_flags(progress=progress)
     if not isinstance(parameters, Mapping):
         raise ValueError(f"parameters must be a mapping of names to lists of values, got {parameters!r}")
     for name, values in parameters.items():

@@ -67,5 +67,13 @@ def _annotations(made: type) -> dict[str, Any]:
 
 
 def is_number(value: Any, kind: type = float) -> bool:
-    """Return whether a value is a number of a kind, for int a whole number; True and False are no numbers."""
+    """Return whether a value is a number of a kind, of NumPy too, for int a whole one; True and False are none."""
+    value = value.item() if isinstance(value, np.generic) else value
     return isinstance(value, (int, kind)) and not isinstance(value, bool)
+
+
+def check_flags(**given: Any) -> None:
+    """ValueError for a flag that is neither True nor False."""
+    for name, value in given.items():
+        if not isinstance(value, bool):
+            raise ValueError(f"{name} must be True or False, got {value!r}")

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from importlib import import_module
-from math import inf
+from math import inf, isnan
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from nsdyn.tools import files, notebook
 from nsdyn.tools.naming import choice, counted, unknown
+from nsdyn.tools.options import is_number
 
 SHOWN = 40
 """Largest number of rows that are printed."""
@@ -88,6 +89,8 @@ class Table:
 
     def text(self, width: float = inf) -> str:
         """Return the first rows, right-aligned; middle columns are left out of lines longer than `width` characters."""
+        if not is_number(width) or isnan(width):
+            raise ValueError(f"width must be a number of characters, got {width!r}")
         lines = self._fitting([list(self.headers), *self._cells(SHOWN)], width)
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         out = ["  ".join(map(str.rjust, line, widths)) for line in lines]

@@ -7,22 +7,20 @@ import html
 import io
 import time
 import warnings
-from typing import TYPE_CHECKING
 
 import numpy as np
 import umsgpack
 from scipy.spatial.transform import Rotation
 
 from nsdyn.recording.recorder import Recorder
+from nsdyn.stepping.state import Step
+from nsdyn.stepping.stepper import Stepper
 from nsdyn.tools.arrays import Array
+from nsdyn.tools.options import is_number
 from nsdyn.view.commands import Json, as_three, by_columns, set_property
 from nsdyn.view.looks import veiled, visual_commands
 from nsdyn.view.solids import body_path, geom_path, shape_commands
 from nsdyn.view.stage import View, stage_commands
-
-if TYPE_CHECKING:
-    from nsdyn.stepping.state import Step
-    from nsdyn.stepping.stepper import Stepper
 
 
 class Live:
@@ -40,6 +38,11 @@ class Live:
     fps : float
         Most pictures per second of wall time, so that the simulation does not wait for pictures.
 
+    Raises
+    ------
+    ValueError
+        For a stepper or fps of another kind.
+
     Attributes
     ----------
     url : str
@@ -56,6 +59,10 @@ class Live:
     """
 
     def __init__(self, stepper: Stepper, fps: float = 30.0) -> None:
+        if not isinstance(stepper, Stepper):
+            raise ValueError(f"stepper must be a nsdyn.Stepper, got {stepper!r}")
+        if not (is_number(fps) and fps > 0.0):
+            raise ValueError(f"fps must be a positive number, got {fps!r}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # from its imports of zmq
             from meshcat.visualizer import ViewerWindow

@@ -11,6 +11,7 @@ from nsdyn.dynamics.ledger import LAYERS
 from nsdyn.recording.columns import ENERGIES
 from nsdyn.recording.tabulated import tabulated
 from nsdyn.recording.trajectory import Trajectory
+from nsdyn.scene.checks import text
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice, counted
 from nsdyn.tools.table import Table
@@ -88,6 +89,7 @@ def draw(trajectory: Trajectory, kind: str, name: str = "*", figure: Any = None)
     if figure is not None and not hasattr(figure, "subfigures"):
         raise ValueError(f"figure must be a Figure or SubFigure of matplotlib, got {figure!r}")
     choice(kind, KINDS, "kind")
+    text(name, "name")
     missing = _missing(trajectory)
     for what, kinds in missing.items():
         if kind in kinds:

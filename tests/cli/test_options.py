@@ -243,3 +243,13 @@ def test_round_off_of_a_sweep_is_shown_as_none(folder, monkeypatch, capsys):
     cells = [cell for cell in head.split("  ") if cell]  # two blanks or more are between them
     shown = dict(zip((cell.strip() for cell in cells), row.split(), strict=True))
     assert shown["kinetic [J]"] == "0" and np.isclose(float(shown["displacement [m]"]), 0.407, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    "given", ["run slide --set=--", "run slide -o--", "bodies run.h5 --csv=--", "view run.h5 --at=--"]
+)
+def test_two_hyphens_are_no_value(given, capsys):
+    """Of which argparse makes an empty list."""
+    with pytest.raises(SystemExit) as stop:
+        cli.main(given.split())
+    assert stop.value.code == 2 and "expected one argument" in capsys.readouterr().err

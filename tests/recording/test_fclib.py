@@ -1,5 +1,6 @@
 """FCLIB files: what is read, what is written, and what is refused."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -329,8 +330,11 @@ def test_planar_writing_needs_a_planar_problem(tmp_path, local):
         nd.fclib.write(tmp_path / "p.hdf5", nd.FC3D(*local), spacedim=2)
     with pytest.raises(ValueError, match="for a problem given by its factors"):
         nd.fclib.write(tmp_path / "p.hdf5", corner_stepper_problem(), spacedim=2)
-    with pytest.raises(ValueError, match="spacedim must be 2 or 3, got 4"):
-        nd.fclib.write(tmp_path / "p.hdf5", corner_box()[0], spacedim=4)
+    for given in (4, 2.5, [2, 3]):
+        with pytest.raises(ValueError, match=f"spacedim must be 2 or 3, got {re.escape(repr(given))}"):
+            nd.fclib.write(tmp_path / "p.hdf5", corner_box()[0], spacedim=given)
+    with pytest.raises(ValueError, match="overwrite must be True or False, got 'no'"):
+        nd.fclib.write(tmp_path / "p.hdf5", corner_box()[0], overwrite="no")
     assert not any(tmp_path.iterdir())
 
 

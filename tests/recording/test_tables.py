@@ -166,6 +166,9 @@ def test_tables_fit_into_lines(trajectory):
         assert re.split(r" {2,}", whole[0].strip()) == list(table.headers) and len(whole[0]) > 100
         widest = max(len(whole[0]), 101)
         assert table.text(len(whole[0])).splitlines()[0] == whole[0] and "..." in table.text(widest - 1)
+    for width in (None, np.nan, "wide"):
+        with pytest.raises(ValueError, match=f"width must be a number of characters, got {width!r}"):
+            table.text(width)
 
 
 def test_tables_show_themselves(trajectory):

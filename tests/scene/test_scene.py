@@ -48,6 +48,11 @@ def test_bad_box(change, words):
     assert not scene.bodies, "a refused body leaves the scene as it was"
 
 
+def test_a_shape_is_one():
+    with pytest.raises(ValueError, match=r"shape of 'b' must be one of nsdyn.scene.shapes, got 0.1"):
+        nd.Scene().add_shape("b", 0.1, 1.0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

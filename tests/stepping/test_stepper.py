@@ -123,6 +123,8 @@ def test_state_of_another_scene_is_refused():
         ({"resume": 3}, "resume must be a path, got 3"),
         ({"on_fail": "shrug"}, "on_fail must be"),
         ({"max_points": 2}, "max_points"),
+        ({"controller": np.eye(2)}, r"controller must be a function of \(t, q, v\)"),
+        ({"external_force": ""}, r"external_force must be a function of \(t, q, v\)"),
     ],
 )
 def test_bad_arguments_write_nothing(arguments, words, tmp_path):
@@ -130,6 +132,14 @@ def test_bad_arguments_write_nothing(arguments, words, tmp_path):
     with pytest.raises(ValueError, match=words):
         nd.simulate(nd.scenes.load("slide")(), **({"duration": 0.1, "record": path} | arguments))
     assert not path.exists()
+
+
+def test_numbers_of_numpy_are_numbers(tmp_path):
+    given = {"duration": 1.0, "dt": 0.125, "theta": 0.5, "every": 2, "max_points": 6, "overlap": 0.0}
+    theirs = {name: np.int64(x) if isinstance(x, int) else np.float32(x) for name, x in given.items()}
+    runs = [nd.simulate(nd.scenes.load("slide")(), **options) for options in (given, theirs)]
+    runs[1].save(tmp_path / "run.h5")
+    assert (runs[0].q == nd.Trajectory.load(tmp_path / "run.h5").q).all()
 
 
 def test_failure_raises_warns_or_is_recorded(tmp_path):

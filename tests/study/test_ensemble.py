@@ -151,6 +151,8 @@ def test_bad_arguments():
     for executor in (0, True, 1.5, "two"):
         with pytest.raises(ValueError, match=f"executor must be a number of processes, .*, got {executor!r}"):
             nd.sweep("slide", {"mu": [0.3]}, 0.1, executor=executor)
+    with pytest.raises(ValueError, match="progress must be True or False, got 'no'"):
+        nd.sweep("slide", {"mu": [0.3]}, 0.02, progress="no")
     with pytest.raises(ValueError, match=r"^keep must be a function, got 5$"):
         nd.sweep("slide", {"mu": [0.3]}, 0.02, dt=0.01, keep=5)
     for call in (nd.sweep, lambda **given: nd.refine(**given, dts=[0.02, 0.01])):

@@ -62,3 +62,11 @@ def test_free_bodies_alone_have_no_frames_of_links():
     live.show(stepper.step())
     live.close()
     assert live._window.server_proc.poll() is not None
+
+
+def test_bad_arguments(stepper):
+    with pytest.raises(ValueError, match=r"stepper must be a nsdyn.Stepper, got 5"):
+        nd.Live(5)
+    for fps in (0, -1.0, np.nan, "fast"):
+        with pytest.raises(ValueError, match=f"fps must be a positive number, got {fps!r}"):
+            nd.Live(stepper, fps)

@@ -207,6 +207,8 @@ def test_plots_draw_what_is_recorded(slide, arm):
         plots.usual(5)
     with pytest.raises(ValueError, match=r"trajectory must be a Trajectory, .*, got 5"):
         plots.draw(5, "speed")
+    with pytest.raises(ValueError, match="name must be a text of Unicode without NUL, got 5"):
+        plots.draw(slide, "energy", 5)
     with pytest.raises(ValueError, match="figure must be a Figure or SubFigure of matplotlib, got 5"):
         plots.draw(slide, "speed", figure=5)
 
