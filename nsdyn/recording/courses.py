@@ -209,7 +209,7 @@ def _loose(m: Mechanism, q: Array, v: Array) -> Array:
     """Return by how much v may change where loops are open by `CLOSED`: much near singular configurations."""
     B, F = m.constraints(q)[1], np.linalg.inv(np.linalg.cholesky(m.mass(q)))
     _, s, Vt = np.linalg.svd(B @ F.T)
-    k = int((s > RANK * s[0]).sum()) - 1
+    k = int((s**2 > RANK * s[0] ** 2).sum()) - 1
     away = m.constraints(integrate(m.model, q, CLOSED / s[k] * Vt[k] @ F))[1]
     return np.asarray(np.abs(respond(m.mass(q), m.zero, B, (B - away) @ v)))
 
@@ -276,20 +276,18 @@ def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array,
 
 
 def respond(M: Array, momentum: Array, B: Array, goal: Array) -> Array:
-    """Return v with M v = momentum + Bᵀ λ and B v = goal.
-
-    B M⁻¹ Bᵀ is not formed: it has the square of the condition of B, which is large near singular configurations.
-    """
-    free, F = np.linalg.solve(M, momentum), np.linalg.inv(np.linalg.cholesky(M))
-    return np.asarray(free + np.linalg.lstsq(B @ F.T, goal - B @ free, rcond=RANK)[0] @ F, dtype=float)
+    """Return v with M v = momentum + Bᵀ λ and B v = goal."""
+    free, react = np.linalg.solve(M, momentum), np.linalg.solve(M, B.T)
+    return np.asarray(free + react @ np.linalg.lstsq(B @ react, goal - B @ free, rcond=RANK)[0], dtype=float)
 
 
 def close(m: Mechanism, q: Array) -> Array:
     """Return the closest configuration to q, in the kinetic metric, with closed loops, by Newton's method."""
     for _ in range(PASSES if m.loops else 0):
         gap, B = m.constraints(q)
+        react = np.linalg.solve(m.mass(q), B.T)
         miss = np.concatenate((gap, np.zeros(m.driven.size)))
-        q = np.array(integrate(m.model, q, respond(m.mass(q), m.zero, B, -miss)))
+        q = np.array(integrate(m.model, q, -react @ np.linalg.lstsq(B @ react, miss, rcond=RANK)[0]))
         if np.abs(gap).max() <= 1e-13:  # the step just made leaves round-off, even beside what moves by 1e-6 of a rad
             break
     return q
