@@ -151,7 +151,7 @@ class Stepper:
         self._given = (scene, dt, *options, polish)
         self._certificate = polished.certify if polish else gauss.certify
         self.scene, self.dt, self.theta = scene, float(dt), float(theta)
-        solver = Auto() if solver in (None, "auto") else as_solver(solver)
+        solver = as_solver(Auto() if isinstance(solver, str | None) and solver in (None, "auto") else solver)
         geoms = scene.geoms()
         self.failures = Failures(on_fail, dump_on_fail, [g.name for g in geoms])
         self.dynamics = Dynamics(scene)

@@ -543,7 +543,7 @@ def test_solver_by_name():
     assert nd.Stepper(scene, solver="auto").solver == nd.Stepper(scene).solver == nd.solvers.Auto()
     with pytest.raises(ValueError, match=r"did you mean 'pgs'\? solver must be one of .*; got 'psg'"):
         nd.simulate(scene, 0.1, solver="psg")
-    for wrong in (3, nd.solvers.PGS):
+    for wrong in (3, nd.solvers.PGS, np.ones(2)):
         with pytest.raises(ValueError, match=r"solver must be one of .* or an object of these; got"):
             nd.simulate(scene, 0.1, solver=wrong)
         with pytest.raises(ValueError, match=r"solver must be one of .* or an object of these; got"):
