@@ -222,9 +222,8 @@ def update_active_set(
     velocity. `kept` are the keys of contacts that were missed before: these stay.
     """
     c, begin, found = kin.contacts, mid.state.placement, moved.contacts
-    old = (r[: 3 * c.gap.size : 3] <= 0.0) | kin.stays[: c.gap.size]
-    old |= among(c.key, _separating(s, take(c, ~old), c, begin, begin).key)
-    contacts = take(c, (old & ~_spurious(s, kin, r, found)) | among(c.key, kept))
+    left, real = overrun_contacts(s, kin, r[: 3 * c.gap.size : 3], mid, moved), ~_spurious(s, kin, r, found)
+    contacts = take(c, (real if left is None else real & ~left) | among(c.key, kept))
     if not mid.fast and _reductions.least(found.gap) >= -s.least_penetration:
         return contacts, memory, kept
     end = moved.placement
@@ -262,35 +261,29 @@ def missed_contacts(
     return take(there, touched) if touched.any() else None
 
 
-def overrun_contacts(
-    s: System, kin: ContactKinematics, r: Array, begin: SceneState, mid: Midpoint, moved: SceneState
-) -> Bools | None:
-    """Mark the contacts that the motion leaves behind although they press; None if there are none.
+def overrun_contacts(s: System, kin: ContactKinematics, r: Array, mid: Midpoint, moved: SceneState) -> Bools | None:
+    """Mark the contacts that press although their normals do not separate their bodies; None if there are none.
 
     The active contacts are those of `kin`, found at the midpoint `mid`, with normal impulses r (nc,). They press as if
     their features reached farther: a corner that is about to land on a face slips off its edge before it does.
     """
-    c, first, end, warm = kin.contacts, begin.placement, moved.placement, begin.warm
-    out, deep = np.empty(c.gap.size, np.bool_), (s.inscribed, OPTIONS.depth_captured, mid.reach)
-    ends, last = ((first.x, first.R), (end.x, end.R)), (warm.key, warm.status)
-    given = s.detector.searches[0], c[:3], mid.state.placement.R, ends, moved.contacts[:3], last
-    return out if _active_set.overrun(*given, r > 0.0, deep, out) else None
+    c, there, end, warm = kin.contacts, mid.state.placement, moved.placement, moved.warm
+    ends = ((there.x, there.R), c[:3]), ((end.x, end.R), moved.contacts[:3])
+    given = s.detector.searches[0], c[:3], there.R, ends, (warm.key, warm.status), r > 0.0
+    out = np.empty(c.gap.size, np.bool_)
+    return out if _active_set.overrun(*given, (s.inscribed, OPTIONS.depth_captured), out) else None
 
 
-def _separating(s: System, given: ContactSet, kin: ContactSet, at: Poses, middle: Poses) -> ContactSet:
-    """Return the contacts found `at` some poses whose normals separate the bodies in the middle, as they are there.
+def _separating(s: System, missed: ContactSet, kin: ContactSet, end: Poses, middle: Poses) -> ContactSet:
+    """Return the contacts found at the end whose normals separate the bodies in the middle, as they are in the middle.
 
     A contact with any other normal, as that of a face that meets the other body only after both have turned, would push
-    sideways a body that touches elsewhere. The contacts left out strike when they touch. Where bodies overlap, a normal
-    separates them that does so as well as those of the contacts `kin` of the middle.
+    sideways a body that touches elsewhere. The contacts left out strike when they touch.
     """
-    (given, apart), (_, known) = s.detector.carry(given, at, middle), s.detector.carry(kin, middle, middle)
-    codes = s.detector.codes
-    pairs, of = np.unique(np.append(codes(kin), codes(given)), return_inverse=True)
-    best = np.full(pairs.size, -np.inf)
-    np.maximum.at(best, of[: kin.gap.size], known)
-    best = np.where(best > -np.inf, np.minimum(best, 0.0), 0.0)
-    return take(given, apart >= best[of[kin.gap.size :]] - s.penetration_tol(given))
+    missed, apart = s.detector.carry(missed, end, middle)
+    same = s.detector.codes(missed)[:, None] == s.detector.codes(kin)
+    touching = np.where(same, kin.gap, 0.0).min(axis=1, initial=0.0)
+    return take(missed, apart >= touching - s.penetration_tol(missed))
 
 
 def _spurious(s: System, kin: ContactKinematics, r: Array, found: ContactSet) -> Bools:

@@ -125,7 +125,7 @@ def _updated(s: System, begin: SceneState, m: Attempt, located: Index, single: b
     for _ in range(UPDATES):
         active, middle = m.kin.contacts, m.mid.state.placement
         late = missed_contacts(s, m.kin, m.normal_impulses, m.moved, begin.placement, middle)
-        left = overrun_contacts(s, m.kin, m.normal_impulses, begin, m.mid, m.moved)
+        left = overrun_contacts(s, m.kin, m.normal_impulses, m.mid, m.moved)
         if late is None and left is None:
             break
         if there is None:

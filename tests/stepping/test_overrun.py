@@ -15,26 +15,23 @@ from nsdyn.stepping.move import try_move
 HALF = 0.05
 
 
-def overrun(tilt=4.0, before=4.0, presses=True, pressed=False, found=0.0, way=0.0):
+def overrun(tilt=4.0, middle=4.0, presses=True, pressed=False, found=0.0):
     """Whether the lower left edge of a cube is left behind by a plate whose border it has reached.
 
-    The cube is `tilt` degrees lower on its right, beyond the border, and was so by `before` degrees where the move
-    began. The contact `pressed` in the last move. The bodies are `found` apart where the move ends. Points of the
-    cube move by `way` in half of it.
+    The cube is `tilt` degrees lower on its right, beyond the border, and `middle` degrees where the impulses act. The
+    contact `pressed` in the last move. The bodies are `found` apart where they act and where the move ends.
     """
     both = shapes.box((1.0, 1.0, 0.2)), shapes.box((2.0 * HALF,) * 3)
     geoms = [Geom(str(k), str(k), shape, k, np.eye(3), np.zeros(3), Material()) for k, shape in enumerate(both)]
     detector = Detector(geoms, lambda i, j: (np.zeros(i.size), np.zeros(i.size)))
-    ends = []
-    for angle in (before, tilt):
-        R = np.array([np.eye(3), Rotation.from_euler("y", angle, degrees=True).as_matrix()])
-        ends.append((np.array([[-0.5, 0.0, -0.1], R[1] @ [HALF, 0.0, HALF]]), R))
     names, points, out = np.array([[0], [1], [0], [1], [7]]), np.zeros((4, 1, 3)), np.empty(1, np.bool_)
     points[1, 0] = 0.0, 0.0, 1.0
-    there, last = (names, points, np.full((3, 1), found)), (names[4], np.array([pressed], np.int8))
-    deep = np.array([0.1, HALF]), 1e-3, np.array([0.0, way])
-    contacts = names, points, np.zeros((3, 1))
-    given = detector.searches[0], contacts, ends[1][1], tuple(ends), there, last, np.array([presses])
+    contacts, ends = (names, points, np.full((3, 1), found)), []
+    for angle in (middle, tilt):
+        R = np.array([np.eye(3), Rotation.from_euler("y", angle, degrees=True).as_matrix()])
+        ends.append(((np.array([[-0.5, 0.0, -0.1], R[1] @ [HALF, 0.0, HALF]]), R), contacts))
+    last, deep = (names[4], np.array([pressed], np.int8)), (np.array([0.1, HALF]), 1e-3)
+    given = detector.searches[0], contacts, ends[0][0][1], tuple(ends), last, np.array([presses])
     some = active_set.overrun(*given, deep, out)
     assert some == out[0]
     return some
@@ -44,9 +41,9 @@ def test_an_edge_presses_no_longer_on_a_face_that_does_not_separate_the_bodies()
     """4° below the left edge, 0.1 m on, is 7 mm: more than a thousandth of the cube."""
     assert overrun()
     assert not overrun(found=-7e-3)  # they do overlap: the contact is to be found where it strikes
-    assert not overrun(tilt=0.02)
-    assert not overrun(before=0.02)  # it slips off after it has pressed
-    assert overrun(way=6e-3) and not overrun(way=8e-3)  # the normal of crossing edges turns as far
+    assert not overrun(found=-6.5e-3) and overrun(found=-6e-3)  # by a tenth more: normals turn where bodies are deep
+    assert not overrun(tilt=0.02)  # it lands
+    assert not overrun(middle=0.02)  # it slips off after it has pressed
 
 
 def test_what_pressed_before_or_does_not_press_is_not_left_behind():
@@ -55,7 +52,7 @@ def test_what_pressed_before_or_does_not_press_is_not_left_behind():
 
 
 def test_what_lands_is_not_left_behind():
-    assert not overrun(tilt=-4.0, before=-4.0)
+    assert not overrun(tilt=-4.0, middle=-4.0)
 
 
 def test_rows_that_strike_foresee_nothing_of_the_motion_before():

@@ -11,6 +11,9 @@ from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.stepping.touching import approach_of, known, last_status, places, pressed, weight_of
 from nsdyn._kernels.vectors import row
 
+DEEPER = 1.1
+"""Overlap along a normal over that of the bodies, up to which the normal separates them where they are deep."""
+
 
 @no_alloc
 def rests_of(weight, e, bounces):
@@ -94,12 +97,12 @@ def captured(contacts, x, near, carried, twists, before, warm, sizes, located, o
 
 
 @no_alloc
-def overrun(geoms, contacts, R, ends, found, last, presses, deep, out):
-    """Contacts that the motion leaves behind although they press, into out (nc,); whether there are any.
+def overrun(geoms, contacts, R, ends, last, presses, deep, out):
+    """Contacts whose normals do not separate their bodies although they press, into out (nc,); whether there are any.
 
-    They did not press in the last move. Along their normal their geoms overlap where the move begins and where it ends,
-    by more than they do at all, and by more than the way of the bodies explains: a corner slips off the face on which
-    it was to land. That face does not separate the bodies.
+    They did not press in the last move. Along their normals their geoms overlap by more than they do at all, where the
+    impulses act and where the move ends: a corner slips off the face on which it was to land, an end presses while the
+    bodies cross elsewhere.
 
     Parameters
     ----------
@@ -108,18 +111,15 @@ def overrun(geoms, contacts, R, ends, found, last, presses, deep, out):
     contacts : (names, points, scalars)
         The active set, as it is where the frames have the rotations R (frames, 3, 3).
     ends : tuple
-        Poses (x, R) of the frames where the move begins and where it ends.
-    found : (names, points, scalars)
-        Contacts where the move ends.
+        Where the impulses act, and where the move ends: poses (x, R) of the frames, and the contacts there.
     last : tuple
         Keys and states of the last active set.
     presses : ndarray of bool, shape (nc,)
     deep : tuple
-        Radii of balls inside the shapes, m, the fraction of the smaller radius at which an overlap counts, and how far
-        points of the frames move in about half the move, (frames,), m: normals of crossing edges turn by as much.
+        Radii of balls inside the shapes, m, and the fraction of the smaller radius at which an overlap counts.
     out : ndarray of bool, shape (nc,)
     """
-    (names, points, _), (radii, least, reach), some = contacts, deep, False
+    (names, points, _), (radii, least), some = contacts, deep, False
     pressed(names[4], *last, out)
     for c in range(out.size):
         out[c] = presses[c] and not out[c]
@@ -127,7 +127,7 @@ def overrun(geoms, contacts, R, ends, found, last, presses, deep, out):
     if not some:
         return False
     fields, room = fields_of(geoms), room_of(geoms)
-    for x, turned in ends:
+    for (x, turned), found in ends:
         if not some:
             break
         place(fields, x, turned, *room)
@@ -139,9 +139,7 @@ def overrun(geoms, contacts, R, ends, found, last, presses, deep, out):
                     if found[0][0, k] == i and found[0][1, k] == j:
                         gap = min(gap, found[2][0, k])
                 apart, _ = widest(Placed(*fields, *room), names, c, row(points[1], c), R, turned)
-                for f in (names[2, c], names[3, c]):
-                    apart += reach[f] if f >= 0 else 0.0
-                out[c] = apart < gap - least * min(radii[i], radii[j])
+                out[c] = apart < DEEPER * gap - least * min(radii[i], radii[j])
                 some = some or out[c]
     return some
 

@@ -243,7 +243,7 @@ def told(s, rows, contacts, begun, flags, status, head, room):
     b, n = out[col.RESULTS :], size[0]
     spins = col.twists(b_old, n)[1], col.twists(b, n)[1]
     shapes, met = (geoms, inscribed, masses[0]), (active, now, first)
-    if not eventless(num, shapes, met, (b_old, *last), flags, status, spins, room):
+    if not eventless(num, shapes, met, last, flags, status, spins, room):
         return EVENT
     book(scene, (*inertia, gravity, nowhere[:0]), rows, active, flags, direction, head, status, room)
     out[col.SUSPECT] = 0.0

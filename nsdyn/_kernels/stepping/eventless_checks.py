@@ -75,10 +75,10 @@ def turns_round(solution, mu, local, was, active, first, node):
 def eventless(num, bodies, contacts, last, flags, was, spins, room):
     """Whether the move has no event: no slip reversal, no deep overlap, no impact, no body in contact that turns far.
 
-    Nor is there a contact that the move leaves behind, as in `active_set.overrun`. bodies = (geoms, radii of balls
-    inside the shapes, nodes of the frames), contacts = (active set, those found at the end, those at the beginning),
-    last = (state where the move begins, keys and states of the last active set), spins: angular velocities of the
-    bodies, (n, 3), at both ends.
+    Nor is there a contact whose normal does not separate its bodies, as in `active_set.overrun`. bodies = (geoms, radii
+    of balls inside the shapes, nodes of the frames), contacts = (active set, those found at the end, those at the
+    beginning), last = (keys, states) of the last active set, spins: angular velocities of the bodies, (n, 3), at both
+    ends.
     """
     (geoms, inscribed, node), (active, now, first) = bodies, contacts
     nc, n, (names, _, scalars), (f, w, own, a) = was.size, spins[0].shape[0], active, room
@@ -102,10 +102,8 @@ def eventless(num, bodies, contacts, last, flags, was, spins, room):
         presses[c] = r[3 * c] > 0.0
         if presses[c] and not stays[c] and end_gap[c] > num[col.THETA] * num[col.DEPTH] * radius:
             return False
-    b_old, b, R = last[0], f[col.RESULTS :], col.rotations(w, col.R, n)
-    ends = col.poses(b_old, n), col.poses(b, n)
-    deep = inscribed, DEEP, col.column(w, col.REACH, n)
-    if overrun(geoms, active, R, ends, now, last[1:], presses, deep, far):
+    ends = (col.poses(w, n), active), (col.poses(f[col.RESULTS :], n), now)
+    if overrun(geoms, active, col.rotations(w, col.R, n), ends, last, presses, (inscribed, DEEP), far):
         return False
     most = law.TURNS / (num[col.THETA] * num[col.STEP])
     for spin in spins:
