@@ -141,8 +141,8 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
         turn = math.copysign(1.0 / steep, n[2] * flat[0, 2]) if steep > LEVEL * abs(n[2]) else 0.0
         first = (turn * n[0], turn * n[1]) if turn != 0.0 else (1.0, 0.0)
         for p in range(rim if n[2] != 0.0 else 0):
-            u, v = radius * math.cos(2.0 * math.pi * p / rim), radius * math.sin(2.0 * math.pi * p / rim)
-            x, y = first[0] * u - first[1] * v, first[1] * u + first[0] * v
+            cosine, sine = radius * math.cos(2.0 * math.pi * p / rim), radius * math.sin(2.0 * math.pi * p / rim)
+            x, y = first[0] * cosine - first[1] * sine, first[1] * cosine + first[0] * sine
             inside = True
             for k in range(count):
                 a, b = row(flat, k), row(flat, k + 1 if k + 1 < count else 0)
