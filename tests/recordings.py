@@ -3,7 +3,7 @@
 import numpy as np
 
 import nsdyn as nd
-from nsdyn.recording.columns import CONTACT, LAYOUT, STEPS
+from nsdyn.recording.columns import DEFAULTS, LAYOUT, row_shapes, rows_of
 from nsdyn.recording.trajectory import Trajectory
 
 
@@ -11,14 +11,16 @@ def recording(scene, q, dt=0.01, contacts=None, **columns):
     """A trajectory of free bodies with given configurations, one step per row after the first, without energies."""
     q = np.asarray(q, dtype=float)
     n = len(q) - 1
-    known = {"t": dt * np.arange(n + 1), "q": q, "v": np.zeros((n + 1, 6 * len(q[0]) // 7))}
-    known |= {f"energy/{name}": np.zeros(n + 1) for name in ("kinetic", "potential")}
-    known |= {name: np.zeros(n) for name in STEPS}
-    known |= {f"contacts/{name}": np.zeros((0, *c.row), c.kind) for name, c in CONTACT.items()}
-    known["contacts/offset"] = np.zeros(n + 1, np.int64)
-    known |= {f"contacts/{name}": values for name, values in (contacts or {}).items()}
-    assert {f"contacts/{name}" for name in contacts or ()} <= LAYOUT.keys()
-    return Trajectory({"dt": dt, "scene_name": scene.name}, scene.describe(), known | columns)
+    meta, described, count = (
+        DEFAULTS | {"dt": dt, "scene_name": scene.name},
+        scene.describe(),
+        {"states": n + 1, "steps": n},
+    )
+    shapes = row_shapes(meta, described)
+    known = {k: np.zeros((count.get(rows_of(k), 0), *shape), LAYOUT[k].kind) for k, shape in shapes.items()}
+    known |= {"t": dt * np.arange(n + 1), "q": q} | {f"contacts/{name}": x for name, x in (contacts or {}).items()}
+    assert known.keys() == shapes.keys()
+    return Trajectory(meta, described, known | columns)
 
 
 def falling(shaking=0.0):

@@ -141,12 +141,6 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     positions of contacts in the middle of the recorded steps are unknown. The ledger is still audited, as it covers
     all steps. If contacts are not recorded, none of their effects is audited.
 
-    Older recordings contain less. Before format 3 it is unknown whether external forces acted and which links may
-    overlap, so links of one articulation are not compared. Before format 7 articulations have no model: only their
-    overlaps and contacts are audited. Before format 11 the moves in which impulses acted and the lifts are unknown:
-    angular momenta, works of contacts and all momenta of bodies under external forces are not audited.
-    Coefficients are audited if the recording contains the properties set for pairs of bodies.
-
     Examples
     --------
     >>> import nsdyn as nd

@@ -9,11 +9,11 @@ import numpy as np
 from nsdyn.audit.findings import Found, at_play, named, not_audited, worst_among, worst_of
 from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
-from nsdyn.audit.pushes import GIVEN, LIFT, UNTIMED, Pushes, Times, velocities
+from nsdyn.audit.pushes import LIFT, Pushes, velocities
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import left_out
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.arrays import Array
 
 PARALLEL = 1e-8
 """Square of the angle, rad², below which two normals count as parallel."""
@@ -21,34 +21,19 @@ PARALLEL = 1e-8
 
 def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     """Findings on momenta and motion of free bodies in every step; `flight` is None if not all steps are recorded."""
-    t, free = poses.trajectory, poses.free
-    reason = left_out(t)
+    t = poses.trajectory
     missing = not_audited("motion", f"of every {t.every} steps one is recorded")
     yield _motion(poses, flight) if t.every == 1 else missing
-    if flight is None or not flight.timed:
-        why = reason or UNTIMED
-        yield from (not_audited(name, why) for name in ("sideways", "lifts"))
-    else:
-        yield from _lifts(poses, flight)
-    if t.meta.get("external_force", True) and free and GIVEN not in t.columns:
-        known = "external_force" in t.meta
-        reason = "external forces act" if known else "whether external forces act is not recorded"
-    if reason or flight is None:
-        yield not_audited("momentum", reason)
-        yield not_audited("spin", reason)
+    if flight is None:
+        yield from (not_audited(name, left_out(t)) for name in ("sideways", "lifts", "momentum", "spin"))
         return
+    yield from _lifts(poses, flight)
     mass, weight = poses.mass, t.dt * poses.gravity
     velocity = velocities(poses)
     left = mass[:, None] * (np.diff(velocity, axis=0) - weight) - flight.impulse
     speed = np.linalg.norm(velocity, axis=2)
     scale = flight.size + mass * (speed[:-1] + speed[1:] + np.linalg.norm(weight))
     yield worst_among("momentum", np.linalg.norm(left, axis=2), scale, poses.scene["frames"])
-    if not flight.timed:
-        yield not_audited("spin", UNTIMED)
-        return
-    if np.isnan(t.columns["contacts/couple"]).any():
-        yield not_audited("spin", "couples of contacts are not recorded")
-        return
     spin = spins(poses)
     rest = np.diff(spin, axis=0) - flight.torque
     elsewhere = flight.astray + flight.unknown + flight.round_off + flight.kept
@@ -58,12 +43,10 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
 
 
 def plain(poses: Poses) -> Iterator[Found]:
-    """Findings on times of steps, norms of quaternions, recorded frames of free bodies, and rows that are no numbers.
-
-    A column that an older format lacks is NaN in its first rows or in all. NaN after a number is a violation.
-    """
+    """Findings on times of steps, norms of quaternions, frames of free bodies, and rows that are no numbers."""
     t, frames = poses.trajectory, poses.scene["frames"]
-    odd = {name: float(_ends(x)) for name, x in t.columns.items() if x.dtype.kind == "f"}
+    odd = {name: float(np.isnan(x).any()) for name, x in t.columns.items() if x.dtype.kind == "f"}
+    odd["gauss/coulomb"] *= t.meta["polish"]  # not certified otherwise
     figure = np.array(list(odd.values()))
     yield worst_of("numbers", figure, figure, np.zeros(len(odd), np.int64), named(list(odd), np.arange(len(odd))))
     h = t.dt * t.every
@@ -79,19 +62,16 @@ def plain(poses: Poses) -> Iterator[Found]:
         yield worst_among("frames", apart, 1.0, frames, 0)
 
 
-def _ends(column: Array) -> bool:
-    """Whether a row that is no number follows one that is."""
-    none: Bools = np.asarray(np.isnan(column).any(axis=tuple(range(1, column.ndim))))
-    return bool(none.any()) and not none.all() and bool(none[none.argmin() :].any())
-
-
 def _outside(poses: Poses) -> Array:
     """Time by which moves of contacts extend beyond their step, or into each other on a free body, (n,), s."""
     t, out = poses.trajectory, np.zeros(poses.trajectory.steps)
-    if left_out(t) or not (times := Times.of(poses)).known:
+    if left_out(t):
         return out
-    pushes = Pushes.of(poses, times, np.zeros((poses.step.size, 3)))
-    for step, time, length in ((poses.step, *times[:2]), (pushes.step, pushes.time, pushes.length)):
+    pushes, c = Pushes.of(poses, np.zeros((poses.step.size, 3))), poses.contacts
+    for step, time, length in (
+        (poses.step, c["time"], c["duration"]),
+        (pushes.step, pushes.time, pushes.length),
+    ):
         begin = time - (1.0 - poses.theta) * length
         end = begin + length
         np.maximum.at(out, step, np.max([-begin, end - t.dt, begin - end], axis=0))
@@ -112,7 +92,7 @@ def _motion(poses: Poses, flight: Flight | None) -> Found:
     t, free, theta = poses.trajectory, poses.free, poses.theta
     q, radius = poses.quaternion[:, :free], _radius(poses)
     size = np.broadcast_to(poses.smallest, (t.steps, free))
-    if flight is not None and flight.timed:
+    if flight is not None:
         far, at = (
             np.linalg.norm(flight.pushes.shift.reshape(-1, 2, 3), axis=2),
             (flight.pushes.step, flight.pushes.body),

@@ -25,13 +25,13 @@ def described(poses: Poses, built: object) -> Found:
     """Finding on sizes against corners, invalid poses, impossible masses, coefficients out of range, and models."""
     scene = poses.scene
     rows = [row for geom in scene["geoms"] for row in _geom(geom)]
-    rows += [(_skew(link["placement"]), link["name"]) for link in scene.get("links", ())]
-    for name, mass, inertia in zip(scene["frames"], scene.get("masses", ()), scene.get("inertias", ()), strict=False):
+    rows += [(_skew(link["placement"]), link["name"]) for link in scene["links"]]
+    for name, mass, inertia in zip(scene["frames"], scene["masses"], scene["inertias"], strict=False):
         rows.append((_no_body(mass, inertia), name))
     for tree in scene["articulations"]:
-        model: Mapping[str, Any] = tree.get("model", {"joints": (), "loops": ()})
+        model = tree["model"]
         largest = max((float(np.abs(joint["inertia"]).max()) for joint in model["joints"]), default=0.0)
-        for name, joint in zip(tree.get("joints", ()), model["joints"], strict=False):
+        for name, joint in zip(tree["joints"], model["joints"], strict=False):
             # Joints may carry no mass, and moments of it that are round-off.
             massive = _no_body(joint["mass"], joint["inertia"], strictly=False, size=largest)
             rows.append((max(_skew(joint["placement"]), massive), f"{tree['name']}/{name}"))
@@ -55,7 +55,7 @@ def _geom(geom: Mapping[str, Any]) -> Iterator[Row]:
     if geom["shape"] == "halfspace":
         yield abs(float(np.linalg.norm(size)) - 1.0), name
     for coefficient, most in (("mu", np.inf), ("restitution", 1.0)):
-        value = float(geom.get(coefficient, 0.0))
+        value = float(geom[coefficient])
         yield max(0.0, -value, value - most), name
     if "vertices" not in geom:
         return
@@ -107,10 +107,9 @@ def touched(poses: Poses) -> Found:
 def unseen(poses: Poses) -> Iterator[Found]:
     """Items that no motion can confirm; the audit neither accepts nor rejects them."""
     t = poses.trajectory
-    varied = [name for name, kind in t.scene.get("motions", {}).items() if kind != "joint"]
+    varied = [name for name, kind in t.scene["motions"].items() if kind != "joint"]
     for tree in t.scene["articulations"]:
-        driven = tree.get("model", {}).get("driven", {})
-        varied += [f"{tree['name']}/{joint}" for joint, rate in driven.items() if rate is None]
+        varied += [f"{tree['name']}/{joint}" for joint, rate in tree["model"]["driven"].items() if rate is None]
     if varied:
         yield not_audited("prescribed", f"how {', '.join(map(repr, varied))} should move is not recorded")
     yield not_audited("certificates", "the problems that were solved are not recorded")

@@ -220,7 +220,7 @@ def at_play(poses: Poses) -> float:
     for k in np.flatnonzero(poses.is_free(poses.frame)):
         lift += float(poses.mass[poses.frame[k]]) * poses.weight * float(poses.extent[k])
     for tree in scene["articulations"]:
-        told = tree.get("model", {"joints": ()})["joints"]
+        told = tree["model"]["joints"]
         size = sum(_size(joint) for joint in told)
         most = poses.weight * size + (SMALL * size / t.dt) ** 2
         lift += sum(j["mass"] for j in told) * most

@@ -11,7 +11,7 @@ from scipy.integrate import DOP853
 from nsdyn.audit.findings import TOLERANCES
 from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import CONJUGATE, Poses, matrix, product, turned
-from nsdyn.audit.pushes import LIFT, Pushes, Times, together, velocities
+from nsdyn.audit.pushes import LIFT, Pushes, together, velocities
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import contact_frames, impulses_world
 from nsdyn.tools.arrays import Array, Bools, Index, cross
@@ -43,7 +43,7 @@ SLOW = 0.01
 class Flight:
     """Positions of free bodies in each step at the times of the impulses on them.
 
-    Let r_j be the impulses at the times t_j within a step, with those of external wrenches if these are recorded.
+    Let r_j be the impulses at the times t_j within a step, with those of external wrenches.
     Let δ_k be lifts by projections, and w the velocity change by other forces. Then
 
         x(τ) = x + τ v⁻ + Σ (τ - t_j)₊ r_j / m + Σ δ_k + displacement by w.
@@ -83,8 +83,6 @@ class Flight:
         Whether the step was cut into moves, for that body.
     instant : ndarray of bool, shape (contacts,)
         Whether an impulse is instantaneous.
-    timed : bool
-        Whether the moves in which impulses act are recorded; otherwise all are taken to act in steps of one move.
     """
 
     impulse: Array
@@ -103,7 +101,6 @@ class Flight:
     unsure: Array
     cut: Bools
     instant: Bools
-    timed: bool
 
     @classmethod
     def of(cls, poses: Poses, links: tuple[Side, Side] | None = None, unsure: Array | None = None) -> Flight:
@@ -113,8 +110,7 @@ class Flight:
         """
         t, free, theta = poses.trajectory, poses.free, poses.theta
         h, shape, point = t.dt, (t.steps, free), poses.contacts["point"]
-        geoms, times = poses.pair.T, Times.of(poses)
-        pushes = Pushes.of(poses, times, impulses_world(t.columns))
+        geoms, pushes = poses.pair.T, Pushes.of(poses, impulses_world(t.columns))
         row, _, step, body, time, length, push, couple, shift = pushes
         cut, met = pushes.cut(poses), row >= 0
         mass, impulse = poses.mass, pushes.summed(shape, push)
@@ -131,7 +127,6 @@ class Flight:
         at += pushes.earlier(shift[:, :3])
         arm, size = np.zeros(at.shape), np.linalg.norm(push, axis=1)
         arm[met] = point[row[met]] - at[met]
-        # Older recordings have no couples; their angular momentum is not audited.
         moment = cross(arm, push) + couple
         ends, then, turning = _turned(poses, pushes, moment)
         sides = links or (Side.nowhere(len(point)), Side.nowhere(len(point)))
@@ -162,8 +157,7 @@ class Flight:
             Meetings.of(sides, contact_frames(t.columns), point, poses.rounding[geoms].sum(axis=1), _wander(poses)),
             np.bincount(row[met], doubt[met], len(point)) + (np.zeros(len(point)) if unsure is None else unsure),
             cut,
-            times.length == 0.0,
-            times.known,
+            poses.contacts["duration"] == 0.0,
         )
 
 
@@ -189,8 +183,8 @@ def _sides(
 
 def _put(poses: Poses, sides: tuple[Side, Side], geoms: Index, pushes: Pushes, own: Side) -> None:
     """Enter free bodies, and fixed bodies whose surfaces do not move either, into the sides of contacts."""
-    moved = poses.scene.get("motions", {}).keys()
-    called = ((g.get("body", ""), g.get("link", "")) for g in poses.scene["geoms"])
+    moved = poses.scene["motions"].keys()
+    called = ((g["body"], g["link"]) for g in poses.scene["geoms"])
     still = np.array([moved.isdisjoint(names) for names in called], np.bool_) & (poses.frame < 0)
     for k, met in enumerate(sides):
         rows, pushed = np.flatnonzero(still[geoms[:, k]]), pushes.side == k
@@ -207,7 +201,7 @@ def _wander(poses: Poses) -> Array:
     and a new one of corners and edges no faster than the bodies move.
     """
     c = poses.contacts
-    when, out = poses.step * poses.trajectory.dt + np.nan_to_num(c["time"]), np.zeros(poses.step.size)
+    when, out = poses.step * poses.trajectory.dt + c["time"], np.zeros(poses.step.size)
     pair, pushes = poses.code, c["impulse"][:, 0] > 0.0
     # With θ = 1 an impact and the move that follows it have the same time.
     group = np.unique(np.stack([pair, when, c["duration"] == 0.0]), axis=1, return_inverse=True)[1].ravel()

@@ -213,7 +213,7 @@ def _loads(found: Retraced) -> Iterator[Found]:
         ("loads", "actuation", "controller", "the controller's law and limits"),
         ("wrenches", "external", "external_force", "external forces"),
     ):
-        if found.trees.trajectory.meta.get(given, True):
+        if found.trees.trajectory.meta[given]:
             yield not_audited(name, f"{what} are not recorded")
             continue
         amount, step = _acted(found, column)

@@ -129,9 +129,9 @@ class Poses:
         forms an instant of its own.
         """
         c, moving = self.contacts, self.frame[self.pair] >= 0
-        when = np.stack([self.step, np.nan_to_num(c["time"]), c["duration"] == 0.0])
+        when = np.stack([self.step, c["time"], c["duration"] == 0.0])
         _, at = np.unique(when, axis=1, return_inverse=True)
-        body = np.unique([g.get("body", g["name"]) for g in self.scene["geoms"]], return_inverse=True)[1]
+        body = np.unique([g["body"] for g in self.scene["geoms"]], return_inverse=True)[1]
         nodes, node = np.unique(at.ravel() * len(self.names) + body[self.pair], return_inverse=True)
         (first, second), both = node.reshape(2, -1), moving.all(axis=0)
         graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes.size, nodes.size))
@@ -170,7 +170,7 @@ class Poses:
         for k, part in enumerate((self.v[..., :3], self.v[..., 3:])):
             change = np.diff(rotate(self.quaternion[:, : self.free], part), axis=0)
             out[k, :, : self.free] = max(theta, 1.0 - theta) * t.dt * np.linalg.norm(change, axis=2)
-        for frame in np.flatnonzero([name in self.scene.get("motions", {}) for name in self.scene["frames"]]):
+        for frame in np.flatnonzero([name in self.scene["motions"] for name in self.scene["frames"]]):
             R = matrix(self.quaternion[:, frame])
             turn = (R[1:] @ R[:-1].swapaxes(1, 2)).reshape(-1, 9) / np.sqrt(2.0)  # changes of it are angles
             for k, way in enumerate((np.diff(self.x[:, frame], axis=0), turn)):

@@ -11,21 +11,15 @@ from nsdyn.audit.poses import Poses
 from nsdyn.recording.series import rotate
 from nsdyn.tools.arrays import Array, Bools, Index
 
-GIVEN, LIFTED = "wrenches/offset", "lifts/offset"
-"""Columns that exist if external wrenches on free bodies, or their lifts by position projections, are recorded."""
-
 LIFT = -2
 """Value of `Pushes.row` for lifts."""
-
-UNTIMED = "in what moves impulses and projections acted is not recorded"
-"""Reason why quantities that depend on these times are not audited in older recordings."""
 
 
 class Pushes(NamedTuple):
     """Impulses on free bodies, one by one, sorted by step, body and time; a contact of two free bodies has two.
 
-    External wrenches are included if they are recorded. So are lifts: displacements by the position projections that
-    end moves. A lift stands after all impulses of its move.
+    External wrenches are included, and so are lifts: displacements by the position projections that end moves. A lift
+    stands after all impulses of its move.
 
     Attributes
     ----------
@@ -35,7 +29,7 @@ class Pushes(NamedTuple):
     time, length : ndarray, shape (m,)
         Time within the step, s, and duration of the move, 0 for an instantaneous impact.
     push, couple : ndarray, shape (m, 3)
-        Impulse and couple on the body, world axes, N·s and N·m·s; 0 for couples that are not recorded.
+        Impulse and couple on the body, world axes, N·s and N·m·s.
     shift : ndarray, shape (m, 6)
         Displacement of the centre of mass, m, and rotation vector, rad, world axes; nonzero for lifts only.
     """
@@ -51,19 +45,19 @@ class Pushes(NamedTuple):
     shift: Array
 
     @classmethod
-    def of(cls, poses: Poses, times: Times, impulse: Array) -> Pushes:
+    def of(cls, poses: Poses, impulse: Array) -> Pushes:
         """Build from a recording and the impulses (contacts, 3) on the second bodies of its contacts."""
         frames = poses.frame[poses.pair].T
         row, side = np.nonzero(poses.is_free(frames))
-        sign, couple = np.where(side, 1.0, -1.0)[:, None], np.nan_to_num(poses.contacts["couple"])
-        columns: list[Any] = [row, side, poses.step[row], frames[row, side], times.time[row], times.length[row]]
-        columns += [sign * impulse[row], sign * couple[row], np.zeros((row.size, 6))]
+        sign, met = np.where(side, 1.0, -1.0)[:, None], poses.contacts
+        columns: list[Any] = [row, side, poses.step[row], frames[row, side], met["time"][row], met["duration"][row]]
+        columns += [sign * impulse[row], sign * met["couple"][row], np.zeros((row.size, 6))]
         c = poses.trajectory.columns
-        for mark, (offset, name) in enumerate(((GIVEN, "wrenches/impulse"), (LIFTED, "lifts/shift"))):
-            if times.known and offset in c:
-                count, did = np.diff(c[offset]), c[name]
+        for mark, (group, name) in enumerate((("wrenches", "impulse"), ("lifts", "shift"))):
+            if f"{group}/offset" in c:  # wrenches are recorded only where there may be any
+                count, did = np.diff(c[f"{group}/offset"]), c[f"{group}/{name}"]
                 none, step = np.full(count.sum(), -1 - mark), np.repeat(np.arange(count.size), count)
-                of_moves = (c[f"{name.partition('/')[0]}/{of}"] for of in ("body", "time", "duration"))
+                of_moves = (c[f"{group}/{of}"] for of in ("body", "time", "duration"))
                 push, shift = (did, np.zeros_like(did))[:: -1 if mark else 1]
                 more = [none, none, step, *of_moves, push[:, :3], push[:, 3:], shift]
                 columns = [np.concatenate(both) for both in zip(columns, more, strict=True)]
@@ -103,31 +97,6 @@ class Pushes(NamedTuple):
             return np.stack([values, values])
         so_far, sums = self.earlier(values), np.add.reduceat(values, begin)
         return np.stack([so_far[begin][group], so_far[begin][group] + sums[group]])
-
-
-class Times(NamedTuple):
-    """Times at which contacts act.
-
-    Attributes
-    ----------
-    time, length : ndarray, shape (contacts,)
-        Time within the step, s, and duration of the move, 0 for an instantaneous impact.
-    known : bool
-        Whether both, and the lifts of bodies, are recorded; otherwise all are taken to act in steps of one move.
-    """
-
-    time: Array
-    length: Array
-    known: bool
-
-    @classmethod
-    def of(cls, poses: Poses) -> Times:
-        """Build for all contacts of a recording."""
-        c, h, late = poses.contacts, poses.trajectory.dt, 1.0 - poses.theta
-        known = LIFTED in poses.trajectory.columns and not (np.isnan(c["time"]) | np.isnan(c["duration"])).any()
-        if known:
-            return cls(c["time"], c["duration"], True)
-        return cls(np.full(poses.step.size, late * h), np.full(poses.step.size, h), False)
 
 
 def _fell_in_pieces(poses: Poses) -> Bools:

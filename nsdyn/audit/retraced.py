@@ -13,6 +13,7 @@ from nsdyn.dynamics.ledger import PHYSICS
 from nsdyn.recording.courses import close
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Kick, Trees, Way, trees
+from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement
 
@@ -81,8 +82,8 @@ class Retraced:
 def retraced(poses: Poses) -> Retraced | str:
     """Follow all articulations through all steps; return the reason if that is not possible."""
     found, t = trees(poses.trajectory), poses.trajectory
-    if isinstance(found, str) or found.missing:
-        return found if isinstance(found, str) else found.missing
+    if isinstance(found, str) or (reason := left_out(t)):
+        return found if isinstance(found, str) else reason
     n, count, rows = t.steps, len(found.mechanisms), len(t.columns["contacts/geom1"])
     momentum, motion, lift = ((np.zeros((n, count)), np.zeros((n, count))) for _ in range(3))
     works = {name: np.zeros((n, count)) for name in PHYSICS}

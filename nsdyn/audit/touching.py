@@ -15,7 +15,6 @@ from nsdyn.audit.findings import Found, at_play, not_audited, worst_of
 from nsdyn.audit.flight import Flight, sunk
 from nsdyn.audit.overlap import separation
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.pushes import Times
 from nsdyn.audit.true_shapes import Solid
 from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
@@ -101,13 +100,8 @@ def tested(poses: Poses) -> NDArray[np.bool_]:
     """Pairs of shapes that must not overlap, each once, shape (shapes, shapes)."""
     frame, scene = poses.frame, poses.scene
     out = (frame[:, None] != frame) & ((frame[:, None] >= 0) | (frame >= 0))
-    if "excluded" in scene:
-        for i, j in scene["excluded"]:
-            out[i, j] = out[j, i] = False
-    else:  # in older recordings it is unknown which links of an articulation may overlap
-        names = {a["name"] for a in scene["articulations"]}
-        body = np.array([geom["body"] if geom["body"] in names else "" for geom in scene["geoms"]])
-        out &= (body[:, None] != body) | (body == "")
+    for i, j in scene["excluded"]:
+        out[i, j] = out[j, i] = False
     return np.triu(out, 1)
 
 
@@ -176,7 +170,7 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, step, names)
     mean, unsure = np.full((step.size, 2), np.nan), np.zeros(step.size)
-    if flight is not None and flight.timed:
+    if flight is not None:
         mean, unsure = flight.met.mean[:, 1:], flight.unsure
     # By Frémond's law friction opposes the mean slip, which is unknown on moving surfaces.
     several |= fremond & np.isnan(mean).any(axis=1)
@@ -194,8 +188,6 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
 def _coefficients(poses: Poses) -> Found:
     """Compare recorded friction and restitution with those of the materials, or those set for a pair of bodies."""
     scene, c = poses.scene, poses.contacts
-    if "pairs" not in scene:
-        return not_audited("materials", "what was set of pairs of bodies is not recorded")
     both, which = np.unique(poses.pair, axis=1, return_inverse=True)
     told = np.empty((both.shape[1], 2))
     # Entries for a body of an articulation override entries for the whole articulation.
@@ -236,7 +228,7 @@ def _slips(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     """Contacts without restitution whose slip, at the end and in the mean, is above the residual of a solve."""
     c = poses.contacts
     slip = np.linalg.norm(c["u"][:, 1:], axis=1)
-    if flight is not None and flight.timed:
+    if flight is not None:
         slip = np.fmin(slip, np.linalg.norm(flight.met.mean[:, 1:], axis=1) - flight.unsure)
     out: NDArray[np.bool_] = (slip > 10.0 * PARTING) & (c["restitution"] == 0.0)
     return out
@@ -264,7 +256,7 @@ def _struck(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     free1, free2 = (frame >= 0 for frame in frames)
     pushes = c["impulse"][:, 0] > 0.0
     bounces = c["u"][:, 0] > PARTING
-    if flight is not None and flight.timed:
+    if flight is not None:
         bounces |= ~(flight.met.before[:, 0] >= -PARTING)  # it is unknown on moving surfaces
     rebounds = pushes & (c["restitution"] > 0.0) & bounces
     both, nodes = free1 & free2 & pushes, (poses.trajectory.steps + 1) * count
@@ -347,12 +339,11 @@ def from_surface(a: Solid, x: Array) -> Array:
 
 
 def pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:
-    """World poses (R, x) of shapes 0 or 1 of contacts at their impulse; at (1 - θ) h if its time is unknown."""
-    x, quaternion = poses.during(geom, step, Times.of(poses).time[push])
-    if flight.timed:
-        met = flight.met.sides[side].some(push)
-        known = ~np.isnan(met.x[:, 0])
-        x[known], quaternion[known] = met.x[known], met.quaternion[known]
+    """World poses (R, x) of shapes 0 or 1 of contacts at their impulse."""
+    x, quaternion = poses.during(geom, step, poses.contacts["time"][push])
+    met = flight.met.sides[side].some(push)
+    known = ~np.isnan(met.x[:, 0])
+    x[known], quaternion[known] = met.x[known], met.quaternion[known]
     return poses.placed(geom, x, quaternion)
 
 

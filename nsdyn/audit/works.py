@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn.audit.findings import CREEP, TOLERANCES, Found, at_play, not_audited, worst_among, worst_of
 from nsdyn.audit.flight import Flight, least, spins
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.pushes import GIVEN, UNTIMED, together
+from nsdyn.audit.pushes import together
 from nsdyn.audit.retraced import Retraced
 from nsdyn.audit.told import JAM, SLIP
 from nsdyn.audit.touching import apart, bouncing, by_fremond
@@ -28,28 +28,25 @@ def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> 
     t = poses.trajectory
     yield from _dissipation(poses)
     yield _numerics(poses)
-    reason = left_out(t) if flight is None else "" if flight.timed else UNTIMED
-    if isinstance(found, str):
-        reason = reason or found
-    if reason or flight is None:
+    if flight is None or isinstance(found, str):
+        reason = left_out(t) or str(found)
         yield from (not_audited(name, reason) for name in ("contact_works", "works", "drives"))
         return
-    retraced = None if isinstance(found, str) else found
-    yield _of_contacts(poses, retraced, flight)
-    yield from _columns(poses, retraced, flight)
+    yield _of_contacts(poses, found, flight)
+    yield from _columns(poses, found, flight)
 
 
 def _dissipation(poses: Poses) -> Iterator[Found]:
     """Impacts, friction and limits must take energy, except for the recorded energy that a law of impact creates."""
     t, e, scale = poses.trajectory, poses.trajectory.energy, at_play(poses)
-    steps, told = np.arange(1, t.steps + 1), np.nan_to_num(e.created)
-    if any(geom.get("restitution", 0.0) for geom in t.scene["geoms"]) and (reason := left_out(t)):
+    steps = np.arange(1, t.steps + 1)
+    if any(geom["restitution"] for geom in t.scene["geoms"]) and (reason := left_out(t)):
         yield not_audited("dissipation", reason)
     else:
-        work = e.normal + e.friction - _falls(poses) - np.maximum(told, 0.0)
+        work = e.normal + e.friction - _falls(poses) - np.maximum(e.created, 0.0)
         yield worst_of("dissipation", work / scale, work, steps)
     lawful = str(t.meta.get("impact", "")).partition("(")[0].lower() in PARADOXICAL
-    off = np.where(np.isnan(e.created) | (e.created >= 0.0), told * (not lawful), np.abs(told))
+    off = np.where(e.created >= 0.0, e.created * (not lawful), np.abs(e.created))
     yield worst_of("created", off / scale, off, steps)
 
 
@@ -84,14 +81,14 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     """
     t = poses.trajectory
     c, step, r, u = poses.contacts, poses.step, poses.contacts["impulse"], flight.met.mean
-    turned = (np.nan_to_num(c["couple"]) * np.nan_to_num(flight.met.spin)).sum(axis=1)
+    turned = (c["couple"] * np.nan_to_num(flight.met.spin)).sum(axis=1)
     pressed, rubbed = r[:, 0] * u[:, 0] + turned, (r[:, 1:] * u[:, 1:]).sum(axis=1)
     jams = c["status"] == JAM  # all their work is normal work
     normal = c["work_normal"] - np.where(jams, pressed + rubbed, pressed)
     friction = c["work_friction"] - np.where(jams, 0.0, rubbed)
     size = np.linalg.norm(r, axis=1)
     # The uncertainty of a rotation is at most that of the body's surface, over its least distance.
-    lever = np.linalg.norm(np.nan_to_num(c["couple"]), axis=1) / poses.size(*poses.pair)
+    lever = np.linalg.norm(c["couple"], axis=1) / poses.size(*poses.pair)
     doubt = (size + 2.0 * lever) * flight.unsure
     if found is not None:
         doubt = doubt + found.met_doubt
@@ -104,8 +101,7 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     parted = np.zeros(r[:, 0].size, np.bool_) if found is None else found.met_parted
     # Also contacts that strike alternately with limits; for contacts of links alone the uncertainty is known.
     several |= poses.beside(parted & pushes)
-    given = pushes & bool(t.meta.get("external_force", True))
-    hidden = np.isnan(u).any(axis=1) | (given & (GIVEN not in t.columns))
+    given, hidden = pushes & bool(t.meta["external_force"]), np.isnan(u).any(axis=1)
     blind = poses.beside(hidden | given | (frames >= poses.free).any(axis=0))
     single, joint = ~several & ~hidden, several & ~blind
     # Weights move bodies on after the impacts of a move. How impulses split is unknown: all may work on that motion.
@@ -154,7 +150,7 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     )
     left["impacts"] = np.nan_to_num(np.abs(rest - np.bincount(step, told, t.steps)) - slack, nan=0.0)
     left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
-    if not (poses.free and t.meta.get("external_force", True)):
+    if not (poses.free and t.meta["external_force"]):
         left["external"] = np.abs(e.external - of_trees.get("external", nothing))
     spin = np.linalg.norm(spins(poses), axis=2)
     spin = np.maximum(spin[1:], spin[:-1]) + flight.levers
@@ -163,7 +159,7 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
     names = list(left)
     off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
     yield worst_among("works", off.T, scale, names)
-    if any(kind != "joint" for kind in t.scene.get("motions", {}).values()):
+    if any(kind != "joint" for kind in t.scene["motions"].values()):
         yield not_audited("drives", "velocities of driven bodies and of surfaces are not recorded")
         return
     off = np.abs(e.constraint - of_trees.get("constraint", nothing)) - doubt

@@ -27,17 +27,17 @@ class Carried(NamedTuple):
 
 
 def moving(trajectory: Trajectory) -> list[str]:
-    """Return the names of all moving bodies: free bodies, links (in old recordings their joints), driven bodies."""
+    """Return the names of all moving bodies: free bodies, links, driven bodies."""
     scene = trajectory.scene
     frames, free, joints = scene["frames"], scene["free"], set(link_names.joints(scene))
-    links = [link["name"] for link in scene.get("links", ()) if link["frame"] >= 0]
+    links = [link["name"] for link in scene["links"] if link["frame"] >= 0]
     others = [name for name in frames[free:] if not links or name not in joints]
     return [*frames[:free], *links, *others]
 
 
 def first_carried(scene: Mapping[str, Any]) -> dict[str, int]:
     """Return the index of the frame by the name of its body; of several links of one joint, by the first."""
-    frames, out = scene["frames"], {link["frame"]: link["name"] for link in reversed(scene.get("links", ()))}
+    frames, out = scene["frames"], {link["frame"]: link["name"] for link in reversed(scene["links"])}
     return {out.get(k, name): k for k, name in enumerate(frames)}
 
 
@@ -46,7 +46,7 @@ def body(trajectory: Trajectory, name: str) -> BodyMotion:
     scene, columns = trajectory.scene, trajectory.columns
     if not isinstance(name, str):
         raise ValueError(f"name must be that of a moving body, got {name!r}")
-    frames, links = scene["frames"], {link["name"]: link for link in scene.get("links", ())}
+    frames, links = scene["frames"], {link["name"]: link for link in scene["links"]}
     if name in frames:
         return of_frame(trajectory, frames.index(name))
     if name in links:
@@ -93,13 +93,13 @@ def _velocities(trajectory: Trajectory, frame: int, position: Array, quaternion:
 
 
 def carried(scene: Mapping[str, Any]) -> dict[int, Carried]:
-    """Return the mass that each frame carries: a free body, or all links of a joint (not in old recordings)."""
+    """Return the mass that each frame carries: a free body, or all links of a joint."""
     out = {
         k: Carried(mass, np.zeros(3), np.array(inertia))
         for k, (mass, inertia) in enumerate(zip(scene["masses"], scene["inertias"], strict=True))
     }
-    told = [joint for a in scene["articulations"] for joint in a.get("model", {}).get("joints", ())]
-    links = dict(zip(link_names.joints(scene), told, strict=False))
+    told = [joint for a in scene["articulations"] for joint in a["model"]["joints"]]
+    links = dict(zip(link_names.joints(scene), told, strict=True))
     for k, name in enumerate(scene["frames"]):
         if k >= scene["free"] and (joint := links.get(name)):
             out[k] = Carried(joint["mass"], np.array(joint["com"]), np.array(joint["inertia"]))
@@ -130,7 +130,7 @@ def energies(trajectory: Trajectory, rows: Index, turned: Mapping[int, Array]) -
 def twists(trajectory: Trajectory, rows: Index) -> dict[int, Array]:
     """Return velocity at the world's origin and angular velocity, (states, 6), of the frames of links.
 
-    The twists follow from q and v. Empty for old recordings, which do not describe the articulations.
+    The twists follow from q and v. Empty where the articulations cannot be built.
     """
     if not trajectory.scene["articulations"]:
         return {}

@@ -1,22 +1,19 @@
 """Contents of a recording: the layout of its file, and tables of its columns for the modules that write and read it.
 
-To add a column, add a line to the layout below and to `STEP` (one value per step) or `CONTACT` (one row per contact);
-`LAYOUT` has all columns, by which files are read, written and labelled.
-If older files lack the column, add a line to `ADDED` too and raise `FORMAT_VERSION`.
+To add a column, add a line to the layout below and to `STEP` (one value per step) or `CONTACT` (one row per contact),
+and raise `FORMAT_VERSION`; `LAYOUT` has all columns, by which files are read, written and labelled.
 
 Layout of the file (n steps; row 0 of states is the initial state; SI units; quaternions xyzw)::
 
-    /meta            attributes: format "nsdyn", format_version, dt, theta, solver, scene_name, external_force
-                     (whether the run had one; since version 3), versions of nsdyn, pin, coal, numpy; since
-                     version 5 controller (whether the run had one), impact, max_points, every, contacts, and
-                     checksums, JSON {name: CRC-32} of all that moves the scene but is not in its description;
-                     where known, parameters, JSON {name: value} with which the scene was made, and command,
-                     the words typed after the prompt
-    /meta/scene      JSON string returned by `Scene.describe`: shapes, poses, gravity, frames; since version 3 the
-                     pairs of shapes that may overlap; since version 7 the joints, inertias, loops and laws of
-                     articulations; the visual shapes and meshes of robots that have them; where known, the
-                     coefficients of pairs of bodies that have their own. Its attribute crc32, where there is one,
-                     is that of the text
+    /meta            attributes: format "nsdyn", format_version, dt, theta, solver, scene_name, versions of nsdyn, pin,
+                     coal, numpy; external_force and controller (whether the run had one), impact, max_points,
+                     every, contacts, polish, and checksums, JSON {name: CRC-32} of all that moves the scene but is
+                     not in its description; where known, parameters, JSON {name: value} with which the scene was
+                     made, and command, the words typed after the prompt
+    /meta/scene      JSON string returned by `Scene.describe`: shapes, poses, gravity, frames, the pairs of shapes that
+                     may overlap; joints, inertias, loops and laws of articulations; the visual shapes and meshes of
+                     robots that have them; the coefficients of pairs of bodies that have their own. Its attribute
+                     crc32, where there is one, is that of the text
     /t               (n+1,)  s
     /q, /v           (n+1, nq), (n+1, nv)  first the free bodies, each as Pinocchio's free-flyer (x y z qx qy qz qw;
                      linear, then angular velocity in the body frame), then the articulations
@@ -24,34 +21,29 @@ Layout of the file (n steps; row 0 of states is the initial state; SI units; qua
                                                    or driven bodies
     /energy/kinetic, potential                     (n+1,)  J
     /energy/external, normal, friction, damping, constraint, integration, projection, defect
-                                                   (n,)  work of the step, J; damping and constraint since version 2;
-                                                   before version 3 integration is gyroscopic + theta + mass
-    /energy/created                                (n,)  J, not a term of the balance; since version 3
-    /gauss/gap, shift, bound, coulomb              (n,)  J, m/s, sqrt(J), sqrt(J); coulomb since version 9, NaN unless
-                                                   /meta has polish
+                                                   (n,)  work of the step, J
+    /energy/created                                (n,)  J, not a term of the balance
+    /gauss/gap, shift, bound, coulomb              (n,)  J, m/s, sqrt(J), sqrt(J); coulomb is NaN without polish
     /solver/error, residual, iterations, status, time
-                                                   (n,)  -, m/s, -, `nd.Status`, s; error since version 3
-    /wall_time                                     (n,)  wall time of the step without recording, s; since version 4
+                                                   (n,)  -, m/s, -, `nd.Status`, s
+    /wall_time                                     (n,)  wall time of the step without recording, s
     /joints/actuation, limit, friction, external   (n, nv)  impulses on the coordinates of the articulations, N m s or
-                                                   N s; only in scenes with articulations; since version 5, external
-                                                   (of wrenches on their bodies) since version 7
-    /joints/shift                                  (n, nv)  displacement by position projections, rad or m; since
-                                                   version 7
+                                                   N s, external of wrenches on their bodies; only in scenes with
+                                                   articulations
+    /joints/shift                                  (n, nv)  displacement by position projections, rad or m
     /joints/strength                               (n, nv)  largest impulse that the actuators may give, N m s or N s;
-                                                   infinite without limit; since version 7
+                                                   infinite without limit
     /links/impulse                                 (n, links, 6)  impulses on the links, one link per joint and in the
                                                    order of joints: of external wrenches and, if contacts are not
                                                    recorded in every step, of all contacts; force and moment about the
                                                    world's origin, N s and N m s; only in recordings with external
-                                                   forces or without all contacts; since version 7
-    /joints/drive                                  (n, nv)  change of velocity of driven joints, rad/s or m/s; since
-                                                   version 7
+                                                   forces or without all contacts
+    /joints/drive                                  (n, nv)  change of velocity of driven joints, rad/s or m/s
     /joints/struck                                 (n, nv)  change of velocity by impacts captured in a move, before its
-                                                   forces, where damping, springs or a control see it, rad/s or m/s;
-                                                   since version 12
+                                                   forces, where damping, springs or a control see it, rad/s or m/s
     /pieces/offset                                 (n+1,)  moves and impacts of step k are rows offset[k-1] to
                                                    offset[k] of the datasets of /pieces; no rows for a step made in
-                                                   one move; only in scenes with articulations; since version 7
+                                                   one move; only in scenes with articulations
     /pieces/begin, duration, contacts              (.,)  s after the beginning of the step; s, 0 for impacts in no time;
                                                    number of the step's contacts, in their order, that belong to it
     /pieces/moves                                  (., nv)  1 for the coordinates of its island, 0 for all others
@@ -59,14 +51,14 @@ Layout of the file (n steps; row 0 of states is the initial state; SI units; qua
                                                    (., nv)  as in /joints
     /wrenches/offset                               (n+1,)  nonzero external wrenches on free bodies in the moves of
                                                    step k are rows offset[k-1] to offset[k] of the datasets of
-                                                   /wrenches; only in runs with external forces; since version 10
+                                                   /wrenches; only in runs with external forces
     /wrenches/body, time, duration                 (.,)  number of the body, time in s after the beginning of the step,
                                                    duration of the move in s, as in /contacts
     /wrenches/impulse                              (., 6)  impulse of the force and of its moment about the centre of
                                                    mass, world axes, N s and N m s
     /lifts/offset                                  (n+1,)  nonzero displacements of free bodies by the projections at
                                                    the ends of the moves of step k are rows offset[k-1] to offset[k]
-                                                   of the datasets of /lifts; since version 11
+                                                   of the datasets of /lifts
     /lifts/body, time, duration                    (.,)  as in /wrenches; the move ends theta * duration after time
     /lifts/shift                                   (., 6)  displacement of the centre of mass, m, and rotation vector,
                                                    rad, world axes
@@ -79,13 +71,12 @@ Layout of the file (n steps; row 0 of states is the initial state; SI units; qua
                                                    N·s, as the solver returned it: `impulse_raw` of
                                                    `nsdyn.recording.series.ContactTable`
     /contacts/couple                               (., 3)  couple on 2, world axes, N·m·s, with which persistent
-                                                   contacts do no work; since version 8
+                                                   contacts do no work
     /contacts/status                               0 open, 1 stick, 2 slip, 3 jam
     /contacts/work_normal, work_friction           J
-    /contacts/time, duration                       time of the impulse, s after the beginning of the step, since
-                                                   version 6; duration of the move in which it acted, s, 0 for impacts
-                                                   in no time, since version 10
-    /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`; since version 5
+    /contacts/time, duration                       time of the impulse, s after the beginning of the step; duration of
+                                                   the move in which it acted, s, 0 for impacts in no time
+    /state           the last states of the run, from which it can go on: see `nsdyn.recording.slots`
 
 If only every N-th step is recorded, a row stands for N steps. The works of `/energy`, `created` and `gap` are sums over
 the N steps, so that the ledger closes; so are `/joints`, `/links`, `/solver/iterations`, `time` and `/wall_time`.
@@ -99,7 +90,7 @@ file has the attributes of /meta.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
@@ -136,11 +127,6 @@ class Column(NamedTuple):
     axes: tuple[str, ...] = ()
     path: str = ""
     merged: str = "sum"
-
-    @property
-    def row(self) -> tuple[int | None, ...]:
-        """Shape of a row; None for a length that depends on the scene."""
-        return tuple(WIDTHS.get(axis) for axis in self.axes)
 
 
 WIDTHS = {"axis": 3, "quaternion": 4, "side": 3, "wrench": 6, "lift": 6}
@@ -231,6 +217,25 @@ LAYOUT: dict[str, Column] = {
 """All columns by the names of their datasets."""
 
 
+def row_shapes(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Return the shape of a row of each column that a recording with these attributes and this scene has."""
+    free, trees, pushed = scene["free"], scene["articulations"], meta["external_force"]
+    nv = sum(tree["nv"] for tree in trees)
+    lengths = WIDTHS | {
+        "coordinate": 7 * free + sum(tree["nq"] for tree in trees),
+        "velocity": 6 * free + nv,
+        "joint_coordinate": nv,
+        "link": sum(len(tree["joints"]) for tree in trees),
+        "body": len(scene["frames"]),
+    }
+    untold = pushed or meta["every"] > 1 or not meta["contacts"]  # impulses on links that are in no recorded contact
+    there = {"pieces": bool(trees), "wrenches": pushed and free > 0}
+    names = [*STATES, *(LINKS if len(scene["frames"]) > free else ()), *STEPS, *(JOINTS if trees else ())]
+    names += [ON_LINKS] if trees and untold else []
+    names += [f"{group}/{n}" for group in RAGGED if there.get(group, True) for n in ("offset", *RAGGED[group])]
+    return {name: tuple(lengths[axis] for axis in LAYOUT[name].axes) for name in names}
+
+
 def rows_of(name: str) -> str:
     """Return what a column has a row for: "states" (n + 1), "steps" (n), or a group of `RAGGED`."""
     group, _, inner = name.partition("/")
@@ -239,20 +244,13 @@ def rows_of(name: str) -> str:
     return group if group in RAGGED else "steps"
 
 
-# Columns that older files lack: (version, column, columns of the older file whose sum it is, value if there are none).
-ADDED: list[tuple[int, str, tuple[str, ...], float]] = [
-    (2, "energy/damping", (), 0.0),
-    (2, "energy/constraint", (), 0.0),
-    (3, "energy/integration", ("energy/gyroscopic", "energy/theta", "energy/mass"), 0.0),
-    (3, "energy/created", (), math.nan),
-    (3, "solver/error", (), math.nan),
-    (4, "wall_time", (), math.nan),
-    (6, "contacts/time", (), math.nan),
-    (8, "contacts/couple", (), math.nan),
-    (9, "gauss/coulomb", (), math.nan),
-    (10, "contacts/duration", (), math.nan),
-    (12, "joints/struck", (), 0.0),
-    (12, "pieces/struck", (), 0.0),
-]
-# Attributes of /meta that older files lack.
-ADDED_META = {"every": 1, "contacts": True, "parameters": "{}", "command": "", "polish": False}
+# Attributes of /meta where a recorder is not given others.
+DEFAULTS = {
+    "every": 1,
+    "contacts": True,
+    "polish": False,
+    "controller": False,
+    "external_force": False,
+    "parameters": "{}",
+    "command": "",
+}

@@ -21,22 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording import labels, schema, slots
-from nsdyn.recording.columns import (
-    ADDED,
-    ADDED_META,
-    CONTACT,
-    FORMAT_VERSION,
-    JOINTS,
-    LAYOUT,
-    ON_LINKS,
-    RAGGED,
-    STATES,
-    STEPS,
-    WIDTHS,
-    Column,
-    Columns,
-    rows_of,
-)
+from nsdyn.recording.columns import FORMAT_VERSION, LAYOUT, RAGGED, Columns, row_shapes, rows_of
 from nsdyn.tools.datasets import check_heaps, created, dataset
 from nsdyn.tools.files import is_file
 from nsdyn.tools.unfinished import open_to_read
@@ -193,39 +178,25 @@ def _contents(file: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any], Co
         raise ValueError(f"{path} is not a recording of nsdyn: /meta with format='nsdyn' is missing")
     if not isinstance(meta.get("format_version"), int):
         raise ValueError(f"{path} is not a recording of nsdyn: /meta has no format_version")
-    if meta["format_version"] > FORMAT_VERSION:
-        raise ValueError(f"{path} has format_version {meta['format_version']}, this nsdyn reads up to {FORMAT_VERSION}")
-    added = [row for row in ADDED if meta["format_version"] < row[0]]
-    # Scenes without articulations have no columns of joints.
-    added = [row for row in added if row[1].partition("/")[0] not in ("joints", "pieces") or "joints/drive" in file]
-    parts = [part for _, _, parts, _ in added for part in parts]
-    absent = {column for _, column, _, _ in added}
-    needed = [*STATES, "contacts/offset", *STEPS, *parts, *(f"contacts/{name}" for name in CONTACT)]
-    needed = [name for name in needed if name not in absent]
-    missing = [name for name in ["meta/scene", *needed] if name not in file]
-    if missing:
-        raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
-    meta = ADDED_META | meta | {"format_version": FORMAT_VERSION}
+    if meta["format_version"] != FORMAT_VERSION:
+        raise ValueError(f"{path} has format_version {meta['format_version']}, this nsdyn reads {FORMAT_VERSION}")
+    if "meta/scene" not in file:
+        raise ValueError(f"{path} is not a recording of nsdyn: /meta/scene is missing")
     schema.check_meta(meta)
-    states = len(schema.column(file, "t", None, "f8", ()))
-    if not states:
-        raise ValueError("/t has no rows")
-    others = {name: name if name in (*JOINTS, ON_LINKS) else name.partition("/")[0] for name in LAYOUT}
-    names = needed + [name for name, part in others.items() if name not in {*needed, *absent} and part in file]
-    offsets = [name for name in names if name.endswith("/offset")]
-    ends = _ends({name: schema.column(file, name, states, "i8", ()) for name in offsets}, -1)
-    columns: Columns = {}
-    for name, size in _row_counts(names, states, ends).items():
-        told = LAYOUT.get(name, Column("f8", "J"))  # works of older files are in no layout
-        columns[name] = schema.column(file, name, size, told.kind, told.row)
-    coordinates = columns["joints/drive"].shape[1:] if "joints/drive" in columns else (0,)
-    widths = WIDTHS | {"joint_coordinate": coordinates[0]}
-    for name, size in _row_counts(absent, states, ends).items():
-        columns[name] = np.empty((size, *(widths[axis] for axis in LAYOUT[name].axes)))
-    for _, column, summed, value in added:
-        columns[column] = sum((columns.pop(part) for part in summed), np.full(columns[column].shape, value))
     described = dataset(file, "meta/scene")
     text = described[()]
     if zlib.crc32(text) != described.attrs.get("crc32", zlib.crc32(text)):
         raise ValueError("/meta/scene is not what was written")
-    return meta, schema.scene(text, columns), columns
+    scene = schema.scene(text)
+    shapes = row_shapes(meta, scene)
+    if missing := [name for name in shapes if name not in file]:
+        raise ValueError(f"{path} is not a recording of nsdyn: /{missing[0]} is missing")
+    states = len(schema.column(file, "t", None, "f8", ()))
+    if not states:
+        raise ValueError("/t has no rows")
+    offsets = {f"{group}/offset" for group in RAGGED} & shapes.keys()
+    ends = _ends({name: schema.column(file, name, states, "i8", ()) for name in offsets}, -1)
+    sizes = _row_counts(shapes, states, ends)
+    columns = {name: schema.column(file, name, sizes[name], LAYOUT[name].kind, shapes[name]) for name in shapes}
+    schema.check_rows(columns, scene)
+    return meta, scene, columns

@@ -50,8 +50,7 @@ class JointMotion:
     external : ndarray, shape (n, nv)
         Mean generalised force of the external wrenches on the links in each step, N m or N.
     shift : ndarray, shape (n, nv)
-        Displacement by the position projections of each step, rad or m. NaN, like all forces, in recordings that do
-        not contain it.
+        Displacement by the position projections of each step, rad or m.
     """
 
     name: str
@@ -71,7 +70,6 @@ class JointMotion:
         It is the total force that a sensor in the joint would measure: constraint forces, actuation, limits, friction,
         damping and springs, and the impulses of impacts divided by dt. It follows from the balance of momentum of all
         links beyond the joint (`nsdyn.recording.reactions`). If one of N steps is recorded, it is the mean over all N.
-        NaN in recordings before format 7, which contain neither masses nor the external forces on each link.
         """
         return self._reaction()[:, :3]
 
@@ -124,8 +122,6 @@ def _reaction(trajectory: Trajectory, name: str) -> Array:
 def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
     """Return the arrays of `JointMotion` for a joint by name, each with a column per coordinate."""
     scene = trajectory.scene
-    if any("sizes" not in a for a in scene["articulations"]):
-        raise ValueError("joints have no places in recordings before format 4")
     free, sizes = scene["free"], np.concatenate([np.array(a["sizes"]) for a in scene["articulations"]])
     which = link_names.joints(scene).index(name)
     q, v = np.sum(sizes[:which], axis=0)
@@ -135,9 +131,8 @@ def coordinates(trajectory: Trajectory, name: str) -> dict[str, Array]:
     )
     if (nq, nv) == (2, 1):  # cosine and sine of an angle; the angle counts whole turns
         position = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))[:, None]
-    nothing, duration = np.full((trajectory.steps, nv), np.nan), trajectory.dt * trajectory.every
-    told = [trajectory.columns.get(column) for column in JOINTS]
-    actuation, limit, drag, external, shift, *_ = (nothing if x is None else x[:, v : v + nv] for x in told)
+    duration = trajectory.dt * trajectory.every
+    actuation, limit, drag, external, shift, *_ = (trajectory.columns[name][:, v : v + nv] for name in JOINTS)
     return {
         "position": position,
         "velocity": velocity,
@@ -159,12 +154,11 @@ def _named(trajectory: Trajectory, name: str, count: int) -> list[tuple[str, str
     """Return name and unit of each coordinate of a joint.
 
     The name is that of an axis (x along it, rx about it) or else a number, and empty for an only coordinate. The unit
-    is empty for quaternions and cosines, and where the recording does not describe the joint.
+    is empty for quaternions and cosines, and for loops.
     """
-    told = [joint for a in trajectory.scene["articulations"] for joint in a.get("model", {}).get("joints", ())]
-    names = link_names.joints(trajectory.scene)
-    known = len(told) == len(names) and name in names
-    kind = told[names.index(name)]["kind"].removeprefix("JointModel") if known else ""
+    told = [joint for a in trajectory.scene["articulations"] for joint in a["model"]["joints"]]
+    kinds = dict(zip(link_names.joints(trajectory.scene), (joint["kind"] for joint in told), strict=True))
+    kind = kinds.get(name, "").removeprefix("JointModel")
     if kind in AXES:
         return list(AXES[kind].items())
     unit = "" if kind in ("", "Composite") else "m" if kind.startswith("P") else "rad"

@@ -82,10 +82,9 @@ def _labels(scene: Mapping[str, Any]) -> dict[str, list[str]]:
     velocities = [f"{name}/{part}_{axis}" for name in free for part in ("v", "omega") for axis in "xyz"]
     joints, links = list[str](), list[str]()
     for a in scene["articulations"]:
-        sizes = a.get("sizes", [[a["nq"], a["nv"]]])
-        names = [f"{a['name']}/{joint}" for joint in a["joints"]] if "sizes" in a else [a["name"]]
+        names = [f"{a['name']}/{joint}" for joint in a["joints"]]
         links += names
-        for name, (nq, nv) in zip(names, sizes, strict=True):
+        for name, (nq, nv) in zip(names, a["sizes"], strict=True):
             coordinates += [name] if nq == 1 else [f"{name}/{k}" for k in range(nq)]
             joints += [name] if nv == 1 else [f"{name}/{k}" for k in range(nv)]
     return {

@@ -14,13 +14,12 @@ from nsdyn.tools.arrays import Array, Index
 
 def joints(scene: Mapping[str, Any]) -> list[str]:
     """Return the names of all joints, "articulation/joint"."""
-    return [f"{a['name']}/{joint}" for a in scene["articulations"] for joint in a.get("joints", ())]
+    return [f"{a['name']}/{joint}" for a in scene["articulations"] for joint in a["joints"]]
 
 
 def loops(scene: Mapping[str, Any]) -> list[str]:
     """Return the names of all loops, "articulation/loop"."""
-    told = [(a["name"], a.get("model", {})) for a in scene["articulations"]]
-    return [f"{owner}/{loop['name']}" for owner, model in told for loop in model.get("loops", ())]
+    return [f"{a['name']}/{loop['name']}" for a in scene["articulations"] for loop in a["model"]["loops"]]
 
 
 def carriers(scene: Mapping[str, Any]) -> Index:

@@ -40,11 +40,10 @@ def reactions(trajectory: Trajectory, steps: Index) -> dict[str, Array]:
     """Return mean reactions in some steps, from 0 on, by names of joints and loops, (., 6): force N, then torque N m.
 
     Reactions of joints act on the child at the joint's origin, those of loops on the link of the first frame at that
-    frame; world axes. NaN for recordings before format 7, or without a model that can be built.
+    frame; world axes. NaN without a model that can be built.
     """
     found, c = trees(trajectory), trajectory.columns
-    untold = trajectory.meta.get("external_force", True) or left_out(trajectory)
-    if isinstance(found, str) or not c.keys() >= {*JOINTS} or (untold and ON_LINKS not in c):
+    if isinstance(found, str):
         known = [*link_names.joints(trajectory.scene), *link_names.loops(trajectory.scene)]
         return {name: np.full((steps.size, 6), np.nan) for name in known}
     count = len(link_names.joints(trajectory.scene))

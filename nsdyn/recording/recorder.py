@@ -18,7 +18,7 @@ import numpy as np
 import nsdyn
 from nsdyn.recording import file as recording
 from nsdyn.recording import link_names, rows
-from nsdyn.recording.columns import ADDED_META, FORMAT_VERSION, Columns
+from nsdyn.recording.columns import DEFAULTS, FORMAT_VERSION, ON_LINKS, Columns
 from nsdyn.recording.file import Saved
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
@@ -86,8 +86,9 @@ class Recorder:
         first: Any,
         state: State | None = None,
     ) -> None:
-        columns = rows.begin(first) | rows.none(scene, _left_out({**ADDED_META, **meta}), _pushed(meta, scene))
-        self._begin(path, _full(meta, scene), scene, columns, None if state is None else (0, state()))
+        meta = _full(meta, scene)
+        columns = rows.begin(first) | rows.none(meta, scene)
+        self._begin(path, meta, scene, columns, None if state is None else (0, state()))
 
     def _begin(
         self,
@@ -118,7 +119,7 @@ class Recorder:
             lock = files.lock(self.path)
             self._file, self._release = os.fstat(lock), weakref.finalize(self, os.close, lock)
             self._blocks = []
-        self._carriers = link_names.carriers(scene) if scene["articulations"] and _left_out(meta) else None
+        self._carriers = link_names.carriers(scene) if ON_LINKS in columns else None
         self._clock = time.perf_counter()
         self._deadline = self._clock + _FLUSH_SECONDS
 
@@ -165,8 +166,6 @@ class Recorder:
         _refuse(path, {k: v for k, v in found.items() if k not in told}, given, "option")
         old, new = ({k: v for k, v in s.items() if k not in PICTURES} for s in (described, scene))
         _refuse(path, old, json.loads(json.dumps(new)), "scene")
-        if absent := sorted(rows.none(scene, _left_out(given), _pushed(given, scene)).keys() - columns.keys()):
-            raise ValueError(f"{path} cannot be resumed: it has no /{absent[0]}, being of an older nsdyn")
         if lacking := sorted(set(state) - saved[1].keys()):
             raise ValueError(f"{path} cannot be resumed: its state has no {lacking[0]}, being of an older nsdyn")
         for name in ("q", "v"):
@@ -242,7 +241,7 @@ class Recorder:
         """Move the complete rows into arrays."""
         every = self.meta["every"]
         if size := len(self._steps) // every * every:
-            shown, pushed = self.meta["contacts"], _pushed(self.meta, self.scene)
+            shown, pushed = self.meta["contacts"], "wrenches/offset" in self._ends
             block = rows.pack(self._steps[:size], every, shown, self._carriers, pushed)
             wall, ends = np.array(self._wall[:size]).reshape(-1, every), dict(self._ends)
             block["wall_time"] = wall.sum(axis=1)
@@ -277,7 +276,7 @@ def _full(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
         "nsdyn_version": nsdyn.__version__,
         **_versions(),
         "scene_name": scene["name"],
-        **ADDED_META,
+        **DEFAULTS,
         **meta,
     }
 
@@ -300,13 +299,3 @@ def _refuse(path: str | Path, found: Any, given: Any, name: str) -> None:
 
 def _short(value: Any) -> str:
     return f"a list of {len(value)}" if isinstance(value, list) else repr(value)
-
-
-def _pushed(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> bool:
-    """Return whether external forces may act on free bodies."""
-    return bool(meta.get("external_force", False)) and scene["free"] > 0
-
-
-def _left_out(meta: Mapping[str, Any]) -> bool:
-    """Return whether impulses may act on links that are not among the recorded contacts."""
-    return bool(meta.get("external_force", False) or meta["every"] > 1 or not meta["contacts"])

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from nsdyn.recording.columns import ON_JOINTS, PIECES
+from nsdyn.recording.columns import ON_JOINTS
 from nsdyn.recording.courses import Course, move, respond
 from nsdyn.recording.mechanism import Mechanism
-from nsdyn.recording.tables import contact_steps, impulses_world, left_out
+from nsdyn.recording.tables import contact_steps, impulses_world
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.displacements import displacement
 
@@ -122,16 +122,6 @@ class Trees:
     links: dict[int, tuple[int, int]]
 
     @cached_property
-    def missing(self) -> str:
-        """Reason why steps cannot be recomputed; empty if they can."""
-        t = self.trajectory
-        if reason := left_out(t):
-            return reason
-        wanted = [f"joints/{name}" for name in ON_JOINTS] + ["pieces/offset", *(f"pieces/{name}" for name in PIECES)]
-        lacking = [name for name in wanted if name not in t.columns]
-        return f"/{lacking[0]} is not recorded" if lacking else ""
-
-    @cached_property
     def impulses(self) -> Array:
         """Impulses of all contacts on body 2, world axes, N·s."""
         return impulses_world(self.trajectory.columns)
@@ -184,7 +174,7 @@ class Trees:
         out, pieces = [], list(self.pieces(tree, k))
         for all_along in (True, False):
             out.append(self._way(m, tree, k, pieces, all_along))
-            if not (self.trajectory.meta.get("controller", True) and any(k.mean is not None for k in out[0].kicks)):
+            if not (self.trajectory.meta["controller"] and any(k.mean is not None for k in out[0].kicks)):
                 break
 
         def off(way: Way) -> tuple[float, float]:
@@ -291,8 +281,6 @@ def trees(trajectory: Trajectory) -> Trees | str:
     mechanisms: list[Mechanism] = []
     places: dict[str, tuple[int, int]] = {}
     for articulation in scene["articulations"]:
-        if "model" not in articulation:
-            return "joints and masses of articulations are not recorded"
         for told in _grown(articulation):
             try:
                 m = Mechanism(told["name"], told["joints"], told["model"], scene["gravity"])

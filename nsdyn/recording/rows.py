@@ -16,14 +16,16 @@ from nsdyn.recording.columns import (
     CONTACT,
     JOINTS,
     LAYOUT,
+    LINKS,
     ON_BODIES,
     ON_JOINTS,
     ON_LINKS,
     RAGGED,
+    STATES,
     STEP,
-    STEPS,
     WIDTHS,
     Columns,
+    row_shapes,
     rows_of,
 )
 from nsdyn.tools.arrays import Array, Index
@@ -58,14 +60,11 @@ def begin(state: Any) -> Columns:
     return {name: x for name, x in columns.items() if rows_of(name) == "states"}
 
 
-def none(scene: Mapping[str, Any], links: bool, pushed: bool) -> Columns:
-    """Return all columns of steps, without rows; `links`: with impulses on links, `pushed`: on free bodies."""
-    trees = scene["articulations"]
-    sizes = {"joint_coordinate": sum(tree["nv"] for tree in trees), "link": len(link_names.joints(scene))}
-    groups = ["contacts", *(["pieces"] if trees else []), *(ON_BODIES if pushed else ["lifts"])]
-    names = [*STEPS, *(JOINTS if trees else []), *([ON_LINKS] if trees and links else [])]
-    names += [f"{group}/{name}" for group in groups for name in RAGGED[group]]
-    return {name: _none(name, sizes) for name in names} | {f"{group}/offset": np.zeros(1, np.int64) for group in groups}
+def none(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> Columns:
+    """Return all columns of steps, without rows."""
+    shapes = row_shapes(meta, scene)
+    rows = {name: int(name.endswith("/offset")) for name in shapes if name not in STATES and name not in LINKS}
+    return {name: np.zeros((n, *shapes[name]), LAYOUT[name].kind) for name, n in rows.items()}
 
 
 def _none(name: str, sizes: Mapping[str, int]) -> NDArray[Any]:

@@ -70,25 +70,21 @@ DRAWN = {
 # {name: pattern}, or {"?name": pattern} if the name may be missing.
 SCENE: dict[str, Any] = {
     "name": str,
-    "?gravity": TRIPLE,
-    "?friction_rule": str,
-    "?restitution_rule": str,
-    "?pairs": ({"first": str, "second": str, "mu": object, "restitution": object},),
-    "geoms": (
-        {"name": str, "?body": str, "?link": str, **DRAWN, "?mu": float, "?restitution": float, "?offset": float},
-    ),
-    "?excluded": ([int, int],),
+    "gravity": TRIPLE,
+    "friction_rule": str,
+    "restitution_rule": str,
+    "pairs": ({"first": str, "second": str, "mu": object, "restitution": object},),
+    "geoms": ({"name": str, "body": str, "link": str, **DRAWN, "mu": float, "restitution": float, "?offset": float},),
+    "excluded": ([int, int],),
     "frames": (str,),
-    "?links": ({"name": str, "frame": int, "placement": PLACEMENT},),
+    "links": ({"name": str, "frame": int, "placement": PLACEMENT},),
     "?visuals": ({"link": str, **DRAWN, "?mesh": int},),
     "?meshes": ({"vertices": str, "triangles": str},),
-    "?motions": dict,
+    "motions": dict,
     "free": int,
-    "?masses": (float,),
-    "?inertias": ([TRIPLE, TRIPLE, TRIPLE],),
-    "?articulations": (
-        {"name": str, "nq": int, "nv": int, "?joints": (str,), "?sizes": ([int, int],), "?model": MODEL},
-    ),
+    "masses": (float,),
+    "inertias": ([TRIPLE, TRIPLE, TRIPLE],),
+    "articulations": ({"name": str, "nq": int, "nv": int, "joints": (str,), "sizes": ([int, int],), "model": MODEL},),
 }
 """Pattern of the return value of `nsdyn.Scene.describe`."""
 
@@ -97,21 +93,22 @@ META = {
     "theta": float,
     "every": int,
     "contacts": bool,
+    "controller": bool,
+    "external_force": bool,
     "scene_name": str,
     "parameters": str,
     "command": str,
 }
 
 
-def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
-    """Return the first rows of a dataset, or all, as numbers of a kind; `shape` is that of a row, None for any length.
+def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return the first rows of a dataset, or all, as numbers of a kind; `shape` is that of a row.
 
     ValueError for another type or shape, or too few rows.
     """
     item = dataset(file, name, rows)
-    fits = item.ndim == 1 + len(shape) and item.dtype.kind in ("iuf" if kind[0] == "f" else "iu")
-    if not fits or any(size not in (None, given) for size, given in zip(shape, item.shape[1:], strict=True)):
-        raise ValueError(f"/{name} has {item.dtype} of shape {item.shape}, {kind} of {len(shape) + 1} axes expected")
+    if item.shape[1:] != shape or not item.ndim or item.dtype.kind not in ("iuf" if kind[0] == "f" else "iu"):
+        raise ValueError(f"/{name} has {item.dtype} of shape {item.shape}, {kind} of shape {('n', *shape)} expected")
     if rows is not None and len(item) < rows:
         raise ValueError(f"/{name} has {len(item)} rows, {rows} expected")
     out: NDArray[Any] = item[:rows].astype(kind, copy=False)
@@ -135,16 +132,15 @@ def _from_json(text: Any, name: str) -> Any:
         raise ValueError(f"{name} is no JSON: {failure}") from None
 
 
-def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return the scene of a recording from its JSON text; ValueError if it is invalid or does not fit the columns."""
+def scene(text: Any) -> dict[str, Any]:
+    """Return the scene of a recording from its JSON text; ValueError if it is invalid."""
     out = _from_json(text, "/meta/scene")
     if where := _misfit(out, SCENE, "scene"):
         raise ValueError(f"/meta/scene has a wrong {where}")
     found: dict[str, Any] = out
-    moving, free, trees = len(found["frames"]), found["free"], found.get("articulations", ())
-    shapes = len(found["geoms"])
+    moving, free, shapes = len(found["frames"]), found["free"], len(found["geoms"])
     drawn = [*found["geoms"], *found.get("visuals", ())]
-    frames = [part["frame"] for part in (*drawn, *found.get("links", ()))]
+    frames = [part["frame"] for part in (*drawn, *found["links"])]
     corners = [(g, k) for g in drawn for loop in g.get("faces", ()) for k in loop]
     if not 0 <= free <= moving or any(not -1 <= k < moving for k in frames):
         raise ValueError("/meta/scene names moving bodies that it does not have")
@@ -152,27 +148,12 @@ def scene(text: Any, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         raise ValueError("/meta/scene has faces whose corners it does not have")
     _check_meshes(found)
     for rule in ("friction_rule", "restitution_rule"):
-        if found.get(rule, "max") not in COMBINATION_RULES:
+        if found[rule] not in COMBINATION_RULES:
             raise ValueError(f"/meta/scene has the unknown {rule} {found[rule]!r}")
-    if any(not 0 <= k < shapes for pair in found.get("excluded", ()) for k in pair):
+    if any(not 0 <= k < shapes for pair in found["excluded"] for k in pair):
         raise ValueError("/meta/scene has pairs of shapes that it does not have")
-    if any(len(found[name]) != free for name in ("masses", "inertias") if name in found):
+    if any(len(found[name]) != free for name in ("masses", "inertias")):
         raise ValueError(f"/meta/scene must have {free} masses and inertias like free bodies")
-    sizes = 7 * free + sum(a["nq"] for a in trees), 6 * free + sum(a["nv"] for a in trees)
-    if (columns["q"].shape[1], columns["v"].shape[1]) != sizes:
-        raise ValueError(f"/q and /v must have {sizes[0]} and {sizes[1]} columns like /meta/scene")
-    for name in columns:
-        if name.startswith(("joints/", "pieces/")) and columns[name].shape[1:] not in ((), (sizes[1] - 6 * free,)):
-            raise ValueError(f"/{name} must have {sizes[1] - 6 * free} columns like the articulations of /meta/scene")
-    if "links/impulse" in columns and columns["links/impulse"].shape[1] != (
-        links := sum(len(a.get("joints", ())) for a in trees)
-    ):
-        raise ValueError(f"/links/impulse must have {links} links like the articulations of /meta/scene")
-    if "frames/x" in columns and columns["frames/x"].shape[1] != moving:
-        raise ValueError(f"/frames must have {moving} bodies like /meta/scene")
-    if "frames/x" not in columns and moving > free:
-        raise ValueError("/frames is missing")
-    _check_rows(columns, shapes, free)
     return found
 
 
@@ -191,8 +172,9 @@ def _check_meshes(found: Mapping[str, Any]) -> None:
             raise ValueError(f"/meta/scene meshes[{k}] has triangles whose corners it does not have")
 
 
-def _check_rows(columns: Mapping[str, NDArray[Any]], shapes: int, free: int) -> None:
+def check_rows(columns: Mapping[str, NDArray[Any]], scene: Mapping[str, Any]) -> None:
     """Raise a ValueError for rows of shapes, steps or free bodies that do not exist."""
+    shapes, free = len(scene["geoms"]), scene["free"]
     for group in RAGGED:
         offset = columns.get(f"{group}/offset", np.zeros(1))
         if offset[0] != 0 or (np.diff(offset) < 0).any():

@@ -35,7 +35,7 @@ class Energy:
         Remainder of the ledger of each step; round-off when all is well.
     created : ndarray, shape (n,)
         The part of `normal` and `friction` that a law of impact created in the step, against physics (Kane's paradox).
-        It is not a term of the balance. NaN in recordings that do not contain it.
+        It is not a term of the balance.
     """
 
     kinetic: Array
@@ -159,8 +159,7 @@ class BodyMotion:
     def linear_velocity(self) -> Array:
         """Velocity of `position`, shape (n + 1, 3), m/s.
 
-        For a driven body it is the slope of the recorded positions, of second order in the time between them. So it is
-        for links in recordings before format 7, which do not describe joints.
+        For a driven body it is the slope of the recorded positions, of second order in the time between them.
         """
         return self._velocities[0]
 
@@ -204,15 +203,14 @@ class ContactTable:
         first access.
     couple : ndarray, shape (nc, 3)
         Couple on body 2, world axes, N·m·s, with which persistent contacts do no work; body 1 receives the opposite.
-        NaN in recordings before format 8.
     mu, restitution : ndarray, shape (nc,)
     key : ndarray of int64, shape (nc,)
         Key that identifies the same features of the same pair of shapes in the next step.
     status : ndarray of int8, shape (nc,)
         0 open, 1 stick, 2 slip, faster than the solver's tolerance, 3 jam (`nsdyn.Step.contact_status`).
     time, duration : ndarray, shape (nc,)
-        Time at which the impulse acted, s after the beginning of the step, NaN in recordings before format 6; and
-        duration of the move in which it acted, s, 0 for an impact in no time, NaN before format 10.
+        Time at which the impulse acted, s after the beginning of the step; and duration of the move in which it acted,
+        s, 0 for an impact in no time.
     work_normal, work_friction : ndarray, shape (nc,)
         Works of the solver's impulses, J. The sum over the contacts of two bodies is the same for all impulses with the
         same force and torque.

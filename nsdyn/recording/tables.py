@@ -137,12 +137,12 @@ def impulses_world(columns: Mapping[str, NDArray[Any]]) -> Array:
 
 def body_names(trajectory: Trajectory) -> NDArray[Any]:
     """Return the name of the body or link of every shape."""
-    return np.array([geom.get("link", geom["name"]) for geom in trajectory.scene["geoms"]])
+    return np.array([geom["link"] for geom in trajectory.scene["geoms"]])
 
 
 def _members(trajectory: Trajectory, name: str) -> NDArray[np.bool_]:
     """Return for every shape whether it belongs to the named body, link or whole articulation."""
     geoms = trajectory.scene["geoms"]
-    labels = [(geom["body"], geom.get("link", geom["name"])) for geom in geoms]
+    labels = [(geom["body"], geom["link"]) for geom in geoms]
     choice(name, dict.fromkeys(label for both in labels for label in both), "body")
     return np.array([name in both for both in labels])

@@ -116,7 +116,7 @@ class Trajectory:
 
     @property
     def wall_time(self) -> Array:
-        """Wall time of each step without its recording, shape (n,), s; NaN in recordings that do not contain it."""
+        """Wall time of each step without its recording, shape (n,), s."""
         return self.columns["wall_time"]
 
     def table(self, kind: str, pattern: str = "*") -> Table:
@@ -179,8 +179,7 @@ class Trajectory:
         part["impulse_raw"] = part.pop("impulse")
         geoms = self.scene["geoms"]
         sides = [[geoms[g] for g in part.pop(side)] for side in ("geom1", "geom2")]
-        # Recordings before format 4 have no names of links.
-        body1, body2 = (tuple(geom.get("link", geom["name"]) for geom in side) for side in sides)
+        body1, body2 = (tuple(geom["link"] for geom in side) for side in sides)
         shape1, shape2 = (tuple(geom["name"] for geom in side) for side in sides)
         return ContactTable(body1, body2, shape1, shape2, **part, _unique=partial(self._unique, step))
 

@@ -143,7 +143,7 @@ def _chosen(t: Array, fps: float, most: int, at: float | None, needed: list[int]
 def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
     """Return names, masses and frames of the bodies shown, as JSON values and arrays."""
     scene = trajectory.scene
-    labels = [geom.get("link", geom["name"]) for geom in scene["geoms"]]
+    labels = [geom["link"] for geom in scene["geoms"]]
     looks = scene.get("visuals", [])
     drawn = [*scene["geoms"], *looks]
     carriers = [*labels, *(look["link"] for look in looks)]
@@ -203,12 +203,7 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
 
 
 def _joints(scene: Mapping[str, Any]) -> dict[str, Json]:
-    """Return joints by name: short name, index among all joints, units of coordinate and force.
-
-    Recordings before format 7 have no kinds of joints: the result is then empty.
-    """
-    if not all("model" in a for a in scene["articulations"]):
-        return {}
+    """Return joints by name: short name, index among all joints, units of coordinate and force."""
     told = [joint["kind"] for a in scene["articulations"] for joint in a["model"]["joints"]]
     units = [["m", "N"] if kind.startswith("JointModelP") else ["rad", "N·m"] for kind in told]
     names = link_names.joints(scene)

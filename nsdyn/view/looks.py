@@ -31,7 +31,7 @@ def look_path(scene: Json, k: int) -> str:
 def veiled(scene: Json) -> list[bool]:
     """Return which collision shapes are hidden because their link has visual shapes."""
     seen = {(look["link"].partition("/")[0], look["frame"]) for look in scene.get("visuals", ())}
-    return [(geom.get("body"), geom["frame"]) in seen for geom in scene["geoms"]]
+    return [(geom["body"], geom["frame"]) in seen for geom in scene["geoms"]]
 
 
 def visual_commands(scene: Json, whole: bool = False) -> list[Json]:

@@ -64,7 +64,7 @@ def find(trajectory: Trajectory) -> Impacts:
     # Without gravity, round-off of velocities must not count as an impact.
     least = np.linalg.norm(trajectory.scene["gravity"]) * trajectory.dt + 1e-9 * speed.max(initial=0.0)
     held = _before(identities(c), step, np.where(push & (u <= HELD), impulse, 0.0)) >= 0.5 * impulse
-    rolls = np.nan_to_num(c["couple"]).any(axis=1)
+    rolls = c["couple"].any(axis=1)
     hit = np.flatnonzero((speed > least) & ~held & ~rolls)
     there, shown = np.flatnonzero(np.isin(step, step[hit])), np.zeros(step.size)
     shown[there] = impulses(trajectory, there)[:, 0]

@@ -125,7 +125,7 @@ def _check(trajectory: Any) -> None:
 
 def _missing(trajectory: Trajectory) -> dict[str, tuple[str, ...]]:
     """Return the names of data that a recording does not have, with the kinds that need them."""
-    joints = any(a.get("sizes") for a in trajectory.scene["articulations"])
+    joints = any(a["sizes"] for a in trajectory.scene["articulations"])
     return ({} if joints else {"joints": OF_JOINTS}) | ({} if trajectory.has_contacts else {"contacts": OF_CONTACTS})
 
 
@@ -165,7 +165,7 @@ def _curves(table: Table, shown: Shown, key: Any, column: str) -> list[Curve]:
 def _bodies(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int]]:
     """Return the table of some bodies, and the number of each body's frame, by which the page colours it."""
     table, frames = tabulated(trajectory, "bodies", name), trajectory.scene["frames"]
-    links = {link["name"]: link["frame"] for link in trajectory.scene.get("links", ())}
+    links = {link["name"]: link["frame"] for link in trajectory.scene["links"]}
     names = dict.fromkeys(table["body"].tolist())
     return table, {body: links[body] if body in links else frames.index(body) for body in names}
 

@@ -1,5 +1,6 @@
 """Recordings: what goes in comes out, in memory and as a file, also when the process is killed."""
 
+import json
 import os
 import pickle
 import signal
@@ -11,7 +12,9 @@ from types import SimpleNamespace
 
 import h5py
 import numpy as np
+import pinocchio as pin
 import pytest
+from mechanisms import add, hang, lump
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
@@ -28,26 +31,15 @@ WORKS = ["external", "normal", "friction", "damping", "constraint", "integration
 
 
 def scene_dict(links: bool = False):
-    box = {"shape": "box", "size": [0.2] * 3, "placement": np.eye(4).tolist(), "colour": None}
-    geoms = [
-        {
-            "name": "ground",
-            "body": "ground",
-            "frame": -1,
-            "shape": "halfspace",
-            "size": [0, 0, 1],
-            "offset": 0,
-            "placement": np.eye(4).tolist(),
-            "colour": None,
-        },
-        {"name": "a", "body": "a", "frame": 0, **box},
-        {"name": "b", "body": "b", "frame": 1, **box},
-    ]
-    scene = {"name": "two boxes", "geoms": geoms, "frames": ["a", "b"], "free": 2, "articulations": []}
+    scene = nd.Scene(name="two boxes")
+    scene.add_halfspace("ground")
+    for k, name in enumerate("ab"):
+        scene.add_box(name, (0.2, 0.2, 0.2), 1.0, position=(k, 0, 0.1))
     if links:
-        scene["frames"] = ["a", "b", "arm/elbow"]
-        scene["articulations"] = [{"name": "arm", "nq": 1, "nv": 1, "joints": ["elbow"]}]
-    return scene
+        model = pin.Model()
+        hang(model, 0, "elbow", pin.JointModelRX(), lump(1.0, 0.1))
+        add(scene, "arm", model)
+    return json.loads(json.dumps(scene.describe()))
 
 
 def named_by_step(k):
@@ -302,7 +294,7 @@ for k, step in enumerate(itertools.cycle(steps), start=1):
 
 
 def killed(path, dies_at):
-    paths = [str(Path(__file__).parent), str(Path(nd.__file__).parents[1])]
+    paths = [*map(str, Path(__file__).parents[:2]), str(Path(nd.__file__).parents[1])]
     code = ENDLESS.format(paths=paths, dies_at=dies_at)
     command = [sys.executable, "-c", code, str(path)]
     written = 0
@@ -428,34 +420,6 @@ def test_damaged_file_is_named(damage, message, tmp_path):
     assert str(path) in str(failure.value)
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_old_recordings_are_read(version, tmp_path):
-    """And saved as recordings of now: three terms in place of `integration`, 1, 2 and 3 J a step, and no `created`.
-
-    Those of version 1 lack the works of joint damping and of constraints, which were 0.
-    """
-    path = tmp_path / "run.h5"
-    record(path, 5)
-    with h5py.File(path, "r+") as file:
-        file["meta"].attrs["format_version"] = version
-        normal = file["energy/normal"][:]
-        del file["energy/integration"], file["energy/created"], file["solver/error"], file["wall_time"]
-        del file["contacts/time"], file["contacts/duration"]
-        for work, name in enumerate(("gyroscopic", "theta", "mass"), start=1):
-            file[f"energy/{name}"] = np.full(5, float(work))
-        if version == 1:
-            del file["energy/damping"], file["energy/constraint"]
-    old = Trajectory.load(path)
-    np.testing.assert_array_equal(old.energy.integration, np.full(5, 6.0))
-    np.testing.assert_array_equal(old.energy.normal, normal)
-    if version == 1:
-        np.testing.assert_array_equal([old.energy.damping, old.energy.constraint], np.zeros((2, 5)))
-    for missing in (old.energy.created, old.solver.error, old.wall_time, old.columns["contacts/time"]):
-        assert missing.size and np.isnan(missing).all()
-    old.save(path)
-    np.testing.assert_array_equal(Trajectory.load(path).energy.integration, np.full(5, 6.0))
-
-
 @pytest.mark.parametrize("parts", [40, pytest.param(150, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("ended", [True, False])
 def test_truncated_file_is_told_at_once(half_written, tmp_path, monkeypatch, ended, parts):
@@ -511,6 +475,7 @@ def test_other_files_are_refused(tmp_path):
 
 def test_body_motion_is_in_the_world_frame():
     trajectory, _, _ = record(None, 5, links=True)
+    trajectory.scene["articulations"][0]["model"]["joints"][0]["kind"] = "JointModelScrew"
     body = trajectory.body("b")
     np.testing.assert_array_equal(body.position, trajectory.q[:, 7:10])
     np.testing.assert_array_equal(body.quaternion, trajectory.q[:, 10:14])
@@ -520,7 +485,7 @@ def test_body_motion_is_in_the_world_frame():
     np.testing.assert_allclose(body.angular_velocity, R.apply(trajectory.v[:, 9:12]), rtol=0, atol=1e-14)
     link = trajectory.body("arm/elbow")
     np.testing.assert_array_equal(link.position, trajectory.columns["frames/x"][:, 2])
-    slope = np.gradient(link.position, trajectory.t, axis=0, edge_order=2)  # whose joints are not told
+    slope = np.gradient(link.position, trajectory.t, axis=0, edge_order=2)  # whose joint is of no known kind
     np.testing.assert_allclose(link.linear_velocity, slope, rtol=0, atol=1e-12)
     with pytest.raises(ValueError, match=r"moving body must be one of a, b, .*; got 'c'"):
         trajectory.body("c")
@@ -651,14 +616,3 @@ def test_a_recording_has_one_run(tmp_path):
     ):
         path.unlink()
         it.append(steps[0])
-
-
-def test_recordings_before_format_12_have_no_captured_impacts_that_forces_see(tmp_path):
-    path = tmp_path / "run.h5"
-    record(path, 7, links=True)
-    with h5py.File(path, "r+") as file:
-        file["meta"].attrs["format_version"] = 11
-        del file["joints/struck"], file["pieces/struck"]
-    columns = Trajectory.load(path).columns
-    for group in ("joints", "pieces"):
-        np.testing.assert_array_equal(columns[f"{group}/struck"], 0.0 * columns[f"{group}/drive"])

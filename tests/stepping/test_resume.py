@@ -238,11 +238,10 @@ def test_recording_of_an_older_nsdyn_is_refused(tmp_path):
     nd.simulate(sliding(), 0.05, dt=0.01, record=path)
     with h5py.File(path, "r+") as file:
         file["meta"].attrs["format_version"] = 10
-        del file["lifts"]
     before = path.read_bytes()
-    with pytest.raises(ValueError, match="it has no /lifts/body, being of an older nsdyn"):
+    with pytest.raises(ValueError, match="has format_version 10, this nsdyn reads 12"):
         nd.simulate(sliding(), 0.1, dt=0.01, resume=path)
-    assert path.read_bytes() == before and nd.check(nd.Trajectory.load(path)).passed
+    assert path.read_bytes() == before
 
 
 def test_other_versions_are_warned_of(tmp_path):
