@@ -19,12 +19,11 @@ PLACES = "links", "loops", "limits"
 FINDINGS = *PLACES, "pieces", *joint_rows.FINDINGS, "lift", "joint_momentum", "joint_motion"
 
 
-def joints(poses: Poses, found: Retraced | str | None) -> Iterator[Found]:
+def joints(poses: Poses, found: Retraced | str) -> Iterator[Found]:
     """All findings on articulations; none for a scene without any."""
-    t = poses.trajectory
-    if found is None:
+    if not poses.scene["articulations"]:
         return
-    built = trees(t) if isinstance(found, str) else found.trees
+    built = trees(poses.trajectory) if isinstance(found, str) else found.trees
     if isinstance(built, str):
         yield from (not_audited(name, built) for name in FINDINGS)
         return

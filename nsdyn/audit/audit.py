@@ -155,12 +155,9 @@ def check(trajectory: Trajectory, **tolerances: float) -> Audit:
     first = touched(poses)
     if not first[1](tol["pairs"]).passed:  # all other findings assume shapes that can touch
         return Audit((first[1](tol["pairs"]),), str(trajectory.meta["scene_name"]))
-    found = retraced(poses) if trajectory.scene["articulations"] else None
-    links, parted, unsure = None, None, None
-    if not (found is None or isinstance(found, str)):
-        links, parted, unsure = found.met, found.met_parted, found.met_unsure
-    flight = None if left_out(trajectory) else Flight.of(poses, links, unsure)
-    findings = [described(poses, found), first, *plain(poses), *overlaps(poses), *contacts(poses, flight, parted)]
+    found = retraced(poses)
+    flight = None if left_out(trajectory) else Flight.of(poses, found)
+    findings = [described(poses, found), first, *plain(poses), *overlaps(poses), *contacts(poses, flight)]
     findings += [*told(poses, flight), *momenta(poses, flight), *energies(poses)]
     findings += [*joints(poses, found), *works(poses, found, flight), *unseen(poses)]
     return Audit(tuple(finding(tol[name]) for name, finding in findings), str(trajectory.meta["scene_name"]))

@@ -68,10 +68,7 @@ def _outside(poses: Poses) -> Array:
     if left_out(t):
         return out
     pushes, c = Pushes.of(poses, np.zeros((poses.step.size, 3))), poses.contacts
-    for step, time, length in (
-        (poses.step, c["time"], c["duration"]),
-        (pushes.step, pushes.time, pushes.length),
-    ):
+    for step, time, length in ((poses.step, c["time"], c["duration"]), (pushes.step, pushes.time, pushes.length)):
         begin = time - (1.0 - poses.theta) * length
         end = begin + length
         np.maximum.at(out, step, np.max([-begin, end - t.dt, begin - end], axis=0))

@@ -96,7 +96,7 @@ MEANING = {
     "momentum": "m Δv - Σ r - h m g of a free body / momenta and impulses of which this is the sum",
     "spin": "ΔL - Σ (p - x) × r - couples of a free body, x then / angular momenta and impulses times their levers",
     "energy": "energy as recorded - energy of q and v / energy at play",
-    "numbers": "1 for a column with rows that are no numbers after one that is",
+    "numbers": "1 for a column with what is no number",
     "times": "time of a step - dt, or moves of contacts outside of it, or in each other / dt",
     "turns": "norm of a quaternion - 1",
     "frames": "frame of a free body as recorded - that of q, and whether others are numbers",

@@ -12,6 +12,7 @@ from nsdyn.audit.findings import TOLERANCES
 from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import CONJUGATE, Poses, matrix, product, turned
 from nsdyn.audit.pushes import LIFT, Pushes, together, velocities
+from nsdyn.audit.retraced import Retraced
 from nsdyn.recording.series import rotate
 from nsdyn.recording.tables import contact_frames, impulses_world
 from nsdyn.tools.arrays import Array, Bools, Index, cross
@@ -81,8 +82,8 @@ class Flight:
         Uncertainty of velocities at contacts, m/s: of free bodies in steps that were cut, and of links.
     cut : ndarray of bool, shape (n, free)
         Whether the step was cut into moves, for that body.
-    instant : ndarray of bool, shape (contacts,)
-        Whether an impulse is instantaneous.
+    instant, parted : ndarray of bool, shape (contacts,)
+        Whether an impulse is instantaneous, and whether it alternates with impacts of joint limits.
     """
 
     impulse: Array
@@ -101,13 +102,11 @@ class Flight:
     unsure: Array
     cut: Bools
     instant: Bools
+    parted: Bools
 
     @classmethod
-    def of(cls, poses: Poses, links: tuple[Side, Side] | None = None, unsure: Array | None = None) -> Flight:
-        """Follow the free bodies of a recording that has all steps and contacts.
-
-        `links` are the links at contacts, whose velocities are uncertain by `unsure` (contacts,), m/s.
-        """
+    def of(cls, poses: Poses, links: Retraced | str) -> Flight:
+        """Follow the free bodies of a recording that has all steps and contacts, whose `links` were followed before."""
         t, free, theta = poses.trajectory, poses.free, poses.theta
         h, shape, point = t.dt, (t.steps, free), poses.contacts["point"]
         geoms, pushes = poses.pair.T, Pushes.of(poses, impulses_world(t.columns))
@@ -129,7 +128,11 @@ class Flight:
         arm[met] = point[row[met]] - at[met]
         moment = cross(arm, push) + couple
         ends, then, turning = _turned(poses, pushes, moment)
-        sides = links or (Side.nowhere(len(point)), Side.nowhere(len(point)))
+        if isinstance(links, str):
+            nothing = np.zeros(len(point))
+            sides, unsure, parted = (Side.nowhere(len(point)), Side.nowhere(len(point))), nothing, nothing > 0.0
+        else:
+            sides, unsure, parted = links.met, links.met_unsure, links.met_parted
         own = _sides(poses, pushes, (before, forced, begun / h), (at, arm, then, turning))
         _put(poses, sides, geoms, pushes, own)
         ways = np.diff(poses.x[:, :free], axis=0) - path, np.where(cut[:, :, None], (theta - 0.5) * h * forced, 0.0)
@@ -155,9 +158,10 @@ class Flight:
             COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / least(poses),
             _lifted(poses, pushes, then, turning),
             Meetings.of(sides, contact_frames(t.columns), point, poses.rounding[geoms].sum(axis=1), _wander(poses)),
-            np.bincount(row[met], doubt[met], len(point)) + (np.zeros(len(point)) if unsure is None else unsure),
+            np.bincount(row[met], doubt[met], len(point)) + unsure,
             cut,
             poses.contacts["duration"] == 0.0,
+            parted,
         )
 
 

@@ -19,7 +19,7 @@ from nsdyn.audit.true_shapes import Solid
 from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Array, Index
 
 STATES = 200_000
 """Largest number of poses of shapes that are processed together."""
@@ -133,11 +133,10 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
     return tuple(np.concatenate([empty, *items]) for items in (first, second, state))  # type: ignore[return-value]
 
 
-def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Iterator[Found]:
+def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     """Findings on places of impulses, friction cones and the effect of friction.
 
-    `flight` is None if not all steps are recorded. `parted` marks contacts that strike alternately with joint limits;
-    None if none is known.
+    `flight` is None if not all steps are recorded.
     """
     t = poses.trajectory
     where = "distance", "normal", "points"
@@ -160,18 +159,15 @@ def contacts(poses: Poses, flight: Flight | None, parted: Bools | None) -> Itera
     yield worst_of("axes", skew, skew, step, names)
     most = mu * np.maximum(r[:, 0], 0.0)
     # An impulse that sums several impacts opposes the slip of each impact; these slips are not recorded.
-    several = _struck(poses, flight)
-    if parted is not None:
-        several |= poses.beside(parted)
-    fremond = by_fremond(poses)
+    several, fremond = _struck(poses, flight), by_fremond(poses)
+    mean, unsure = np.full((step.size, 2), np.nan), np.zeros(step.size)
+    if flight is not None:
+        mean, unsure, several = flight.met.mean[:, 1:], flight.unsure, several | poses.beside(flight.parted)
     on_cone = _slips(poses, flight) & ~several & ~bouncing(poses) & ~fremond
     outside = np.maximum(-r[:, 0], np.where(on_cone, np.abs(drag - most), drag - most))
     outside -= _round_off(poses)[step]
     scale = np.maximum(largest[step], 1e-300)
     yield worst_of("cone", outside / scale, outside, step, names)
-    mean, unsure = np.full((step.size, 2), np.nan), np.zeros(step.size)
-    if flight is not None:
-        mean, unsure = flight.met.mean[:, 1:], flight.unsure
     # By Frémond's law friction opposes the mean slip, which is unknown on moving surfaces.
     several |= fremond & np.isnan(mean).any(axis=1)
     u = np.where(several[:, None], 0.0, c["u"][:, 1:])

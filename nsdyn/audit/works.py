@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -23,14 +23,13 @@ PARADOXICAL = "newton", "poisson"
 """Laws of impact that create energy in some impacts; their runs record it."""
 
 
-def works(poses: Poses, found: Retraced | str | None, flight: Flight | None) -> Iterator[Found]:
-    """Findings on works. `found` is None for a scene without articulations, or the reason why none was retraced."""
+def works(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterator[Found]:
+    """Findings on works. `found` may be the reason why no articulation was retraced."""
     t = poses.trajectory
     yield from _dissipation(poses)
     yield _numerics(poses)
     if flight is None or isinstance(found, str):
-        reason = left_out(t) or str(found)
-        yield from (not_audited(name, reason) for name in ("contact_works", "works", "drives"))
+        yield from (not_audited(name, left_out(t) or str(found)) for name in ("contact_works", "works", "drives"))
         return
     yield _of_contacts(poses, found, flight)
     yield from _columns(poses, found, flight)
@@ -73,7 +72,7 @@ def _falls(poses: Poses) -> Array:
     return out
 
 
-def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
+def _of_contacts(poses: Poses, found: Retraced, flight: Flight) -> Found:
     """Finding on works of contacts: r·½ (u⁻ + u⁺), and couples times the mean relative angular velocity.
 
     A rebounding contact may strike several times in one instant. Each impact has its own work, and only their sum is
@@ -89,18 +88,15 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     size = np.linalg.norm(r, axis=1)
     # The uncertainty of a rotation is at most that of the body's surface, over its least distance.
     lever = np.linalg.norm(c["couple"], axis=1) / poses.size(*poses.pair)
-    doubt = (size + 2.0 * lever) * flight.unsure
-    if found is not None:
-        doubt = doubt + found.met_doubt
+    doubt = (size + 2.0 * lever) * flight.unsure + found.met_doubt
     # If anything rebounds in a move, all approaching contacts strike before the impulses of the rest of the move act.
     strikes = bouncing(poses) & (r[:, 0] > 0.0) & ~(flight.met.before[:, 0] >= 0.0)
     several = poses.beside(strikes) | by_fremond(poses)
     frames = poses.frame[poses.pair]
     own = poses.is_free(frames)
     pushes = own[0] | own[1]
-    parted = np.zeros(r[:, 0].size, np.bool_) if found is None else found.met_parted
     # Also contacts that strike alternately with limits; for contacts of links alone the uncertainty is known.
-    several |= poses.beside(parted & pushes)
+    several |= poses.beside(flight.parted & pushes)
     given, hidden = pushes & bool(t.meta["external_force"]), np.isnan(u).any(axis=1)
     blind = poses.beside(hidden | given | (frames >= poses.free).any(axis=0))
     single, joint = ~several & ~hidden, several & ~blind
@@ -120,26 +116,23 @@ def _of_contacts(poses: Poses, found: Retraced | None, flight: Flight) -> Found:
     return worst_of("contact_works", off / scale, off, step[rows] + 1, poses.named(*pair))
 
 
-def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[Found]:
+def _columns(poses: Poses, found: Retraced, flight: Flight) -> Iterator[Found]:
     """Compare columns of the ledger with the works of contacts and trees at their velocities."""
     t, e, c = poses.trajectory, poses.trajectory.energy, poses.contacts
     nothing, scale = np.zeros(t.steps), at_play(poses)
-    of_trees: Mapping[str, Array] = {} if found is None else {k: work.sum(axis=1) for k, work in found.works.items()}
-    doubt = parted = resting = nothing
-    if found is not None:
-        doubt, parted, resting = (x.sum(axis=1) for x in (found.doubt, found.parted, found.resting))
+    of_trees = {name: work.sum(axis=1) for name, work in found.works.items()}
+    doubt, parted, resting = (x.sum(axis=1) for x in (found.doubt, found.parted, found.resting))
     step = poses.step
     stays, left = _stays(poses, flight), dict[str, Array]()
     sticks = stays & ~_slid(poses, step)
-    twice = _twice(poses, flight) + (0.0 if found is None else found.met_twice)
+    twice = _twice(poses, flight) + found.met_twice
     rest, slack = nothing, nothing
-    turns = np.zeros(step.size, np.bool_) if found is None else found.met_parted & flight.instant
-    turns = poses.beside(turns)
+    turns = poses.beside(flight.parted & flight.instant)
     # The total work of contacts that strike alternately follows from the velocities before and after.
     told = np.where(turns, (c["impulse"] * flight.met.mean).sum(axis=1), 0.0)
     for name, lasts, limits in (("normal", stays, resting), ("friction", sticks, nothing)):
         work = c[f"work_{name}"]
-        off = getattr(e, name) - of_trees.get(name, nothing) - np.bincount(step[~lasts], work[~lasts], t.steps)
+        off = getattr(e, name) - of_trees[name] - np.bincount(step[~lasts], work[~lasts], t.steps)
         # Without contacts NumPy's bincount returns integers.
         most = limits + np.bincount(step, np.where(lasts, np.abs(work), 0.0) + twice, t.steps)
         left[name] = np.abs(off) - most - parted
@@ -149,20 +142,20 @@ def _columns(poses: Poses, found: Retraced | None, flight: Flight) -> Iterator[F
         step, np.where(turns, np.linalg.norm(c["impulse"], axis=1) * flight.unsure, 0.0), t.steps
     )
     left["impacts"] = np.nan_to_num(np.abs(rest - np.bincount(step, told, t.steps)) - slack, nan=0.0)
-    left["damping"] = np.abs(e.damping - of_trees.get("damping", nothing))
+    left["damping"] = np.abs(e.damping - of_trees["damping"])
     if not (poses.free and t.meta["external_force"]):
-        left["external"] = np.abs(e.external - of_trees.get("external", nothing))
+        left["external"] = np.abs(e.external - of_trees["external"])
     spin = np.linalg.norm(spins(poses), axis=2)
     spin = np.maximum(spin[1:], spin[:-1]) + flight.levers
     unknown = (flight.turn * spin * spin) @ (1.0 / least(poses))
-    left["projection"] = np.abs(e.projection - flight.lifted - (nothing if found is None else found.energy)) - unknown
+    left["projection"] = np.abs(e.projection - flight.lifted - found.energy) - unknown
     names = list(left)
     off = np.array([np.nan_to_num(left[name], nan=np.inf) for name in names]) - doubt
     yield worst_among("works", off.T, scale, names)
     if any(kind != "joint" for kind in t.scene["motions"].values()):
         yield not_audited("drives", "velocities of driven bodies and of surfaces are not recorded")
         return
-    off = np.abs(e.constraint - of_trees.get("constraint", nothing)) - doubt
+    off = np.abs(e.constraint - of_trees["constraint"]) - doubt
     yield worst_of("drives", off / scale, off, np.arange(1, t.steps + 1), lambda _: ["constraint"])
 
 

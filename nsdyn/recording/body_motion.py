@@ -27,7 +27,7 @@ class Carried(NamedTuple):
 
 
 def moving(trajectory: Trajectory) -> list[str]:
-    """Return the names of all moving bodies: free bodies, links, driven bodies."""
+    """Return the names of all moving bodies: free bodies, links (joints of models without links), driven bodies."""
     scene = trajectory.scene
     frames, free, joints = scene["frames"], scene["free"], set(link_names.joints(scene))
     links = [link["name"] for link in scene["links"] if link["frame"] >= 0]

@@ -60,7 +60,7 @@ def ledger(trajectory: Trajectory, rows: Index | None = None) -> dict[str, Array
 def bodies(trajectory: Trajectory, rows: Index) -> dict[str, Array]:
     """Return speed of the centre of mass, m/s, and kinetic energy, J, of each frame; shape (states, frames).
 
-    NaN where masses are not known: for driven bodies, and for links in old recordings.
+    NaN where masses are not known: for driven bodies, and for links of joints that are not known.
     """
     out = np.full((2, rows.size, len(trajectory.scene["frames"])), np.nan)
     for frame, of_body in energies(trajectory, rows, twists(trajectory, rows)).items():

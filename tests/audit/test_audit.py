@@ -639,7 +639,7 @@ def test_works_of_contacts_follow_from_the_momenta():
             material=material,
         )
     for trajectory in (nd.simulate(nd.scenes.load("slide")(), 0.1, dt=0.01), nd.simulate(scene, 0.1, dt=0.01)):
-        c, u = trajectory.columns, Flight.of(Poses(trajectory)).met.mean
+        c, u = trajectory.columns, Flight.of(Poses(trajectory), "not followed").met.mean
         for name, some in (("normal", slice(0, 1)), ("friction", slice(1, 3))):
             work, found = c[f"contacts/work_{name}"], (c["contacts/impulse"][:, some] * u[:, some]).sum(axis=1)
             np.testing.assert_allclose(found, work, rtol=0, atol=1e-12)
