@@ -110,17 +110,11 @@ def closest_features(geometry, i, j, n, face, out, at):
         (p1, q1, radius1, _), (p2, q2, radius2, _) = lines
         for rim in range(2):
             smooth(geometry, i, j, n, ((p1, q1, radius1, rim == 1), (p2, q2, radius2, rim == 0)), out, at + 1)
-            keep_better(out, at)
+            if out.gap[at + 1] > out.gap[at]:
+                put(out.point, at, row(out.point, at + 1))
+                put(out.normal, at, row(out.normal, at + 1))
+                out.gap[at] = out.gap[at + 1]
     return 1
-
-
-@no_alloc
-def keep_better(out, at):
-    """Replace the contact at an index by the next one if that separates better."""
-    if out.gap[at + 1] > out.gap[at]:
-        put(out.point, at, row(out.point, at + 1))
-        put(out.normal, at, row(out.normal, at + 1))
-        out.gap[at] = out.gap[at + 1]
 
 
 @no_alloc
