@@ -83,7 +83,7 @@ def _skew(placement: Any) -> float:
     )
 
 
-def _no_body(mass: float, inertia: Any, strictly: bool = True, size: float = 1e-300) -> float:
+def _no_body(mass: float, inertia: Any, strictly: bool = True, size: float = 0.0) -> float:
     """Violation, as a fraction, of the conditions that a body's mass and inertia satisfy; 1 for a negative mass.
 
     Moments are fractions of the largest, or of `size`, kg m².

@@ -14,6 +14,7 @@ from nsdyn._kernels.collision.kinds import (
     face_normal,
     has_rim,
     incident,
+    on_rim,
     other_feature,
     side,
 )
@@ -21,8 +22,6 @@ from nsdyn._kernels.collision.segments import ANGLE
 from nsdyn._kernels.collision.separation import INSIDE
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.vectors import along, axis, cross, dot, minus, put, row, square, times, to_local, to_world, unit
-
-LEVEL = 1e-9  # slope, like that of `of_cylinder`, below which the direction of the closest point of a circle is noise
 
 
 class Room(NamedTuple):
@@ -136,13 +135,10 @@ def clip_to_disk(geometry, g, poly, count, rim, other):
         n = (0.0, 0.0, 0.0)
         for k in range(1, count - 1):
             n = along(n, 1.0, cross(minus(row(flat, k), row(flat, 0)), minus(row(flat, k + 1), row(flat, 0))))
-        # The first point of the circle is the one closest to the plane.
-        steep = np.hypot(n[0], n[1])
-        turn = math.copysign(1.0 / steep, n[2] * flat[0, 2]) if steep > LEVEL * abs(n[2]) else 0.0
-        first = (turn * n[0], turn * n[1]) if turn != 0.0 else (1.0, 0.0)
+        n, _ = unit(n)
+        closest = times(math.copysign(1.0, n[2] * flat[0, 2]), n)  # the point of the circle outermost along it is
         for p in range(rim if n[2] != 0.0 else 0):
-            cosine, sine = radius * math.cos(2.0 * math.pi * p / rim), radius * math.sin(2.0 * math.pi * p / rim)
-            x, y = first[0] * cosine - first[1] * sine, first[1] * cosine + first[0] * sine
+            x, y = on_rim(radius, closest, p, rim)
             inside = True
             for k in range(count):
                 a, b = row(flat, k), row(flat, k + 1 if k + 1 < count else 0)

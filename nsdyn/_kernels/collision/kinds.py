@@ -232,19 +232,28 @@ def corners(geometry, g, face, poly):
 
 
 @no_alloc
+def on_rim(radius, m, k, rim):
+    """Point k of `rim` points (x, y) of a circle about the z axis; the first is outermost along the unit vector m.
+
+    In an upright cylinder its direction is noise, so that any fixed direction will do.
+    """
+    side, angle = np.hypot(m[0], m[1]), 2.0 * math.pi * k / rim
+    x, y = (m[0] / side, m[1] / side) if side > 1e-9 else (1.0, 0.0)
+    u, v = radius * math.cos(angle), radius * math.sin(angle)
+    return x * u - y * v, y * u + x * v
+
+
+@no_alloc
 def of_cylinder(geometry, g, m, cap, rim, poly):
     """Cap of cylinder g outermost along m (shape frame) as `rim` points, or the line of its side; their number."""
-    s, c, side = row(geometry.size, g), row(geometry.t, g), np.hypot(m[0], m[1])
-    # Direction of the deepest point of the circle. In an upright cylinder it is noise, so that any fixed direction will
-    # do.
-    x, y = (m[0] / side, m[1] / side) if side > 1e-9 else (1.0, 0.0)
+    s, c = row(geometry.size, g), row(geometry.t, g)
     if cap:
         for k in range(rim):
-            u, v = s[0] * math.cos(2.0 * math.pi * k / rim), s[0] * math.sin(2.0 * math.pi * k / rim)
-            p = (x * u - y * v, y * u + x * v, math.copysign(s[1], m[2]))
-            put(poly, k, along(c, 1.0, to_world(geometry.R, g, p)))
+            x, y = on_rim(s[0], m, k, rim)
+            put(poly, k, along(c, 1.0, to_world(geometry.R, g, (x, y, math.copysign(s[1], m[2])))))
         return rim
-    foot = along(c, 1.0, to_world(geometry.R, g, (s[0] * x, s[0] * y, 0.0)))
+    x, y = on_rim(s[0], m, 0, rim)
+    foot = along(c, 1.0, to_world(geometry.R, g, (x, y, 0.0)))
     put(poly, 0, along(foot, -s[1], axis(geometry.R, g)))
     put(poly, 1, along(foot, s[1], axis(geometry.R, g)))
     return 2

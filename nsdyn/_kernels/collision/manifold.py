@@ -7,8 +7,8 @@ With n the unit normal from geom 1 to geom 2 that separates the pair best, and a
    with its own gap over the plane, up to the margin.
 2. If no such face holds the deepest point, the features themselves touch. Two segments (polytope edge or corner,
    sphere, capsule, side of a cylinder: a segment with a radius) touch at their closest points, parallel ones at both
-   ends of their overlap. Ellipsoids and rims of cylinders touch at one point, where Newton's method makes the
-   separation largest.
+   ends of their overlap, and where they cross. Ellipsoids and rims of cylinders touch at one point, where Newton's
+   method makes the separation largest.
 3. Tilted bodies can come into contact elsewhere too. Beside the contact of 2. there are contacts at the ends of round
    segments, and at points over the face whose normal is closest to n. While the bodies are apart, points over the
    interior of a face must stay above it: their contacts forbid no possible motion. But a point over the border of the
@@ -69,8 +69,9 @@ class Given(NamedTuple):
 def of_features(geometry, i, j, n, face, margin, out, at):
     """Contacts of the edges, corners and curved surfaces that are outermost along n; returns their number.
 
-    The first contact has the least gap. Contacts at ends of round segments within the margin follow. `face` is as in
-    `beside`: if n is its normal, features are selected with a smaller angle.
+    The first contact has the least gap, but for the two ends of almost parallel segments. Contacts at ends of round
+    segments within the margin follow. `face` is as in `beside`: if n is its normal, features are selected with a
+    smaller angle.
     """
     count = closest_features(geometry, i, j, n, face, out, at)
     if has_ends(geometry, i) or has_ends(geometry, j):
@@ -207,8 +208,7 @@ def pair_contacts(geometry, i, j, given, room, out, at):
     size = smaller(geometry, i, j)
     count = merge(room.points, room.heights, count, SAME * size)
     if count > room.limit - first:
-        flat = room.limit - first, margin, given.base, CLOSED * size
-        count = reduce(room.points, room.heights, count, m, *flat)
+        count = reduce(room.points, room.heights, count, m, room.limit - first, margin, given.base, CLOSED * size)
     reached, total = not tilted or count == 0 or may_meet(geometry, i, j, m, deepest, margin), first
     for k in range(count):
         p, height, n = row(room.points, k), room.heights[k], m

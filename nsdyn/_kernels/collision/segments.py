@@ -149,8 +149,12 @@ def segments(geometry, i, j, lines, n, out, at):
         count = at_ends(one, two, n, known, tiny, out, at)
         if count == 2 and rounded and crosses and distance > tiny:
             # Round segments that cross are closer there than at the ends, by half of (tilt · way)² over the radii.
-            touch(a, radius1, b, radius2, n, out, at + 2)
-            count += out.gap[at + 2] < min(out.gap[at], out.gap[at + 1]) - INSIDE * size
+            if distance - radius1 - radius2 < min(out.gap[at], out.gap[at + 1]) - INSIDE * size:
+                put(out.point, at + 2, row(out.point, at))
+                put(out.normal, at + 2, row(out.normal, at))
+                out.gap[at + 2] = out.gap[at]
+                touch(a, radius1, b, radius2, n, out, at)
+                count = 3
         if count >= 2:
             return count
     if rounded and distance <= tiny:
