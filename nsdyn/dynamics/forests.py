@@ -50,16 +50,13 @@ def _part(a: Articulation, joints: range) -> Part:
     q_start, v_start = a.model.idx_qs[joints.start], a.model.idx_vs[joints.start]
     q, v = slice(q_start, q_start + own.nq), slice(v_start, v_start + own.nv)
     own.lowerPositionLimit, own.upperPositionLimit = a.model.lowerPositionLimit[q], a.model.upperPositionLimit[q]
-    links = [k for k, link in enumerate(a.links) if link.joint in joints]
     moved = replace(
         a,
         model=own,
         q=a.q[q],
         v=a.v[v],
         **{name: getattr(a, name)[v] for name in ("friction", "damping", "armature", "stiffness", "rest", "effort")},
-        links=tuple(a.links[k]._replace(joint=a.links[k].joint - shift) for k in links),
-        bodies=tuple(a.bodies[k] for k in links),
-        materials=tuple(a.materials[k] for k in links),
+        links=tuple(link._replace(joint=link.joint - shift) for link in a.links if link.joint in joints),
         loops=tuple(
             replace(loop, joint1=max(0, loop.joint1 - shift), joint2=max(0, loop.joint2 - shift))
             for loop in a.loops

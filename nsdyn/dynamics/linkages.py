@@ -213,8 +213,8 @@ def _run(indices: list[int]) -> Index | slice:
 def _radii(articulation: Articulation, joints: list[int]) -> Array:
     """Radius about the frame of each joint that contains the shapes it carries, (len(joints),), m."""
     out = np.zeros(len(joints))
-    for _, joint, placement, shape in articulation.links:
-        if joint in joints:
-            k = joints.index(joint)
-            out[k] = max(out[k], float(np.linalg.norm(placement.translation)) + shape.bounding_radius)
+    for link in articulation.links:
+        if link.joint in joints:
+            k = joints.index(link.joint)
+            out[k] = max(out[k], float(np.linalg.norm(link.placement.translation)) + link.shape.bounding_radius)
     return out

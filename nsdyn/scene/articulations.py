@@ -39,12 +39,15 @@ _SHOWN = 8
 
 
 class Link(NamedTuple):
-    """A collision shape on a link: its name, its joint (0 for the world), its SE3 in the joint's frame, its shape."""
+    """A collision shape on a link: names of it and of its body, its joint (0 for the world), its SE3 in that frame."""
 
     name: str
+    body: str
     joint: int
     placement: Any
     shape: Shape
+    material: Material = Material()
+    colour: Colour | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +84,8 @@ class Articulation:
         A copy for this articulation alone. The model includes `armature`, so that Pinocchio's mass matrix does too. It
         also has the position limits, infinite for coordinates without a limit.
     links : tuple of Link
-    bodies : tuple of str
-        The body that each link belongs to.
     q, v : ndarray, shapes (nq,), (nv,)
         Initial configuration and velocity, Pinocchio's convention.
-    materials : tuple of Material
-        Material of each link.
     limits : bool
         Whether position limits of the model are enforced.
     restitution : float
@@ -123,10 +122,8 @@ class Articulation:
     name: str
     model: Any
     links: tuple[Link, ...]
-    bodies: tuple[str, ...]
     q: Array
     v: Array
-    materials: tuple[Material, ...]
     limits: bool
     restitution: float
     friction: Array
@@ -171,8 +168,6 @@ class Description:
     q : ndarray, shape (nq,)
         Initial configuration.
     links : tuple of Link
-    bodies : tuple of str
-        The body that each link belongs to.
     stiffness, rest : ndarray, shape (nv,)
     loops : tuple of Loop
     gears : tuple of Gear
@@ -190,17 +185,12 @@ class Description:
         Unused contents, as in `Articulation`; a warning names the first two.
     flaws : tuple of str
         Inertias that no body can have, in words.
-    materials : mapping of str to Material
-        Materials that the file gives, by the name of the link.
     visuals : tuple of Visual
-    colours : mapping of str to (float, float, float, float)
-        Colours that the file gives, by the name of the link.
     """
 
     model: Any
     q: Array
     links: tuple[Link, ...]
-    bodies: tuple[str, ...]
     stiffness: Array
     rest: Array
     loops: tuple[Loop, ...] = ()
@@ -214,9 +204,7 @@ class Description:
     dropped: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
     flaws: tuple[str, ...] = ()
-    materials: Mapping[str, Material] = field(default_factory=dict)
     visuals: tuple[Visual, ...] = ()
-    colours: Mapping[str, Colour] = field(default_factory=dict)
 
 
 class ArticulationOptions(TypedDict, total=False):
@@ -241,10 +229,10 @@ class ArticulationOptions(TypedDict, total=False):
     inertias: str
 
 
-def describe_model(model: Any, links: Iterable[Link] = (), bodies: Iterable[str] = (), **more: Any) -> Description:
+def describe_model(model: Any, links: Iterable[Link] = (), **more: Any) -> Description:
     """Describe a Pinocchio model unchanged: neutral configuration and no springs, unless `more` gives them."""
     defaults = {"q": pin.neutral(model), "stiffness": np.zeros(model.nv), "rest": np.zeros(model.nv)}
-    return Description(model, links=tuple(links), bodies=tuple(bodies), **(defaults | more))
+    return Description(model, links=tuple(links), **(defaults | more))
 
 
 def check_joints(name: str, joints: Iterable[str]) -> None:

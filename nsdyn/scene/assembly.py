@@ -29,7 +29,6 @@ from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.gears import joints_of
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import HALFSPACE, Shape, halfspace
-from nsdyn.scene.visuals import Colour
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import choice
@@ -57,7 +56,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
 
     of_joints = partial(_of_joints, name, free)
     _check_choices(name, limits, clip, self_collisions)
-    links, bodies = _collisions(name, description, options.get("collisions", True))
+    links = _collisions(name, description, options.get("collisions", True))
     at = checks.placement(options.get("position", (0, 0, 0)), options.get("quaternion", (0, 0, 0, 1)), repr(name))
     q0 = checks.configuration(model, of_joints(options.get("q"), "q", description.q, 7), repr(name))
     if clip:
@@ -71,24 +70,21 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     restitution = Material(restitution=options.get("restitution", 0.0)).restitution
     v0 = of_joints(options.get("v"), "v", np.zeros(model.nv), 6)
     rest0 = of_joints(options.get("rest"), "rest", description.rest, 6)
-    materials = _materials(name, options.get("material"), links, bodies, description.materials)
+    links = _with_materials(name, options.get("material"), links)
     _check_joints(name, model, q0, limits, in_joints["stiffness"])
-    trees = [description.trees.get(body) for body in bodies]
+    trees = [description.trees.get(link.body) for link in links]
     n = len(trees) - trees.count(WORLD)
-    apart = exclusions.filtered(links, bodies, excluded, description.filtered, n)
+    apart = exclusions.filtered(links, excluded, description.filtered, n)
     apart |= exclusions.joined(links[:n], exclusions.neighbours(model, loops, description.world_touches))
     more, overlapping = exclusions.among_links(model, q0, links[:n], trees, apart, self_collisions)
     dropped = (*overlapping, *description.dropped, *description.flaws)
     _warn(name, [*description.missing, *dropped])
-    fixed = zip(links[n:], materials[n:], strict=True)
     return Articulation(
         name,
         model,
         links[:n],
-        bodies[:n],
         q0,
         v0,
-        materials[:n],
         limits,
         float(restitution),
         **in_joints,
@@ -98,7 +94,7 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
         rest=rest0,
         effort=_effort(model),
         loops=loops,
-        fixed=tuple(_fixed(name, link, own, description.colours.get(link.name)) for link, own in fixed),
+        fixed=tuple(_fixed(name, link) for link in links[n:]),
         visuals=tuple(v if v.joint else v._replace(placement=at * v.placement) for v in description.visuals),
         excluded=apart | more,
         dropped=dropped,
@@ -131,11 +127,11 @@ def _warn(name: str, notes: Sequence[str]) -> None:
         warnings.warn(f"{name!r} leaves out: {'; '.join([*notes[:SHOWN], *more])}", stacklevel=5)
 
 
-def _fixed(name: str, link: Link, material: Material, colour: Colour | None) -> Body:
+def _fixed(name: str, link: Link) -> Body:
     """Return a shape of the file's world as a fixed body of the scene."""
     x, quaternion = link.placement.translation, pin.Quaternion(link.placement.rotation).coeffs()
     label = f"{name}/{link.name}"
-    return make_body(label, link.shape, None, x, quaternion, material=material, fixed=True, colour=colour)
+    return make_body(label, link.shape, None, x, quaternion, material=link.material, fixed=True, colour=link.colour)
 
 
 def _check_model(name: str, model: Any) -> None:
@@ -230,17 +226,15 @@ def _clip(model: Any, q: Array) -> None:
 
 def _collisions(
     name: str, description: Description, collisions: bool | Mapping[str, Sequence[Any]]
-) -> tuple[tuple[Link, ...], tuple[str, ...]]:
-    """Return links and their bodies, after the user's choice of shapes; links of the file's world come last."""
+) -> tuple[Link, ...]:
+    """Return the links, after the user's choice of shapes; links of the file's world come last."""
     if collisions is False:
-        return (), ()
+        return ()
     if collisions is not True and not isinstance(collisions, Mapping):
         raise ValueError(f"collisions of {name!r} must be True, False or {{body: shapes}}, got {collisions!r}")
-    model, kept, collisions = description.model, [], {} if collisions is True else collisions
+    model, collisions = description.model, {} if collisions is True else collisions
     known = {f.name: f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT)}
-    for body, link in zip(description.bodies, description.links, strict=True):
-        if body not in collisions:
-            kept.append((body, link))
+    kept = [link for link in description.links if link.body not in collisions]
     for body, given in collisions.items():
         choice(body, known, f"body in collisions of {name!r}")
         if not isinstance(given, Sequence):
@@ -251,29 +245,23 @@ def _collisions(
                 raise ValueError(f"collisions of {name!r} must be shapes or (Shape, SE3) for {body!r}, got {item!r}")
             placement = checks.pose(placement, f"placement of collisions of {name!r} for {body!r}")
             frame = known[body]
-            kept.append((body, Link(f"{body}_{k}", int(frame.parentJoint), frame.placement * placement, shape)))
-    kept.sort(key=lambda each: description.trees.get(each[0]) == WORLD)
-    return tuple(link for _, link in kept), tuple(body for body, _ in kept)
+            kept.append(Link(f"{body}_{k}", body, int(frame.parentJoint), frame.placement * placement, shape))
+    return tuple(sorted(kept, key=lambda link: description.trees.get(link.body) == WORLD))
 
 
-def _materials(
-    name: str,
-    material: Material | Mapping[str, Material] | None,
-    links: Sequence[Link],
-    bodies: Sequence[str],
-    told: Mapping[str, Material],
-) -> tuple[Material, ...]:
-    """Return the material of every link: as the user gives it, for its body or for all bodies, else from the file."""
-    of = material if isinstance(material, Mapping) else {}
-    rest: Any = Material() if material is None or isinstance(material, Mapping) else material
-    for body, given in [*of.items(), (None, rest)]:
-        if body is not None:
-            choice(body, dict.fromkeys(bodies), f"body with shapes in material of {name!r}")
+def _with_materials(
+    name: str, material: Material | Mapping[str, Material] | None, links: Sequence[Link]
+) -> tuple[Link, ...]:
+    """Return the links with the materials that the user gives, for some bodies or for all; others keep their own."""
+    of: Any = {} if material is None else material
+    for given in of.values() if isinstance(of, Mapping) else [of]:
         if not isinstance(given, Material):
             raise ValueError(f"material of {name!r} must be a nsdyn.Material, got {given!r}")
-    if isinstance(material, Material):
-        told = {}
-    return tuple(of.get(body, told.get(link.name, rest)) for link, body in zip(links, bodies, strict=True))
+    if isinstance(of, Material):
+        return tuple(link._replace(material=of) for link in links)
+    for body in of:
+        choice(body, dict.fromkeys(link.body for link in links), f"body with shapes in material of {name!r}")
+    return tuple(link._replace(material=of.get(link.body, link.material)) for link in links)
 
 
 def _moved(

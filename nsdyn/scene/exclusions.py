@@ -43,18 +43,14 @@ def disabled_pairs(name: str, path: Path, model: Any, unused: list[str]) -> set[
 
 
 def filtered(
-    links: Sequence[Link],
-    bodies: Sequence[str],
-    of_bodies: set[frozenset[str]],
-    of_links: frozenset[frozenset[str]],
-    moving: int,
+    links: Sequence[Link], of_bodies: set[frozenset[str]], of_links: frozenset[frozenset[str]], moving: int
 ) -> frozenset[tuple[int, int]]:
     """Return the pairs of links, by index, excluded by a file, by link or by body; one of each pair is `moving`."""
     return frozenset(
         (i, j)
         for i in range(moving)
         for j in range(i + 1, len(links))
-        if {bodies[i], bodies[j]} in of_bodies or {links[i].name, links[j].name} in of_links
+        if {links[i].body, links[j].body} in of_bodies or {links[i].name, links[j].name} in of_links
     )
 
 

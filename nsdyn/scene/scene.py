@@ -154,7 +154,7 @@ class Scene(Parts):
         Raise ValueError for unknown bodies, without a coefficient, and for the same body twice, since a body never
         touches itself.
         """
-        links = [f"{r.name}/{body}" for r in self.articulations.values() for body in dict.fromkeys(r.bodies)]
+        links = dict.fromkeys(f"{r.name}/{link.body}" for r in self.articulations.values() for link in r.links)
         known = [*self.bodies, *self.articulations, *links]
         for name in (a, b):
             choice(name, known, "body")
@@ -195,11 +195,10 @@ class Scene(Parts):
             R, t = (np.eye(3), -b.com) if b.name in frame_of else (checks.rotation(b.quaternion), b.position)
             out.append(Geom(b.name, b.name, b.shape, frame_of.get(b.name, -1), R, t, b.material, b.colour, b.name))
         for a in self.articulations.values():
-            for (name, joint, placement, shape), body, material in zip(a.links, a.bodies, a.materials, strict=True):
-                frame = frame_of.get((a.name, joint), -1)
-                R, t = np.array(placement.rotation), np.array(placement.translation)
-                link = f"{a.name}/{body}"
-                out.append(Geom(f"{a.name}/{name}", a.name, shape, frame, R, t, material, None, link))
+            for link in a.links:
+                frame, label = frame_of.get((a.name, link.joint), -1), f"{a.name}/{link.name}"
+                R, t = np.array(link.placement.rotation), np.array(link.placement.translation)
+                out.append(Geom(label, a.name, link.shape, frame, R, t, link.material, None, f"{a.name}/{link.body}"))
         return out
 
     def describe(self) -> dict[str, Any]:

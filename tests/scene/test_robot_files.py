@@ -168,8 +168,8 @@ def test_friction_of_mjcf_geoms_is_applied(tmp_path):
     )
     with pytest.warns(UserWarning, match="geom 'b_4': friction of spinning and rolling"):
         own, user = robot_of(tmp_path, text), robot_of(tmp_path, text, material=nd.Material(0.1))
-    assert [m.mu for m in own.materials] == [0.3, 0.7, nd.Material().mu, 0.0, nd.Material().mu]
-    assert {m.mu for m in user.materials} == {0.1}
+    assert [link.material.mu for link in own.links] == [0.3, 0.7, nd.Material().mu, 0.0, nd.Material().mu]
+    assert {link.material.mu for link in user.links} == {0.1}
     with pytest.raises(ValueError, match="friction of geom 'b_1' must be a number, got 'much'"):
         scene_of(tmp_path, text.replace('friction="0.7"', 'friction="much"'))
 
@@ -183,7 +183,7 @@ def test_friction_of_sdf_collisions_is_applied(tmp_path):
     )
     with pytest.warns(UserWarning, match="collision 'c': friction across that is not that along"):
         a = robot_of(tmp_path, text)
-    assert [m.mu for m in a.materials] == [0.2, nd.Material().mu]
+    assert [link.material.mu for link in a.links] == [0.2, nd.Material().mu]
 
 
 @pytest.mark.parametrize(("effort", "expected"), [("2", 2.0), ("0", np.inf)])

@@ -632,7 +632,7 @@ def test_bodies_and_joints_without_a_name_get_another(tmp_path):
     """Than those that have one."""
     more = '<body name="body2"/><body><geom size=".1" pos="0 0 9"/></body>'
     a = loaded(tmp_path, mjcf(more=more))[1]
-    assert "body2_" in a.bodies and a.model.existFrame("body2")
+    assert "body2_" in {link.body for link in a.links} and a.model.existFrame("body2")
     more = '<joint axis="1 0 0"/><body name="d"><joint name="joint1"/><geom size=".1" pos="0 0 9"/></body>'
     assert loaded(tmp_path, mjcf(more=more))[1].model.existJointName("joint1_")
 

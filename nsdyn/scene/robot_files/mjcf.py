@@ -79,12 +79,14 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         autolimits = all(e.get("autolimits", "true") == "true" for e in root.iterfind("compiler"))
         drives = zip(driven, controls, strict=True)
         actuators = actuators_of(drives, model, places, autolimits, report.dropped)
-        links, bodies = links_of(model, geometry.geometryObjects, report.dropped)
-        drawn = [k for k, body in enumerate(bodies) if trees[body] != WORLD or not any(geoms.masks[links[k].name])]
-        visuals = visuals_of(geoms, [(links[k], bodies[k]) for k in drawn], geometry, path.parent, report.unused)
+        links = [
+            link._replace(material=geoms.materials[link.name], colour=geoms.looks[link.name].colour)
+            for link in links_of(model, geometry.geometryObjects, report.dropped)
+        ]
+        drawn = [link for link in links if trees[link.body] != WORLD or not any(geoms.masks[link.name])]
+        visuals = visuals_of(geoms, drawn, geometry, path.parent, report.unused)
         excluded = frozenset(_excluded(root, trees))
-        solid = [k for k, link in enumerate(links) if any(geoms.masks[link.name])]
-        links, bodies = [links[k] for k in solid], [bodies[k] for k in solid]
+        links = [link for link in links if any(geoms.masks[link.name])]
         filtered = frozenset(
             frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not geoms.collide(a.name, b.name)
         )
@@ -93,7 +95,6 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     return describe_model(
         model,
         links,
-        bodies,
         q=q,
         stiffness=stiffness,
         rest=rest,
@@ -105,9 +106,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         world_touches=True,
         trees=_of_joints(trees, model) | trees,
         flaws=tuple(flaws),
-        materials=geoms.materials,
         visuals=visuals,
-        colours={label: look.colour for label, look in geoms.looks.items() if look.colour},
         **report.told(),
     )
 

@@ -43,7 +43,6 @@ class Geoms:
     masks : dict of str to (int, int)
         contype and conaffinity.
     materials : dict of str to Material
-        Materials of the geoms that give one.
     """
 
     meshes: dict[str, Element]
@@ -75,8 +74,7 @@ class Geoms:
             self.looks[label] = look_of(geom, label, self.meshes, self.paints)
             geom.attrib.pop("material", None)
             _write_size(geom, kind, label)
-            if material := _material(geom, label):
-                self.materials[label] = material
+            self.materials[label] = _material(geom, label)
             if geom.get("condim") in ("4", "6"):
                 report.dropped.append(f"geom {label!r}: friction of spinning and rolling")
             self.masks[label] = masks
@@ -150,11 +148,11 @@ def _write_size(geom: Element, kind: str, label: str) -> None:
         geom.set("size", text_of(size[: SIZES[kind]]))
 
 
-def _material(geom: Element, label: str) -> Material | None:
-    """Return the material of a geom that gives sliding friction, else None; with a `condim` of 1, mu is 0."""
+def _material(geom: Element, label: str) -> Material:
+    """Return the material of a geom, by its sliding friction if it gives one; with a `condim` of 1, mu is 0."""
     if geom.get("condim") == "1":
         return Material(mu=0.0)
     given = geom.get("friction")
     if given is None:
-        return None
+        return Material()
     return Material(mu=scalar(" ".join(given.split()[:1]), None, f"friction of geom {label!r}"))

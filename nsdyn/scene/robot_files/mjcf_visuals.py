@@ -42,16 +42,14 @@ def look_of(geom: Element, label: str, meshes: Mapping[str, Element], materials:
     return Look(mesh, colour, group <= SHOWN and (colour is None or colour[3] > 0.0))
 
 
-def visuals_of(
-    geoms: Geoms, links: Sequence[tuple[Link, str]], geometry: Any, home: Path, notes: Notes
-) -> tuple[Visual, ...]:
+def visuals_of(geoms: Geoms, links: Sequence[Link], geometry: Any, home: Path, notes: Notes) -> tuple[Visual, ...]:
     """Return the visual shapes of geoms; no shapes if they would equal the collision shapes.
 
     Parameters
     ----------
     geoms : Geoms
-    links : sequence of (Link, str)
-        Geoms as shapes, and their bodies.
+    links : sequence of Link
+        Geoms as shapes.
     geometry : pinocchio.GeometryModel
         The same geoms; the placement of a mesh is the pose of the origin of its file.
     home : Path
@@ -60,13 +58,13 @@ def visuals_of(
         Receives notes on geoms that are not shown.
     """
     placed, out, more = {g.name: g.placement for g in geometry.geometryObjects}, [], False
-    for (label, joint, placement, shape), body in links:
-        look = geoms.looks[label]
-        if not look.shown or shape.kind == HALFSPACE:
+    for link in links:
+        look = geoms.looks[link.name]
+        if not look.shown or link.shape.kind == HALFSPACE:
             continue
-        more |= look.mesh is not None or look.colour is not None or not any(geoms.masks[label])
+        more |= look.mesh is not None or look.colour is not None or not any(geoms.masks[link.name])
         if look.mesh is None:
-            out.append(Visual(body, joint, placement, shape, look.colour))
+            out.append(Visual(link.body, link.joint, link.placement, link.shape, look.colour))
             continue
         try:
             if "file" not in look.mesh.attrib:
@@ -74,7 +72,7 @@ def visuals_of(
             scale = numbers(look.mesh.get("scale"), 3, (1, 1, 1), "scale of <mesh>")
             mesh = mesh_visual(mesh_file(look.mesh.attrib["file"], [home], ""), scale)
         except ValueError as failure:
-            notes.append(f"visual of geom {label!r}: {failure}")
+            notes.append(f"visual of geom {link.name!r}: {failure}")
             continue
-        out.append(Visual(body, joint, placed[label], mesh, look.colour))
+        out.append(Visual(link.body, link.joint, placed[link.name], mesh, look.colour))
     return tuple(out) if more else ()

@@ -42,14 +42,14 @@ def read_model(name: str, model: Any, geometry: Any | None) -> Description:
     if np.abs(model.gravity.vector - (0.0, 0.0, -9.81, 0.0, 0.0, 0.0)).max() > 0.0:
         dropped.append("gravity of the model: that of the scene counts")
     objects = [] if geometry is None else [g for g in geometry.geometryObjects if not g.disableCollision]
-    links, bodies = links_of(model, objects, dropped)
+    links = links_of(model, objects, dropped)
     for joint, body in zip(model.names, model.inertias, strict=True):
         if not np.isfinite([body.mass, *body.lever, *body.inertia.ravel()]).all():
             raise ValueError(f"mass and inertia of joint {joint!r} of {name!r} must be finite, got {body}")
         check_mass(body.mass, f"joint {joint!r} of {name!r}")
     q = following(model, gears, pin.neutral(model))
     more = {"q": q, "gears": gears, "dropped": tuple(dropped), "filtered": _filtered(geometry)}
-    return describe_model(model, links, bodies, **more)
+    return describe_model(model, links, **more)
 
 
 def _placed(name: str, model: Any) -> Any:
@@ -87,18 +87,18 @@ def _filtered(geometry: Any | None) -> frozenset[frozenset[str]]:
     return frozenset(frozenset(pair) for pair in combinations(names, 2)) - listed
 
 
-def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> tuple[list[Link], list[str]]:
-    """Return (links, the bodies they belong to) of Pinocchio's geometry objects."""
-    links, bodies = [], []
+def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> list[Link]:
+    """Return the links of Pinocchio's geometry objects."""
+    links = []
     for g in objects:
         joint = int(g.parentJoint)
         with dropped.of_warnings(g.name):
             shape, shift = from_coal(g.geometry)
         placement = checks.pose(g.placement, f"placement of shape {g.name!r}")
-        links.append(Link(g.name, joint, placement * pin.SE3(np.eye(3), shift), shape))
         # Objects made by hand often name no frame: the joint then gives the name of the body.
-        bodies.append(model.frames[g.parentFrame].name if g.parentFrame < model.nframes else model.names[joint])
-    return links, bodies
+        body = model.frames[g.parentFrame].name if g.parentFrame < model.nframes else model.names[joint]
+        links.append(Link(g.name, body, joint, placement * pin.SE3(np.eye(3), shift), shape))
+    return links
 
 
 def from_coal(geometry: Any) -> tuple[Shape, Array]:

@@ -87,8 +87,6 @@ class _Reader:
         self.loops: list[Loop] = []
         self.parts = Counter(j.child for j in self.joints)
         self.shapes: list[Link] = []
-        self.bodies: list[str] = []
-        self.materials: dict[str, Material] = {}
         self.visuals: list[Visual] = []
 
     def _note_unused(self, joints: Sequence[Element]) -> None:
@@ -140,7 +138,6 @@ class _Reader:
         return describe_model(
             model,
             self.shapes,
-            self.bodies,
             q=following(model, gears := tuple(self._gears()), q),
             stiffness=stiffness,
             rest=rest,
@@ -148,7 +145,6 @@ class _Reader:
             gears=gears,
             excluded=apart,
             flaws=tuple(self.flaws),
-            materials=self.materials,
             visuals=tuple(self.visuals),
             **self.report.told(),
         )
@@ -236,11 +232,8 @@ class _Reader:
                 continue
             shape, shift = found
             placement = pose * self.frames.pose_in(link, collision.find("pose")) * pin.SE3(np.eye(3), shift)
-            self.shapes.append(Link(label, joint, placement, shape))
-            self.bodies.append(link)
-            mu = collision.findtext(f"{FRICTION}/mu")
-            if mu is not None:
-                self.materials[label] = Material(scalar(mu, None, f"mu of link {link!r}"))
+            mu = scalar(collision.findtext(f"{FRICTION}/mu"), Material().mu, f"mu of link {link!r}")
+            self.shapes.append(Link(label, link, joint, placement, shape, Material(mu)))
         for visual in element.findall("visual"):
             try:
                 self.visuals += self._visual(link, joint, pose, visual)

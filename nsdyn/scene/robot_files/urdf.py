@@ -114,19 +114,17 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     except (ValueError, RuntimeError) as failure:
         raise ValueError(f"path of {name!r}: {path} could not be read: {noise.told(failure, lines)}") from None
     links: list[Link] = []
-    bodies: list[str] = []
     folders = [path.parent, *package_dirs]
     for body, collision in collisions:
         frame = model.frames[model.getFrameId(body, pin.FrameType.BODY)]
-        link = f"{body}_{bodies.count(body)}"
+        link = f"{body}_{sum(other.body == body for other in links)}"
         try:
             with dropped.of_warnings(link):
                 shape, shift = _shape(collision.find("geometry"), folders)
             placement = frame.placement * _pose(collision.find("origin")) * pin.SE3(np.eye(3), shift)
         except ValueError as failure:
             raise ValueError(f"path of {name!r}: {path}, collision of {body!r}: {failure}") from None
-        links.append(Link(link, int(frame.parentJoint), placement, shape))
-        bodies.append(body)
+        links.append(Link(link, body, int(frame.parentJoint), placement, shape))
     visuals = []
     for body, visual in looks:
         try:
@@ -138,7 +136,7 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     except ValueError as failure:
         raise ValueError(f"path of {name!r}: {path}, {failure}") from None
     more = {"q": q, "gears": gears, "flaws": tuple(flaws), "visuals": tuple(visuals)}
-    return describe_model(model, links, bodies, **more, **report.told())
+    return describe_model(model, links, **more, **report.told())
 
 
 def _write_angles(name: str, path: Path, root: Element) -> None:
