@@ -115,11 +115,7 @@ class Linkage:
 
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper limits of the joint coordinates, (nv,) each, infinite for coordinates without limits."""
-        lower, upper = np.full(self.model.nv, -np.inf), np.full(self.model.nv, np.inf)
-        if self.articulation.limits:
-            lower[self._linear] = self.model.lowerPositionLimit[self._linear_q]
-            upper[self._linear] = self.model.upperPositionLimit[self._linear_q]
-        return lower, upper
+        return self.articulation.bounds()
 
     def joint_of(self, coordinate: int) -> str:
         """Name of the joint that a coordinate belongs to."""

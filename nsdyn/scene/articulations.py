@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from nsdyn.scene import checks
 from nsdyn.scene.actuation import Actuator
 from nsdyn.scene.bodies import Body
-from nsdyn.scene.gears import Gear
+from nsdyn.scene.gears import Gear, joints_of
 from nsdyn.scene.materials import Material
 from nsdyn.scene.shapes import Shape
 from nsdyn.scene.visuals import Colour, Visual
@@ -155,6 +155,15 @@ class Articulation:
     def report(self) -> tuple[str, ...]:
         """All contents of the file that are not used."""
         return (*self.missing, *self.dropped, *self.unused)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the lower and upper limits that are enforced, (nv,) each; infinite for coordinates without limits."""
+        lower, upper = np.full(self.model.nv, -np.inf), np.full(self.model.nv, np.inf)
+        for joint in joints_of(self.model) if self.limits else ():
+            if joint.plain:
+                lower[joint.v] = self.model.lowerPositionLimit[joint.q]
+                upper[joint.v] = self.model.upperPositionLimit[joint.q]
+        return lower, upper
 
 
 @dataclass(frozen=True, eq=False)

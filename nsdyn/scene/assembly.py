@@ -39,6 +39,12 @@ UNBOUNDED = 1.01
 UNIT = 1e-12
 """Round-off allowed in the length of an axis, which must be 1."""
 
+TURNING = {
+    "friction": "other dry friction is not modelled",
+    "armature": "it is inertia of rotors, and along axes that turn with a body it would bend the body's way",
+}
+"""Values of joints that are restricted along axes that turn with a body, and why."""
+
 SHOWN = 4
 """Most notes on unused contents that a warning shows."""
 
@@ -115,8 +121,8 @@ def _in_joints(
     given: Mapping[str, object] = options
     out = {what: of_joints(given.get(what), what, default, 6) for what, default in own.items()}
     _check_magnitudes(name, out)
-    _check_friction(name, model, out["friction"])
-    _check_armature(name, model, out["armature"])
+    for what in TURNING:
+        _check_axes(name, model, what, out[what])
     return out
 
 
@@ -168,32 +174,20 @@ def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:
             raise ValueError(f"{what} of {name!r} must not be negative{size}, got {values.tolist()}")
 
 
-def _check_friction(name: str, model: Any, friction: Array) -> None:
-    """Raise ValueError for dry friction that is not modelled: of free joints, or unequal in a planar or ball joint."""
+def _check_axes(name: str, model: Any, what: str, values: Array) -> None:
+    """Raise ValueError for friction or armature along axes that turn with a body, but for those that are modelled."""
     for joint in joints_of(model):
-        own, label = friction[joint.v], f"joint {joint.name!r}"
-        must, wrong = f"0 in {label}, a {joint.kind}, whose dry friction is not modelled", joint.curved and own.any()
-        if joint.kind == PLANAR:
-            must, wrong = f"the same along both axes of the planar {label}", own[0] != own[1]
-        if joint.kind == BALL:
-            must, wrong = f"the same about all axes of the ball {label}", np.ptp(own) > 0.0
-        if wrong:
-            raise ValueError(f"friction of {name!r} must be {must}, got {own.tolist()}")
-
-
-def _check_armature(name: str, model: Any, armature: Array) -> None:
-    """Raise ValueError for armature along axes that turn with a body, unless equal about all axes of a ball joint."""
-    for joint in joints_of(model):
-        own, kind = armature[joint.v], joint.kind
+        own, kind = values[joint.v], joint.kind
         must, wrong = "0 in", joint.curved and own.any()
         if kind == BALL:
             must, wrong = "the same about all axes of", np.ptp(own) > 0.0
         if kind == PLANAR:
             must, wrong = "0 along both axes of", own[:2].any()
+            if what == "friction":
+                must, wrong = "the same along both axes of", own[0] != own[1]
         if wrong:
             raise ValueError(
-                f"armature of {name!r} must be {must} joint {joint.name!r}, a {kind}: it is inertia of rotors, "
-                f"and along axes that turn with a body it would bend the body's way; got {own.tolist()}"
+                f"{what} of {name!r} must be {must} joint {joint.name!r}, a {kind}: {TURNING[what]}; got {own.tolist()}"
             )
 
 

@@ -14,7 +14,6 @@ import numpy as np
 import pinocchio as pin
 
 from nsdyn.scene.articulations import Articulation
-from nsdyn.scene.gears import joints_of
 from nsdyn.scene.prescribed import Motion
 from nsdyn.tools.arrays import Array
 
@@ -45,7 +44,7 @@ def describe_tree(a: Articulation, motions: Mapping[str, Motion]) -> dict[str, A
         for name, motion in motions.items()
         if motion.kind == "joint" and name.startswith(prefix) and m.existJointName(name.removeprefix(prefix))
     }
-    lower, upper = _limits(a)
+    lower, upper = a.bounds()
     return {
         "joints": [_joint(m, k) for k in range(1, m.njoints)],
         **{law: _finite(getattr(a, law)) for law in laws},
@@ -94,16 +93,6 @@ def _told(joint: Any) -> dict[str, Any]:
         poses = [pose.homogeneous.tolist() for pose in joint.jointPlacements]
         return out | {"parts": [_told(part.extract()) for part in joint.joints], "placements": poses}
     return out | {name: np.array(getattr(joint, name)).tolist() for name in GIVEN if hasattr(joint, name)}
-
-
-def _limits(a: Articulation) -> tuple[Array, Array]:
-    """Return the lower and upper limits that are enforced, (nv,) each."""
-    m = a.model
-    lower, upper = np.full(m.nv, -np.inf), np.full(m.nv, np.inf)
-    for joint in joints_of(m) if a.limits else ():
-        if joint.plain:
-            lower[joint.v], upper[joint.v] = m.lowerPositionLimit[joint.q], m.upperPositionLimit[joint.q]
-    return lower, upper
 
 
 def _finite(values: Array) -> list[float | None]:

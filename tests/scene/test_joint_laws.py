@@ -175,9 +175,13 @@ def test_chain_of_ball_joints_lands_and_comes_to_rest_under_their_friction():
 @pytest.mark.parametrize(
     ("joint", "keywords", "words"),
     [
-        (pin.JointModelSpherical(), {"friction": (0.1, 0.1, 0.2)}, r"the same about all axes of the ball joint 'j'"),
+        (
+            pin.JointModelSpherical(),
+            {"friction": (0.1, 0.1, 0.2)},
+            r"the same about all axes of joint 'j', a .*Spherical",
+        ),
         (pin.JointModelFreeFlyer(), {"friction": [0.1] * 6}, r"friction of 'a' must be 0 in joint 'j', a .*FreeFlyer"),
-        (pin.JointModelPlanar(), {"friction": (0.1, 0.2, 0)}, r"the same along both axes of the planar joint 'j'"),
+        (pin.JointModelPlanar(), {"friction": (0.1, 0.2, 0)}, r"the same along both axes of joint 'j', a .*Planar"),
         (
             pin.JointModelSpherical(),
             {"stiffness": [1.0] * 3},

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from nsdyn.scene.articulations import Link
+from nsdyn.scene.robot_files.geometries import colour_of
 from nsdyn.scene.robot_files.xml import Notes, mesh_file, numbers
 from nsdyn.scene.shapes import HALFSPACE
 from nsdyn.scene.visuals import Colour, Visual, mesh_visual
@@ -34,10 +33,7 @@ def look_of(geom: Element, label: str, meshes: Mapping[str, Element], materials:
     mesh = meshes.get(geom.get("mesh", "")) if geom.get("type") == "mesh" else None
     material = materials.get(geom.get("material", ""), geom)
     given = geom.get("rgba", material.get("rgba"))
-    colour = None
-    if given is not None:
-        r, g, b, a = np.clip(numbers(given, 4, None, f"rgba of geom {label!r}"), 0.0, 1.0).tolist()
-        colour = (r, g, b, a)
+    colour = None if given is None else colour_of(given, 4, f"rgba of geom {label!r}")
     group = numbers(geom.get("group"), 1, (0.0,), f"group of geom {label!r}")[0]
     return Look(mesh, colour, group <= SHOWN and (colour is None or colour[3] > 0.0))
 

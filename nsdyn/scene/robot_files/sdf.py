@@ -17,19 +17,17 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, Loop, describe_model
 from nsdyn.scene.gears import Gear, following, gear, joints_of
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.elements import changes_nothing, tell
+from nsdyn.scene.robot_files.geometries import colour_of, shape_of
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.sdf_elements import TABLE
 from nsdyn.scene.robot_files.sdf_frames import AXES, Frames, Joint, is_true
-from nsdyn.scene.robot_files.xml import Report, is_limit, mesh_file, numbers, parse, scalar
-from nsdyn.scene.shapes import Shape
-from nsdyn.scene.visuals import MeshFile, Visual, mesh_visual
+from nsdyn.scene.robot_files.xml import Report, is_limit, numbers, parse, scalar
+from nsdyn.scene.visuals import Visual
 from nsdyn.tools import noise
-from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 FRICTION = "surface/friction/ode"
@@ -224,7 +222,7 @@ class _Reader:
         for number, collision in enumerate(element.findall("collision")):
             label = f"{link}_{number}"
             with self.report.dropped.of_warnings(label):
-                found = self._shape(collision.find("geometry"))
+                found = shape_of(collision.find("geometry"), Element.findtext, self.folders)
             if found is None and collision.find("geometry/empty") is not None:
                 continue
             if found is None:
@@ -242,19 +240,12 @@ class _Reader:
 
     def _visual(self, link: str, joint: int, pose: Any, visual: Element) -> Iterator[Visual]:
         """Yield the visual shape of a link, if it is bounded; ValueError for a shape that is not read."""
-        colour, shift, mesh = None, np.zeros(3), visual.find("geometry/mesh")
-        if (paint := visual.findtext("material/diffuse", visual.findtext("material/ambient"))) is not None:
-            r, g, b, *a = np.clip(numbers(paint, None, None, "colour"), 0.0, 1.0).tolist()
-            colour = (r, g, b, a[0] if a else 1.0)
-        shape: Shape | MeshFile
-        if mesh is None:
-            found = self._shape(visual.find("geometry"))
-            if found is None or found[0].kind == shapes.HALFSPACE:
-                return
-            shape, shift = found
-        else:
-            scale = numbers(mesh.findtext("scale"), 3, (1, 1, 1), "scale of <mesh>")
-            shape = mesh_visual(mesh_file(mesh.findtext("uri", "").strip(), self.folders), scale)
+        paint = visual.findtext("material/diffuse", visual.findtext("material/ambient"))
+        colour = None if paint is None else colour_of(paint, None, "colour")
+        found = shape_of(visual.find("geometry"), Element.findtext, self.folders, shown=True)
+        if found is None or visual.find("geometry/plane") is not None:
+            return
+        shape, shift = found
         placement = pose * self.frames.pose_in(link, visual.find("pose")) * pin.SE3(np.eye(3), shift)
         yield Visual(link, joint, placement, shape, colour)
 
@@ -288,31 +279,3 @@ class _Reader:
         body = pin.Inertia.Zero()  # its constructor refuses what is told as a flaw
         body.mass, body.inertia = part * mass, inertia
         self.model.appendBodyToJoint(joint, body, self.at[joint].actInv(centre))
-
-    def _shape(self, geometry: Element | None) -> tuple[Shape, Array] | None:
-        """Return (shape, its origin) of a <geometry>; None for a geometry without a `Shape`."""
-        if geometry is None or len(geometry) != 1:
-            raise ValueError("<geometry> must hold one shape")
-        (element,), origin = geometry, np.zeros(3)
-
-        def value(tag: str, count: int, default: Sequence[float] | None = None) -> Array:
-            return numbers(element.findtext(tag), count, default, f"{tag} of <{element.tag}>")
-
-        match element.tag:
-            case "box":
-                return shapes.box(value("size", 3)), origin
-            case "sphere":
-                return shapes.sphere(float(value("radius", 1)[0])), origin
-            case "cylinder":
-                return shapes.cylinder(float(value("radius", 1)[0]), float(value("length", 1)[0])), origin
-            case "capsule":
-                return shapes.capsule(float(value("radius", 1)[0]), float(value("length", 1)[0])), origin
-            case "ellipsoid":
-                return shapes.ellipsoid(value("radii", 3)), origin
-            case "plane":
-                return shapes.halfspace(value("normal", 3, (0, 0, 1)), 0.0), origin
-            case "mesh":
-                file = mesh_file(element.findtext("uri", "").strip(), self.folders)
-                return shapes.mesh(file, value("scale", 3, (1, 1, 1)))
-            case _:
-                return None

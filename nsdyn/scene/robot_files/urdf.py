@@ -11,14 +11,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from nsdyn.scene import shapes
 from nsdyn.scene.articulations import Description, Link, describe_model
 from nsdyn.scene.gears import Gear, following, gear
 from nsdyn.scene.robot_files.elements import Rules, tell
+from nsdyn.scene.robot_files.geometries import colour_of, shape_of
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
-from nsdyn.scene.robot_files.xml import XACRO, Report, is_limit, mesh_file, numbers, parse, scalar, text_of
-from nsdyn.scene.shapes import Shape
-from nsdyn.scene.visuals import Colour, MeshFile, Visual, mesh_visual
+from nsdyn.scene.robot_files.xml import XACRO, Report, is_limit, numbers, parse, scalar, text_of
+from nsdyn.scene.visuals import Colour, Visual
 from nsdyn.tools import noise
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
@@ -263,14 +262,7 @@ def _visual(
 ) -> Visual:
     """Return the visual shape of a body; ValueError for a shape that is not read."""
     frame = model.frames[model.getFrameId(body, pin.FrameType.BODY)]
-    geometry, shift = visual.find("geometry"), np.zeros(3)
-    mesh = None if geometry is None else geometry.find("mesh")
-    shape: Shape | MeshFile
-    if mesh is None:
-        shape, shift = _shape(geometry, folders)
-    else:
-        scale = numbers(mesh.get("scale"), 3, (1, 1, 1), "scale of <mesh>")
-        shape = mesh_visual(mesh_file(mesh.get("filename", ""), folders), scale)
+    shape, shift = _shape(visual.find("geometry"), folders, shown=True)
     placement = frame.placement * _pose(visual.find("origin")) * pin.SE3(np.eye(3), shift)
     return Visual(body, int(frame.parentJoint), placement, shape, _colour(visual.find("material"), colours))
 
@@ -282,32 +274,12 @@ def _colour(material: Element | None, known: Mapping[str | None, Element]) -> Co
     colour = material.find("color")
     if colour is None:
         colour = known.get(material.get("name"), material).find("color")
-    if colour is None:
-        return None
-    r, g, b, a = np.clip(numbers(colour.get("rgba"), 4, None, "rgba of <color>"), 0.0, 1.0).tolist()
-    return r, g, b, a
+    return None if colour is None else colour_of(colour.get("rgba", ""), 4, "rgba of <color>")
 
 
-def _shape(geometry: Element | None, folders: Sequence[Path]) -> tuple[Shape, Array]:
-    """Return (shape, its origin) of a <geometry>."""
-    if geometry is None or len(geometry) != 1:
-        raise ValueError("<geometry> must hold one shape")
-    (shape,), origin = geometry, np.zeros(3)
-
-    def length(attribute: str) -> float:
-        return scalar(shape.get(attribute), None, f"{attribute} of <{shape.tag}>")
-
-    match shape.tag:
-        case "box":
-            return shapes.box(numbers(shape.get("size"), 3, None, "size of <box>")), origin
-        case "sphere":
-            return shapes.sphere(length("radius")), origin
-        case "cylinder":
-            return shapes.cylinder(length("radius"), length("length")), origin
-        case "capsule":
-            return shapes.capsule(length("radius"), length("length")), origin
-        case "mesh":
-            scale = numbers(shape.get("scale"), 3, (1, 1, 1), "scale of <mesh>")
-            return shapes.mesh(mesh_file(shape.get("filename", ""), folders), scale)
-        case tag:
-            raise ValueError(f"<{tag}> is no shape of a URDF")
+def _shape(geometry: Element | None, folders: Sequence[Path], shown: bool = False) -> tuple[Any, Array]:
+    """Return (shape, its origin) of a <geometry>, as `shape_of`; URDF has fewer shapes."""
+    odd = [e.tag for e in geometry or () if e.tag not in ("box", "sphere", "cylinder", "capsule", "mesh")]
+    if odd or (found := shape_of(geometry, Element.get, folders, shown)) is None:
+        raise ValueError(f"<{odd[0]}> is no shape of a URDF")
+    return found
