@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from nsdyn.audit import joint_rows
-from nsdyn.audit.findings import Found, named, not_audited, worst_among, worst_of
+from nsdyn.audit.findings import Finding, named, not_audited, worst_among, worst_of
 from nsdyn.audit.poses import Poses, matrix
 from nsdyn.audit.retraced import Retraced
 from nsdyn.recording.columns import ON_JOINTS
@@ -19,7 +19,7 @@ PLACES = "links", "loops", "limits"
 FINDINGS = *PLACES, "pieces", *joint_rows.FINDINGS, "lift", "joint_momentum", "joint_motion"
 
 
-def joints(poses: Poses, found: Retraced | str) -> Iterator[Found]:
+def joints(poses: Poses, found: Retraced | str) -> Iterator[Finding]:
     """All findings on articulations; none for a scene without any."""
     if not poses.scene["articulations"]:
         return
@@ -42,7 +42,7 @@ def joints(poses: Poses, found: Retraced | str) -> Iterator[Found]:
         yield worst_among(name, amount, scale, names)
 
 
-def _places(poses: Poses, found: Trees) -> Iterator[Found]:
+def _places(poses: Poses, found: Trees) -> Iterator[Finding]:
     """Findings on frames of links, gaps of loops and joint limits, in all states."""
     t, frames = poses.trajectory, poses.scene["frames"]
     off, far = np.zeros((2, t.steps + 1, len(frames)))
@@ -84,7 +84,7 @@ def _places(poses: Poses, found: Trees) -> Iterator[Found]:
     yield worst_of("limits", most[limited], (most * wide)[limited], k[limited], named(trees_, i[limited]))
 
 
-def _pieces(found: Trees) -> Found:
+def _pieces(found: Trees) -> Finding:
     """Finding on durations, contacts and impulses of pieces, which must add up to those of their steps."""
     t, c = found.trajectory, found.trajectory.columns
     counts = np.diff(c["pieces/offset"])

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from nsdyn.audit.findings import Found, at_play, named, not_audited, worst_among, worst_of
+from nsdyn.audit.findings import Finding, at_play, named, not_audited, worst_among, worst_of
 from nsdyn.audit.flight import Flight, angles, spins
 from nsdyn.audit.poses import Poses, turned
 from nsdyn.audit.pushes import LIFT, Pushes, velocities
@@ -19,7 +19,7 @@ PARALLEL = 1e-8
 """Square of the angle, rad², below which two normals count as parallel."""
 
 
-def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
+def momenta(poses: Poses, flight: Flight | None) -> Iterator[Finding]:
     """Findings on momenta and motion of free bodies in every step; `flight` is None if not all steps are recorded."""
     t = poses.trajectory
     missing = not_audited("motion", f"of every {t.every} steps one is recorded")
@@ -42,7 +42,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     yield worst_among("spin", left, flight.levers + turning[:-1] + turning[1:], poses.scene["frames"])
 
 
-def plain(poses: Poses) -> Iterator[Found]:
+def plain(poses: Poses) -> Iterator[Finding]:
     """Findings on times of steps, norms of quaternions, frames of free bodies, and rows that are no numbers."""
     t, frames = poses.trajectory, poses.scene["frames"]
     odd = {name: float(np.isnan(x).any()) for name, x in t.columns.items() if x.dtype.kind == "f"}
@@ -80,7 +80,7 @@ def _outside(poses: Poses) -> Array:
     return out
 
 
-def _motion(poses: Poses, flight: Flight | None) -> Found:
+def _motion(poses: Poses, flight: Flight | None) -> Finding:
     """Finding on displacements of free bodies beyond those of their velocities and lifts, over all their points, m.
 
     The reference is the size of the body for a single lift, and for all lifts of a step in which the body moves less
@@ -122,7 +122,7 @@ def _radius(poses: Poses) -> Array:
     return out
 
 
-def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
+def _lifts(poses: Poses, flight: Flight) -> Iterator[Finding]:
     """Findings on lifts: whether free bodies end where flight and lifts bring them, and whether contacts cause lifts.
 
     Contacts lift along their normals. Normals turn as bodies roll, so in the middle of a step the part across them may
@@ -152,7 +152,7 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Found]:
     yield worst_among("lifts", off, np.broadcast_to(poses.smallest, off.shape), poses.scene["frames"])
 
 
-def energies(poses: Poses) -> Iterator[Found]:
+def energies(poses: Poses) -> Iterator[Finding]:
     """Compute the energies anew, and the energy balance of every step."""
     t = poses.trajectory
     e = t.energy

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nsdyn.audit.findings import Found, not_audited, worst_of
+from nsdyn.audit.findings import Finding, not_audited, worst_of
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.touching import tested
 from nsdyn.audit.true_shapes import SIZES
@@ -21,7 +21,7 @@ ROUNDED = 2e-6
 """Fraction of the extent of a hull, twice the tolerance of flat faces: float32 meshes have rounded corners."""
 
 
-def described(poses: Poses, built: object) -> Found:
+def described(poses: Poses, built: object) -> Finding:
     """Finding on sizes against corners, invalid poses, impossible masses, coefficients out of range, and models."""
     scene = poses.scene
     rows = [row for geom in scene["geoms"] for row in _geom(geom)]
@@ -97,14 +97,14 @@ def _no_body(mass: float, inertia: Any, strictly: bool = True, size: float = 0.0
     return max(off / size, float(mass < 0.0))
 
 
-def touched(poses: Poses) -> Found:
+def touched(poses: Poses) -> Finding:
     """Finding on contacts of shapes that cannot touch: both of one body, both fixed, or of joined links."""
     i, j = poses.pair
     wrong = (~(tested(poses) | tested(poses).T)[i, j]).astype(float) if i.size else np.zeros(0)
     return worst_of("pairs", wrong, wrong, poses.step + 1, poses.named(i, j))
 
 
-def unseen(poses: Poses) -> Iterator[Found]:
+def unseen(poses: Poses) -> Iterator[Finding]:
     """Items that no motion can confirm; the audit neither accepts nor rejects them."""
     t = poses.trajectory
     varied = [name for name, kind in t.scene["motions"].items() if kind != "joint"]

@@ -172,29 +172,30 @@ class Finding:
         return bool(self.reason) or self.worst <= self.tol
 
 
-Found = tuple[str, Callable[[float], Finding]]
-
-
 Who = Callable[[int], Sequence[str]]
 """Gives the bodies of a figure, by its number."""
 
 
-def worst_of(name: str, figure: Array, amount: Array, step: Index, bodies: Who = lambda _: ()) -> Found:
+def worst_of(name: str, figure: Array, amount: Array, step: Index, bodies: Who = lambda _: ()) -> Finding:
     """Return the finding of the largest figure; NaN counts as the largest."""
     if not figure.size:
-        return name, lambda tol: Finding(name, MEANING[name], 0.0, tol, 0.0, UNITS[name], -1, (), 0)
+        return _finding(name, 0.0, 0.0, -1, (), 0)
     k = int(np.argmax(np.where(np.isnan(figure), np.inf, figure)))
-    found = max(0.0, float(figure[k])), max(0.0, float(amount[k])), int(step[k]), tuple(bodies(k)), figure.size
-    worst, size, at, who, count = found if not np.isnan(figure[k]) else (np.nan, np.nan, *found[2:])
-    return name, lambda tol: Finding(name, MEANING[name], worst, tol, size, UNITS[name], at, who, count)
+    unknown = np.isnan(figure[k])
+    worst, size = (np.nan if unknown else max(0.0, float(x[k])) for x in (figure, amount))
+    return _finding(name, worst, size, int(step[k]), tuple(bodies(k)), figure.size)
 
 
-def not_audited(name: str, reason: str) -> Found:
+def not_audited(name: str, reason: str) -> Finding:
     """Return an item without a figure, and the reason."""
-    return name, lambda tol: Finding(name, MEANING[name], np.nan, tol, np.nan, UNITS[name], -1, (), 0, reason)
+    return _finding(name, np.nan, np.nan, -1, (), 0, reason)
 
 
-def worst_among(name: str, amount: Array, scale: Array | float, names: Sequence[str], begin: int = 1) -> Found:
+def _finding(name: str, worst: float, amount: float, *where: Any) -> Finding:
+    return Finding(name, MEANING[name], worst, TOLERANCES[name], amount, UNITS[name], *where)
+
+
+def worst_among(name: str, amount: Array, scale: Array | float, names: Sequence[str], begin: int = 1) -> Finding:
     """Return the worst figure of all steps, from `begin` on, and of named bodies, from arrays (n, bodies)."""
     steps, which = np.indices(amount.shape)
     figure = (amount / np.maximum(scale, 1e-300)).ravel()

@@ -14,7 +14,8 @@ from nsdyn.audit.poses import CONJUGATE, Poses, matrix, product, turned
 from nsdyn.audit.pushes import LIFT, Pushes, together, velocities
 from nsdyn.audit.retraced import Retraced
 from nsdyn.recording.series import rotate
-from nsdyn.recording.tables import contact_frames, impulses_world
+from nsdyn.recording.shares import contact_axes
+from nsdyn.recording.tables import impulses_world
 from nsdyn.tools.arrays import Array, Bools, Index, cross
 
 LEAP = 0.15
@@ -157,7 +158,7 @@ class Flight:
             kept,
             COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / least(poses),
             _lifted(poses, pushes, then, turning),
-            Meetings.of(sides, contact_frames(t.columns), point, poses.rounding[geoms].sum(axis=1), _wander(poses)),
+            Meetings.of(sides, contact_axes(poses.contacts), point, poses.rounding[geoms].sum(axis=1), _wander(poses)),
             np.bincount(row[met], doubt[met], len(point)) + unsure,
             cut,
             poses.contacts["duration"] == 0.0,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsdyn.audit.findings import CREEP, Found, named, not_audited, worst_of
+from nsdyn.audit.findings import CREEP, Finding, named, not_audited, worst_of
 from nsdyn.audit.retraced import ON, Retraced
 from nsdyn.recording.columns import ON_LINKS
 from nsdyn.recording.mechanism import Mechanism
@@ -60,7 +60,7 @@ class Acted(NamedTuple):
     doubt: Array
 
 
-def on_joints(found: Retraced) -> Iterator[Found]:
+def on_joints(found: Retraced) -> Iterator[Finding]:
     """Findings on limits, dry friction, actuators and loads."""
     acted = list(_all(found))
     yield _worst("stops", [row for a in acted for row in _stops(a, found.trees.trajectory.dt)])
@@ -103,7 +103,7 @@ def _stops(a: Acted, dt: float) -> Iterator[Row]:
         yield away / max(width[j], 1e-300), away, a.step, m.labels[j]
 
 
-def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Found]:
+def _rebounds(acted: list[Acted], restitution: Array) -> Iterator[Finding]:
     """Check v⁺ = -e v⁻ for limits that strike alone and instantaneously.
 
     Other limits may strike several times, or together with unknown impulses. If nothing rebounds, the velocity that a
@@ -163,7 +163,7 @@ def _rubs(a: Acted, dt: float) -> Iterator[tuple[Row, Row]]:
         yield bound, (figure, wasted, a.step, a.m.labels[j])
 
 
-def _worst(name: str, rows: list[Row]) -> Found:
+def _worst(name: str, rows: list[Row]) -> Finding:
     figure, amount, step = np.array([row[:3] for row in rows]).reshape(-1, 3).T
     return worst_of(name, figure, amount, step.astype(int), lambda k: [rows[k][3]])
 
@@ -175,7 +175,7 @@ def _acted(found: Retraced, name: str) -> tuple[Array, Index]:
     return np.concatenate([c[f"joints/{name}"], c[f"pieces/{name}"]]), step + 1
 
 
-def _pushes(found: Retraced) -> Found:
+def _pushes(found: Retraced) -> Finding:
     """Effect of external wrenches on the coordinates, for steps of one move; wrenches of pieces are not recorded."""
     c, rows, first = found.trees.trajectory.columns, list[Row](), 0
     for m, ways in zip(found.trees.mechanisms, found.ways, strict=True):
@@ -196,7 +196,7 @@ def _pushes(found: Retraced) -> Found:
     return _worst("pushes", rows)
 
 
-def _strength(found: Retraced) -> Found:
+def _strength(found: Retraced) -> Finding:
     """Check that no impulse of an actuator exceeds its limit times the time in which it acts."""
     (given, step), (most, _) = _acted(found, "actuation"), _acted(found, "strength")
     labels = [label for m in found.trees.mechanisms for label in m.labels]
@@ -206,7 +206,7 @@ def _strength(found: Retraced) -> Found:
     return worst_of("strength", figure, over, step[k], named(labels, j))
 
 
-def _loads(found: Retraced) -> Iterator[Found]:
+def _loads(found: Retraced) -> Iterator[Finding]:
     """Check for joint forces without a controller, and for external wrenches without a function that gives them."""
     labels = [label for m in found.trees.mechanisms for label in m.labels]
     for name, column, given, what in (

@@ -50,6 +50,10 @@ class Poses:
             links = t.columns["frames/x"][:, self.free :], t.columns["frames/quat"][:, self.free :]
             self.x, self.quaternion = np.hstack([self.x, links[0]]), np.hstack([self.quaternion, links[1]])
         self.v = t.v[:, : 6 * self.free].reshape(n + 1, -1, 6)
+        self.mass = np.array(self.scene["masses"], dtype=float)  # of free bodies, kg
+        self.inertia = np.array(self.scene["inertias"], dtype=float).reshape(-1, 3, 3)  # in their axes, kg m²
+        self.gravity = np.array(self.scene["gravity"], dtype=float)  # m/s²
+        self.weight = float(np.linalg.norm(self.gravity))
         geoms = self.scene["geoms"]
         self.names = [geom["name"] for geom in geoms]
         self.frame = np.array([geom["frame"] for geom in geoms], dtype=np.int64)
@@ -74,26 +78,6 @@ class Poses:
     def theta(self) -> float:
         """θ of the time-stepping scheme."""
         return float(self.trajectory.meta["theta"])
-
-    @cached_property
-    def mass(self) -> Array:
-        """Masses of free bodies, (free,), kg."""
-        return np.array(self.scene["masses"], dtype=float)
-
-    @cached_property
-    def inertia(self) -> Array:
-        """Inertias of free bodies in their axes, (free, 3, 3), kg m²."""
-        return np.array(self.scene["inertias"], dtype=float).reshape(-1, 3, 3)
-
-    @cached_property
-    def gravity(self) -> Array:
-        """Gravity, (3,), m/s²."""
-        return np.array(self.scene["gravity"], dtype=float)
-
-    @cached_property
-    def weight(self) -> float:
-        """Magnitude of gravity, m/s²."""
-        return float(np.linalg.norm(self.gravity))
 
     def is_free(self, frame: Index) -> Bools:
         """Mask of the frames that belong to free bodies."""

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nsdyn.audit.findings import CREEP, Found, not_audited, worst_of
+from nsdyn.audit.findings import CREEP, Finding, not_audited, worst_of
 from nsdyn.audit.flight import Flight
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.touching import along, apart, bouncing, from_surfaces, measured, pushing
 from nsdyn.problem.solution import Status
+from nsdyn.recording.columns import OPEN, SLIP, STICK
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -23,10 +24,8 @@ EDGE = 1e-8
 LAWS = "dissipative", "newton", "fremond"
 """Laws of impact by which a contact that strikes alone rebounds with its restitution."""
 
-OPEN, STICK, SLIP, JAM = range(4)
 
-
-def told(poses: Poses, flight: Flight | None) -> Iterator[Found]:
+def told(poses: Poses, flight: Flight | None) -> Iterator[Finding]:
     """Findings on the recorded properties of contacts; `flight` is None if not all steps are recorded."""
     t = poses.trajectory
     if flight is None:
@@ -89,7 +88,7 @@ def _travel(poses: Poses, flight: Flight, rows: Index) -> Array:
     return out
 
 
-def _velocities(poses: Poses, flight: Flight) -> Found:
+def _velocities(poses: Poses, flight: Flight) -> Finding:
     """Compare velocities of contacts that have an impulse with those after it.
 
     In a move with a duration, the recorded velocity is the one predicted for the end of the move. The prediction
@@ -116,7 +115,7 @@ def _velocities(poses: Poses, flight: Flight) -> Found:
     return worst_of("velocities", figure[known], off[known], step[known] + 1, poses.named(*poses.pair[:, known]))
 
 
-def _partings(poses: Poses, flight: Flight) -> Found:
+def _partings(poses: Poses, flight: Flight) -> Finding:
     """Contacts with an impulse on free bodies must not separate if nothing rebounds at that instant."""
     t, met, c, step = poses.trajectory, flight.met, poses.contacts, poses.step
     pushes = c["impulse"][:, 0] > 0.0
@@ -131,7 +130,7 @@ def _partings(poses: Poses, flight: Flight) -> Found:
     return worst_of("partings", figure[some], off[some], step[some] + 1, poses.named(*poses.pair[:, some]))
 
 
-def _bounces(poses: Poses, flight: Flight) -> Found:
+def _bounces(poses: Poses, flight: Flight) -> Finding:
     """A contact that strikes alone rebounds with e: not faster, and slower only where it rests or e would add energy.
 
     Impacts of several contacts at one instant act on each other. Where e would add energy, the default law lowers it

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from nsdyn.audit.findings import Found, at_play, not_audited, worst_of
+from nsdyn.audit.findings import Finding, at_play, not_audited, worst_of
 from nsdyn.audit.flight import Flight, sunk
 from nsdyn.audit.overlap import separation
 from nsdyn.audit.poses import Poses
@@ -73,7 +73,7 @@ def measured(
     return out
 
 
-def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Found]:
+def overlaps(poses: Poses, by_size: bool = True) -> Iterator[Finding]:
     """Finding of true overlaps in all states; the worst one relative to the size, or in m."""
     depth, first, second, state = separations(poses)
     depth = depth - _squeezed(poses, depth, first * len(poses.names) + second, state)
@@ -133,7 +133,7 @@ def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, 
     return tuple(np.concatenate([empty, *items]) for items in (first, second, state))  # type: ignore[return-value]
 
 
-def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
+def contacts(poses: Poses, flight: Flight | None) -> Iterator[Finding]:
     """Findings on places of impulses, friction cones and the effect of friction.
 
     `flight` is None if not all steps are recorded.
@@ -181,7 +181,7 @@ def contacts(poses: Poses, flight: Flight | None) -> Iterator[Found]:
     yield worst_of("slip", most / at_play(poses), most, step, names)
 
 
-def _coefficients(poses: Poses) -> Found:
+def _coefficients(poses: Poses) -> Finding:
     """Compare recorded friction and restitution with those of the materials, or those set for a pair of bodies."""
     scene, c = poses.scene, poses.contacts
     both, which = np.unique(poses.pair, axis=1, return_inverse=True)
@@ -263,7 +263,7 @@ def _struck(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     return out
 
 
-def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Found]:
+def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Finding]:
     """Findings on the places of pairs with an impulse, from the step before to the step after, and at the impulse."""
     t, r, step = poses.trajectory, poses.contacts["impulse"], poses.step + 1
     push = np.flatnonzero(r[:, 0] > 1e-9 * largest[step])

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nsdyn.audit.findings import CREEP, TOLERANCES, Found, at_play, not_audited, worst_among, worst_of
+from nsdyn.audit.findings import CREEP, TOLERANCES, Finding, at_play, not_audited, worst_among, worst_of
 from nsdyn.audit.flight import Flight, least, spins
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.pushes import together
 from nsdyn.audit.retraced import Retraced
-from nsdyn.audit.told import JAM, SLIP
 from nsdyn.audit.touching import apart, bouncing, by_fremond
+from nsdyn.recording.columns import JAM, SLIP
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
 
@@ -23,7 +23,7 @@ PARADOXICAL = "newton", "poisson"
 """Laws of impact that create energy in some impacts; their runs record it."""
 
 
-def works(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterator[Found]:
+def works(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterator[Finding]:
     """Findings on works. `found` may be the reason why no articulation was retraced."""
     t = poses.trajectory
     yield from _dissipation(poses)
@@ -35,7 +35,7 @@ def works(poses: Poses, found: Retraced | str, flight: Flight | None) -> Iterato
     yield from _columns(poses, found, flight)
 
 
-def _dissipation(poses: Poses) -> Iterator[Found]:
+def _dissipation(poses: Poses) -> Iterator[Finding]:
     """Impacts, friction and limits must take energy, except for the recorded energy that a law of impact creates."""
     t, e, scale = poses.trajectory, poses.trajectory.energy, at_play(poses)
     steps = np.arange(1, t.steps + 1)
@@ -49,7 +49,7 @@ def _dissipation(poses: Poses) -> Iterator[Found]:
     yield worst_of("created", off / scale, off, steps)
 
 
-def _numerics(poses: Poses) -> Found:
+def _numerics(poses: Poses) -> Finding:
     """Energy that numerics gave or took up to each step; it is small if the steps resolve the motion."""
     t, e = poses.trajectory, poses.trajectory.energy
     if poses.theta > 0.5:
@@ -72,7 +72,7 @@ def _falls(poses: Poses) -> Array:
     return out
 
 
-def _of_contacts(poses: Poses, found: Retraced, flight: Flight) -> Found:
+def _of_contacts(poses: Poses, found: Retraced, flight: Flight) -> Finding:
     """Finding on works of contacts: r·½ (u⁻ + u⁺), and couples times the mean relative angular velocity.
 
     A rebounding contact may strike several times in one instant. Each impact has its own work, and only their sum is
@@ -116,7 +116,7 @@ def _of_contacts(poses: Poses, found: Retraced, flight: Flight) -> Found:
     return worst_of("contact_works", off / scale, off, step[rows] + 1, poses.named(*pair))
 
 
-def _columns(poses: Poses, found: Retraced, flight: Flight) -> Iterator[Found]:
+def _columns(poses: Poses, found: Retraced, flight: Flight) -> Iterator[Finding]:
     """Compare columns of the ledger with the works of contacts and trees at their velocities."""
     t, e, c = poses.trajectory, poses.trajectory.energy, poses.contacts
     nothing, scale = np.zeros(t.steps), at_play(poses)

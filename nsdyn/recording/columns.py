@@ -102,6 +102,7 @@ Columns = dict[str, NDArray[Any]]
 FORMAT_VERSION = 12
 CONTACT_STATES = "open", "stick", "slip", "jam"
 """Words for `contacts/status`."""
+OPEN, STICK, SLIP, JAM = range(4)
 
 ENERGIES = ("kinetic", "potential")
 

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.problem import cones
+from nsdyn.recording.columns import SLIP
 from nsdyn.tools.arrays import Array, Bools, Index
 
 COLUMNS = ("point", "normal", "tangent", "mu", "status", "time", "impulse")
@@ -48,9 +49,6 @@ DAMPING times the residual (K. Levenberg; D. W. Marquardt). Without DAMPING 22 o
 
 TOGETHER = 1 << 14
 """Number of contacts treated at once, about 10 MB."""
-
-SLIP = 2
-"""State of a contact that slips."""
 
 
 def shared(bodies: Index, step: Index, c: Mapping[str, NDArray[Any]]) -> Array:
@@ -85,6 +83,11 @@ def shared(bodies: Index, step: Index, c: Mapping[str, NDArray[Any]]) -> Array:
         out[rows] = _least(_Pairs.of({name: c[name][rows] for name in COLUMNS}, sign, member), out[rows])
         begin = end
     return out
+
+
+def contact_axes(c: Mapping[str, NDArray[Any]]) -> Array:
+    """Return the axes (n, t1, t2) of contacts in world axes, shape (., 3, 3), from their columns."""
+    return np.stack([c["normal"], c["tangent"], np.cross(c["normal"], c["tangent"])], axis=1)
 
 
 def distinct(rows: Index) -> tuple[Index, Index]:
@@ -128,9 +131,8 @@ class _Pairs(NamedTuple):
         arm = c["point"] - (np.add.reduceat(c["point"], start) / count)[member]
         extent = np.sqrt(np.add.reduceat((arm**2).sum(axis=1), start) / count[:, 0])
         arm /= np.where(extent > 0.0, extent, 1.0)[member, None]
-        n, t = c["normal"], c["tangent"]
-        axes = sign[:, None, None] * np.stack([n, t, np.cross(n, t)], axis=1)
-        H = np.concatenate([axes, np.cross(arm[:, None], axes)], axis=2)
+        lines = sign[:, None, None] * contact_axes(c)
+        H = np.concatenate([lines, np.cross(arm[:, None], lines)], axis=2)
         ray = c["impulse"] / np.linalg.norm(c["impulse"], axis=1, keepdims=True)
         return cls(H, c["mu"], ray, c["status"] == SLIP, member, start)
 

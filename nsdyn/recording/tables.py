@@ -123,15 +123,10 @@ def impulses(trajectory: Trajectory, row: Index) -> Array:
     return shares.shared(bodies, step[row], c)
 
 
-def contact_frames(columns: Mapping[str, NDArray[Any]]) -> Array:
-    """Return the axes (n, t1, t2) of all contacts, shape (., 3, 3)."""
-    normal, tangent = columns["contacts/normal"], columns["contacts/tangent"]
-    return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
-
-
 def impulses_world(columns: Mapping[str, NDArray[Any]]) -> Array:
     """Return the solver's impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
-    out: Array = np.einsum("ci,cij->cj", columns["contacts/impulse"], contact_frames(columns))
+    c = {name: columns[f"contacts/{name}"] for name in ("impulse", "normal", "tangent")}
+    out: Array = np.einsum("ci,cij->cj", c["impulse"], shares.contact_axes(c))
     return out
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from nsdyn.recording import body_motion, joint_tables
 from nsdyn.recording.columns import CONTACT_STATES, Columns
-from nsdyn.recording.shares import distinct
-from nsdyn.recording.tables import body_names, contact_frames, contact_steps, impulses, impulses_world
+from nsdyn.recording.shares import contact_axes, distinct
+from nsdyn.recording.tables import body_names, contact_columns, contact_steps, impulses, impulses_world
 from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import choice, unknown
 from nsdyn.tools.table import Table, matches, matching
@@ -90,7 +90,7 @@ def _forces(trajectory: Trajectory, names: list[str]) -> Array:
 def _pairs(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, str]]:
     c, n, dt = trajectory.columns, trajectory.steps, trajectory.dt
     row, step, pair, sign, names = _touching(trajectory, pattern)
-    shown, frame = impulses(trajectory, row), contact_frames(c)[row]
+    shown, frame = impulses(trajectory, row), contact_axes(contact_columns(trajectory))[row]
     at, size = (step - 1, pair), (n, len(names))
     state, gap, slip, normal, work = np.full(size, -1), np.full(size, np.inf), *(np.zeros(size) for _ in range(3))
     drag, force = np.zeros((*size, 3)), np.zeros((*size, 3))
@@ -144,7 +144,7 @@ def _touching(trajectory: Trajectory, pattern: str) -> tuple[Index, Index, Index
 def _contacts(trajectory: Trajectory, pattern: str) -> tuple[Columns, dict[str, str]]:
     c, names = trajectory.columns, body_names(trajectory)
     row, step, *_ = _touching(trajectory, pattern)
-    frame, shown = contact_frames(c)[row], impulses(trajectory, row)
+    frame, shown = contact_axes(contact_columns(trajectory))[row], impulses(trajectory, row)
     out: Columns = {"step": step, "t": trajectory.t[step]}
     out |= {f"body{side}": names[c[f"contacts/geom{side}"][row]] for side in "12"}
     out |= {"state": np.array(CONTACT_STATES)[c["contacts/status"][row]], "gap": c["contacts/gap"][row]}

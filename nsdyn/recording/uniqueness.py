@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from nsdyn.recording.columns import OPEN, SLIP
 from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import trees as articulations
+from nsdyn.recording.shares import contact_axes
 from nsdyn.recording.tables import contact_columns
 from nsdyn.tools.arrays import Array, Index
 
@@ -35,8 +37,6 @@ tolerance is smaller."""
 NULL = 1e-8
 """Fraction of the largest singular value below which a singular value is 0; components of null vectors below it are 0
 too. Columns have norm one, and round-off of points and normals is 1e-16 of their size."""
-
-OPEN, SLIP = 0, 2
 
 
 def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
@@ -64,29 +64,26 @@ def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
 def _freedoms(c: Mapping[str, NDArray[Any]], dt: float) -> tuple[Index, Array]:
     """Return contact and direction in world axes of all possible changes of impulses, shapes (m,), (m, 3)."""
     r, u, mu, status = c["impulse"], c["u"], c["mu"], c["status"]
-    axes = np.stack([c["normal"], c["tangent"], np.cross(c["normal"], c["tangent"])], axis=1)
+    frames = contact_axes(c)
     rests = (status == OPEN) & (u[:, 0] + c["gap"] / dt <= CLOSED)
     drag, slip = np.linalg.norm(r[:, 1:], axis=1), np.linalg.norm(u[:, 1:], axis=1)
     slides = ((status == SLIP) & (drag > 0.0)) | (rests & (slip > CLOSED)) | (mu == 0.0)
     opposed = np.where(rests[:, None], -u[:, 1:], r[:, 1:])
     along = opposed * (mu / np.maximum(np.linalg.norm(opposed, axis=1), 1e-300))[:, None]
-    ray = np.einsum("ci,cij->cj", np.column_stack([np.ones(len(mu)), along]), axes)
+    ray = np.einsum("ci,cij->cj", np.column_stack([np.ones(len(mu)), along]), frames)
     touches = (status != OPEN) | rests
     rays, sticks = np.flatnonzero(touches & slides), np.flatnonzero(touches & ~slides)
-    return np.concatenate([rays, np.repeat(sticks, 3)]), np.concatenate([ray[rays], axes[sticks].reshape(-1, 3)])
+    return np.concatenate([rays, np.repeat(sticks, 3)]), np.concatenate([ray[rays], frames[sticks].reshape(-1, 3)])
 
 
 def _columns(trajectory: Trajectory, step: int, c: Mapping[str, NDArray[Any]], own: Index, direction: Array) -> Any:
     """Return the generalised impulses of impulses along directions at contacts, end of the step, sparse (n, m)."""
     scene, free = trajectory.scene, trajectory.scene["free"]
     frame, place = np.array([geom["frame"] for geom in scene["geoms"]], dtype=np.int64), trajectory.q[step]
-    built = articulations(trajectory) if scene["articulations"] else None
+    built = articulations(trajectory)
     if isinstance(built, str):
         raise ValueError(f"whether impulses are unique is not known: {built}")
-    links = {} if built is None else built.links
-    bases = []
-    if built is not None:
-        bases = [_left_free(m, place[q]) for m, (q, _) in zip(built.mechanisms, built.at, strict=True)]
+    bases = [_left_free(m, place[q]) for m, (q, _) in zip(built.mechanisms, built.at, strict=True)]
     rows, columns, values = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty(0)]
     for k, (contact, push) in enumerate(zip(own.tolist(), direction, strict=True)):
         point = c["point"][contact]
@@ -96,8 +93,8 @@ def _columns(trajectory: Trajectory, step: int, c: Mapping[str, NDArray[Any]], o
                 lever = point - place[7 * body : 7 * body + 3]
                 rows.append(6 * body + np.arange(6))
                 values.append(sign * np.concatenate((push, np.cross(lever, push))))
-            elif built is not None and body in links:
-                tree, joint = links[body]
+            elif body in built.links:
+                tree, joint = built.links[body]
                 own_rows = built.at[tree][1]
                 rows.append(np.arange(own_rows.start, own_rows.stop))
                 values.append(sign * bases[tree] @ built.mechanisms[tree].push(joint, point, push))

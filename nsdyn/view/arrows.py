@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nsdyn.recording.body_motion import of_frame
-from nsdyn.recording.shares import distinct
+from nsdyn.recording.shares import contact_axes, distinct
 from nsdyn.recording.tables import body_names, contact_columns, contact_steps, impulses
 from nsdyn.tools.arrays import Array, Index
 
@@ -62,9 +62,7 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
     link_of = np.unique(body_names(trajectory), return_inverse=True)[1]
     second = frame_of[c["geom2"]] >= 0
     pushed, other = (np.where(second, *pair) for pair in ((c["geom2"], c["geom1"]), (c["geom1"], c["geom2"])))
-    axes = np.stack([c["normal"], c["tangent"], np.cross(c["normal"], c["tangent"])], axis=1)
-    sign = np.where(second, 1.0, -1.0)[:, None]
-    push = sign * np.einsum("ci,cij->cj", impulse, axes)
+    push = np.where(second, 1.0, -1.0)[:, None] * np.einsum("ci,cij->cj", impulse, contact_axes(c))
     frame, point = frame_of[pushed], c["point"].copy()
     order = np.argsort(frame, kind="stable")
     for on in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1 if order.size else []):
