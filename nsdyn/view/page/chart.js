@@ -58,8 +58,6 @@ class Chart {
     const {top, bottom} = this.box(lane);
     const [left, right] = [px(EDGES.left), this.width - px(EDGES.right)];
     context.fillStyle = theme.colour("faint");
-    context.strokeStyle = theme.colour("grid");
-    context.lineWidth = 1;
     context.textAlign = "right";
     const count = (bottom - top) / px(22);
     const step = roundStep((lane.high - lane.low) / count);
@@ -67,10 +65,7 @@ class Chart {
     const marks = lane.log ? decades(lane.low, lane.high, (bottom - top) / px(16)) : linear;
     for (const mark of marks) {
       const y = Math.round(this.y(lane, mark)) + 0.5;
-      context.beginPath();
-      context.moveTo(left, y);
-      context.lineTo(right, y);
-      context.stroke();
+      drawLine(context, [[left, y], [right, y]], theme.colour("grid"), 1);
       const text = lane.log ? powerOfTen(Math.round(Math.log10(mark))) : onAxis(mark, step);
       context.fillText(text, left - px(5), y + px(3.5));
     }
@@ -148,12 +143,7 @@ class Chart {
     if (!this.width) return;
     const context = contextOf(this.front);
     const x = Math.round(this.x(t)) + 0.5;
-    context.strokeStyle = theme.colour("accent");
-    context.lineWidth = px(1.5);
-    context.beginPath();
-    context.moveTo(x, px(MARGIN.top - 4));
-    context.lineTo(x, this.height);
-    context.stroke();
+    drawLine(context, [[x, px(MARGIN.top - 4)], [x, this.height]], theme.colour("accent"), px(1.5));
     // Words in the middle of a lane, which the cursor does not strike through.
     context.font = font(12);
     context.textAlign = "center";

@@ -82,3 +82,12 @@ function contextOf(canvas) {
   context.clearRect(0, 0, width, height);
   return context;
 }
+
+// A line through points [x, y].
+function drawLine(context, points, colour, width) {
+  context.strokeStyle = colour;
+  context.lineWidth = width;
+  context.beginPath();
+  for (const [x, y] of points) context.lineTo(x, y);
+  context.stroke();
+}

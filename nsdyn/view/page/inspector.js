@@ -111,11 +111,7 @@ class Inspector {
   contact(contact) {
     const {recording} = this;
     const names = [contact.first, contact.second].map(body => recording.bodies[body].name);
-    const rows = [
-      "state", "gap", "normal force", "friction", "friction / (μ normal)", "μ", "u_N", "|u_T|", "r_N", "|r_T|",
-      "dissipated",
-    ];
-    this.open(names.join(" → "), rows);
+    this.open(names.join(" → "), Object.keys(this.figures(contact)));
     this.picked = {contact: contact.id};
     this.overlay.selected = contact.id;
     this.seek(this.overlay.t);
@@ -156,24 +152,27 @@ class Inspector {
   }
 
   showContact(contact) {
-    if (!contact) {
-      for (const label of Object.keys(this.cells)) this.set(label, "–");
-      this.set("state", "apart");
-      return;
-    }
+    const told = contact ? this.figures(contact) : {state: "apart"};
+    for (const label of Object.keys(this.cells)) this.set(label, told[label] ?? "–");
+  }
+
+  // What is told of a contact, by the names of rows.
+  figures(contact) {
     const {dt, play, largest, view: {radius}} = this.recording;
     const [N, T] = [contact.r[0], Math.hypot(contact.r[1], contact.r[2])];
-    this.set("state", STATES[contact.state] + (contact.edge ? ", at the edge" : ""));
-    this.set("gap", withUnit(contact.gap, "m", radius));
-    this.set("u_N", withUnit(contact.u_N, "m/s", play.speed));
-    this.set("|u_T|", withUnit(contact.u_T, "m/s", play.speed));
-    this.set("r_N", withUnit(N, "N·s", play.force * dt));
-    this.set("|r_T|", withUnit(T, "N·s", play.force * dt));
-    this.set("normal force", withUnit(N / dt, "N", play.force));
-    this.set("friction", withUnit(T / dt, "N", play.force));
-    this.set("friction / (μ normal)", contact.mu * N > 0 ? (T / (contact.mu * N)).toFixed(3) : "–");
-    this.set("μ", withUnit(contact.mu, ""));
-    this.set("dissipated", withUnit(contact.taken, "J", largest));
+    return {
+      state: STATES[contact.state] + (contact.edge ? ", at the edge" : ""),
+      gap: withUnit(contact.gap, "m", radius),
+      "normal force": withUnit(N / dt, "N", play.force),
+      friction: withUnit(T / dt, "N", play.force),
+      "friction / (μ normal)": contact.mu * N > 0 ? (T / (contact.mu * N)).toFixed(3) : "–",
+      μ: withUnit(contact.mu, ""),
+      u_N: withUnit(contact.u_N, "m/s", play.speed),
+      "|u_T|": withUnit(contact.u_T, "m/s", play.speed),
+      r_N: withUnit(N, "N·s", play.force * dt),
+      "|r_T|": withUnit(T, "N·s", play.force * dt),
+      dissipated: withUnit(contact.taken, "J", largest),
+    };
   }
 
   drawPlot({canvas, label, unit, play, times, values}, t) {
@@ -186,17 +185,8 @@ class Inspector {
     const y = value => flat ? 0.6 * height : height - px(3) - (height - px(18)) * (value - low) / (high - low);
     context.fillStyle = theme.colour("back");
     context.fillRect(0, 0, width, height);
-    context.strokeStyle = theme.colour("curve");
-    context.lineWidth = px(1.3);
-    context.beginPath();
-    times.forEach((time, k) => context.lineTo(x(time), y(values[k])));
-    context.stroke();
-    context.strokeStyle = theme.colour("accent");
-    context.lineWidth = 1;
-    context.beginPath();
-    context.moveTo(x(t), 0);
-    context.lineTo(x(t), height);
-    context.stroke();
+    drawLine(context, times.map((time, k) => [x(time), y(values[k])]), theme.colour("curve"), px(1.3));
+    drawLine(context, [[x(t), 0], [x(t), height]], theme.colour("accent"), 1);
     context.font = font(10.5);
     context.textAlign = "left";
     context.fillStyle = theme.colour("ink");

@@ -19,15 +19,8 @@ class Ledger {
     this.fed = most("put_in") > least;
   }
 
-  // Heights of the stack: its foot and what each layer reaches.
-  stack() {
-    const heights = [this.t.map(() => 0)];
-    for (const {name, sign} of this.layers) {
-      const below = heights[heights.length - 1];
-      heights.push(below.map((x, k) => x + sign * this.curve(name)[k]));
-    }
-    return heights;
-  }
+  // Heights of the stack.
+  stack() { return stacked(this.t, this.layers.map(({name, sign}) => this.curve(name).map(x => sign * x))); }
 
   // Where the top of the stack ought to be: what there was, and what was put in.
   expected() {
@@ -62,10 +55,7 @@ class Ledger {
       const least = 1e-6 * this.recording.largest || 1;
       return [-0.1 * least, 0.9 * least];
     }
-    const all = [...this.stack(), this.expected()];
-    const low = Math.min(...all.map(values => values.reduce((a, b) => Math.min(a, b), Infinity)));
-    const high = Math.max(...all.map(values => values.reduce((a, b) => Math.max(a, b), -Infinity)));
-    return [low, high];
+    return spanOf([...this.stack(), this.expected()]);
   }
 
   // Mean power since the point before that each work took.
@@ -75,11 +65,7 @@ class Ledger {
   }
 
   // Heights of their stack.
-  powerStack() {
-    const heights = [this.t.map(() => 0)];
-    for (const {values} of this.powers()) heights.push(values.map((x, k) => heights[heights.length - 1][k] + x));
-    return heights;
-  }
+  powerStack() { return stacked(this.t, this.powers().map(({values}) => values)); }
 
   power(beside, laid) {
     const powers = this.powers();
@@ -117,7 +103,7 @@ class Ledger {
     return CHECKS.map(({name, unit, colour}) => {
       const values = this.curve(name);
       const positive = [this, ...laid].flatMap(ledger => Array.from(ledger.curve(name))).filter(x => x > 0 && Number.isFinite(x));
-      const [least, most] = [positive.reduce((a, b) => Math.min(a, b), Infinity), positive.reduce((a, b) => Math.max(a, b), 0)];
+      const [least, most] = spanOf([positive]);
       const recorded = values.some(x => !Number.isNaN(x));
       const seen = most > LOST;
       const low = seen ? 10 ** Math.floor(Math.log10(Math.max(least, 1e-8 * most, FLOOR))) : LOST;
@@ -153,4 +139,11 @@ class Ledger {
     const place = Recording.place(this.t, t);
     return {next: place.part > 0 ? place.next : place.at};
   }
+}
+
+// Heights of a stack of curves: its foot and what each of them reaches.
+function stacked(t, curves) {
+  const heights = [t.map(() => 0)];
+  for (const values of curves) heights.push(heights.at(-1).map((x, k) => x + values[k]));
+  return heights;
 }

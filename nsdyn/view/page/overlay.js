@@ -145,9 +145,7 @@ class Overlay {
     context.textAlign = "left";
     const [x, y] = [at[0] + px(26), at[1] - px(26)];
     const width = context.measureText(this.marked.name).width;
-    context.strokeStyle = "#111111";
-    context.lineWidth = px(1.5);
-    context.stroke(polygonOf([at, [x, y]]));
+    drawLine(context, [at, [x, y]], "#111111", px(1.5));
     context.fillStyle = "#111111";
     context.beginPath();
     context.arc(at[0], at[1], px(3), 0, 2 * Math.PI);
@@ -161,11 +159,7 @@ class Overlay {
 
   drawTrail(context) {
     const points = this.trail.filter(point => point.t <= this.t).map(point => this.stage.project(point.x)).filter(Boolean);
-    context.lineWidth = px(2);
-    context.strokeStyle = theme.colour("trail");
-    context.beginPath();
-    for (const [x, y] of points) context.lineTo(x, y);
-    context.stroke();
+    drawLine(context, points, theme.colour("trail"), px(2));
   }
 }
 

@@ -22,7 +22,7 @@ class Sight {
       const toNode = inverse.clone().multiply(object.matrixWorld).elements;
       const {position} = object.geometry.attributes;
       const index = object.geometry.index?.array ?? Array.from({length: position.count}, (_, k) => k);
-      const at = k => transformed(toNode, position.array, 3 * index[k]);
+      const at = k => transformed(toNode, position.array.subarray(3 * index[k]));
       for (let k = 0; k < index.length; k++) corners.push(at(k));
     });
     const end = (i, f) => corners.reduce((most, x) => f(most, x[i]), corners[0][i]);
@@ -45,7 +45,7 @@ class Sight {
   look(camera) {
     this.eye = camera.position.toArray();
     this.balls = Float64Array.from(this.solids.flatMap(({node, middle, radius}) => (
-      [...transformed(node.matrixWorld.elements, middle, 0), radius])));
+      [...transformed(node.matrixWorld.elements, middle), radius])));
     this.inverses = new Array(this.solids.length);
   }
 
@@ -62,7 +62,7 @@ class Sight {
       if (along < -radius || cx * cx + cy * cy + cz * cz - along * along > radius * radius) continue;
       const {node, planes} = this.solids[k];
       const inverse = this.inverses[k] ??= node.matrixWorld.clone().invert().elements;
-      if (Sight.chord(inverse, planes, transformed(inverse, point, 0), [dx, dy, dz]) > INSIDE * radius) return true;
+      if (Sight.chord(inverse, planes, transformed(inverse, point), [dx, dy, dz]) > INSIDE * radius) return true;
     }
     return false;
   }
@@ -89,12 +89,7 @@ class Sight {
   }
 }
 
-// A point of an array, taken by the elements of a matrix.
-function transformed(m, array, at) {
-  const [x, y, z] = [array[at], array[at + 1], array[at + 2]];
-  return [
-    m[0] * x + m[4] * y + m[8] * z + m[12],
-    m[1] * x + m[5] * y + m[9] * z + m[13],
-    m[2] * x + m[6] * y + m[10] * z + m[14],
-  ];
-}
+// A point taken by the elements of a matrix, and its weight in perspective.
+function homogeneous(m, [x, y, z]) { return [0, 1, 2, 3].map(k => m[k] * x + m[4 + k] * y + m[8 + k] * z + m[12 + k]); }
+
+function transformed(m, point) { return homogeneous(m, point).slice(0, 3); }

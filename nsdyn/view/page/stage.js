@@ -307,8 +307,7 @@ class Stage {
 
   // Pixels of a world point, and its depth along the view in m; null behind the camera.
   project(p) {
-    const m = this.toClip.elements;
-    const [x, y, w] = [0, 1, 3].map(k => m[k] * p[0] + m[4 + k] * p[1] + m[8 + k] * p[2] + m[12 + k]);
+    const [x, y, , w] = homogeneous(this.toClip.elements, p);
     if (w <= 0) return null;
     return [0.5 * this.width * (1 + x / w), 0.5 * this.height * (1 - y / w), w];
   }
@@ -329,7 +328,10 @@ class Stage {
       if (!object.isMesh) return;
       // A ray in the object's own axes: depths 0 and 1 of the screen, taken back.
       const inverse = toClip.clone().multiply(object.matrixWorld).invert();
-      const [from, to] = [-1, 1].map(z => unprojected(inverse, 2 * x / this.width - 1, 1 - 2 * y / this.height, z));
+      const [from, to] = [-1, 1].map(z => {
+        const [a, b, c, w] = homogeneous(inverse.elements, [2 * x / this.width - 1, 1 - 2 * y / this.height, z]);
+        return [a / w, b / w, c / w];
+      });
       const depth = firstHit(object.geometry, from, to);
       if (depth < best.depth) best = {depth, body};
     });
@@ -344,12 +346,6 @@ function fine(place) {
   renderer.shadowMap.enabled = true;
   place.append(renderer.domElement);
   return renderer;
-}
-
-function unprojected(inverse, x, y, z) {
-  const m = inverse.elements;
-  const [a, b, c, w] = [0, 1, 2, 3].map(k => m[k] * x + m[4 + k] * y + m[8 + k] * z + m[12 + k]);
-  return [a / w, b / w, c / w];
 }
 
 // Smallest fraction of the way from one point to another at which a front face of a mesh is (Möller and Trumbore 1997).
