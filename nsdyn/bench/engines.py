@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from dataclasses import asdict, astuple, dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -251,20 +252,17 @@ def measure(cases: Sequence[str] = (), peers: Sequence[str] = (), limit: float =
         raise ValueError(f"limit must be a positive number of seconds, got {limit}")
     engines = {OURS: _OWN, **{name: PEERS[name] for name in peers}}
     chosen = [CASES[name] for name in cases] if cases else list(CASES.values())
-    workers = {name: Worker(engine.command, 0.0) for name, engine in engines.items()}
     runs: list[Run] = []
-    try:
-        with (
-            tempfile.TemporaryDirectory(prefix="nsdyn-") as scratch,
-            tqdm(total=len(chosen) * len(engines), unit="case", disable=None if progress else True) as bar,
-        ):
-            for case in chosen:
-                for name, worker in workers.items():
-                    runs += _play(case, name, worker, limit, Path(scratch) / "poses.npy")
-                    bar.update()
-    finally:
-        for worker in workers.values():
-            worker.close()
+    with (
+        ExitStack() as ended,
+        tempfile.TemporaryDirectory(prefix="nsdyn-") as scratch,
+        tqdm(total=len(chosen) * len(engines), unit="case", disable=None if progress else True) as bar,
+    ):
+        workers = {name: ended.enter_context(closing(Worker(engine.command, 0.0))) for name, engine in engines.items()}
+        for case in chosen:
+            for name, worker in workers.items():
+                runs += _play(case, name, worker, limit, Path(scratch) / "poses.npy")
+                bar.update()
     return Bench(tuple(runs))
 
 

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -345,11 +346,8 @@ def measure(
         tqdm(total=len(problems) * len(players), unit="solve", disable=None if progress else True) as bar,
     ):
         for player in players:
-            worker = Worker(list(player.script), _COMPILING if player.own else 0.0)
-            try:
+            with closing(Worker(list(player.script), _COMPILING if player.own else 0.0)) as worker:
                 for file, problem in problems:
                     runs.append(player.play(worker, file, problem, tol, limit, Path(scratch)))
                     bar.update()
-            finally:
-                worker.close()
     return Profile(tol, limit, tuple(runs))

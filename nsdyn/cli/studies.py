@@ -115,6 +115,7 @@ def add_check(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--package-dir",
+        dest="package_dirs",
         metavar="DIR",
         action="append",
         type=Path,
@@ -130,12 +131,8 @@ def check_anything(arguments: argparse.Namespace) -> int:
     from nsdyn.scene import settings
 
     what, ending = arguments.what, Path(arguments.what).suffix.lower()
-    options: dict[str, Any] = {}
-    for name, given in (("base", arguments.base), ("keyframe", arguments.keyframe), ("q", arguments.q)):
-        if given is not None:
-            options[name] = given
-    if arguments.package_dir:
-        options["package_dirs"] = arguments.package_dir
+    given = ((name, vars(arguments)[name]) for name in ("base", "keyframe", "q", "package_dirs"))
+    options: dict[str, Any] = {name: value for name, value in given if value is not None}
     if options and ending not in inspection.ROBOTS:
         raise ValueError(f"{next(iter(options))} is for robot files, which {what} is not")
     if arguments.q is not None:

@@ -116,7 +116,7 @@ OUTPUTS = [
 
 
 def test_every_path_of_every_command_is_declared():
-    folders = {"folder", "dump_on_fail", "package_dir"}
+    folders = {"folder", "dump_on_fail", "package_dirs"}
     for name, parser in SUBPARSERS.items():
         known = {*(parser.get_default("inputs") or ()), *(parser.get_default("outputs") or {})} | folders
         paths = {action.dest for action in parser._actions if action.type is Path}
