@@ -21,6 +21,7 @@ from nsdyn.scene.gears import joints_of
 from nsdyn.scene.scene import Scene
 from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import counted
+from nsdyn.tools.table import SHOWN
 
 ROBOTS = (".urdf", ".sdf", ".xml", ".mjcf")
 """Extensions of robot files."""
@@ -37,9 +38,6 @@ UNITS = {
 
 ONLY = {"base": (".urdf",), "keyframe": (".xml", ".mjcf"), "package_dirs": (".urdf", ".sdf")}
 """Options that only some kinds of robot files take, with the extensions of these files."""
-
-SHOWN = 40
-"""Largest number of printed rows of a table."""
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,11 @@ import numpy as np
 from nsdyn.audit.findings import CREEP, Finding, not_audited, worst_of
 from nsdyn.audit.flight import Flight
 from nsdyn.audit.poses import Poses
-from nsdyn.audit.touching import along, apart, bouncing, from_surfaces, measured, pushing
+from nsdyn.audit.touching import SLOW, along, apart, bouncing, from_surfaces, measured, pushing
 from nsdyn.problem.solution import Status
 from nsdyn.recording.columns import OPEN, SLIP, STICK
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
-
-SLOW = 1e-4
-"""m/s: largest slip of a sticking contact at the edge of its cone; the residual that an accepted solve may leave."""
 
 EDGE = 1e-8
 """An impulse within this fraction of the largest friction is on its cone; steps use 1e-9."""

@@ -33,9 +33,8 @@ Pose = tuple[Array, Array]
 Moment = tuple[Pose, Pose]
 """World poses of the first and of the second shapes of contacts."""
 
-PARTING = 1e-4
-"""m/s: a contact with restitution that approaches faster strikes, and one that separates faster rebounds. Equals the
-residual of an accepted solve."""
+SLOW = 1e-4
+"""m/s: residual that an accepted solve may leave. What approaches faster strikes, what separates faster rebounds."""
 
 
 def separations(poses: Poses) -> tuple[Array, Index, Index, Index]:
@@ -226,7 +225,7 @@ def _slips(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     slip = np.linalg.norm(c["u"][:, 1:], axis=1)
     if flight is not None:
         slip = np.fmin(slip, np.linalg.norm(flight.met.mean[:, 1:], axis=1) - flight.unsure)
-    out: NDArray[np.bool_] = (slip > 10.0 * PARTING) & (c["restitution"] == 0.0)
+    out: NDArray[np.bool_] = (slip > 10.0 * SLOW) & (c["restitution"] == 0.0)
     return out
 
 
@@ -251,9 +250,9 @@ def _struck(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     first, second = (step * count + frame for frame in frames)
     free1, free2 = (frame >= 0 for frame in frames)
     pushes = c["impulse"][:, 0] > 0.0
-    bounces = c["u"][:, 0] > PARTING
+    bounces = c["u"][:, 0] > SLOW
     if flight is not None:
-        bounces |= ~(flight.met.before[:, 0] >= -PARTING)  # it is unknown on moving surfaces
+        bounces |= ~(flight.met.before[:, 0] >= -SLOW)  # it is unknown on moving surfaces
     rebounds = pushes & (c["restitution"] > 0.0) & bounces
     both, nodes = free1 & free2 & pushes, (poses.trajectory.steps + 1) * count
     graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes, nodes))

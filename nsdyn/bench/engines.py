@@ -178,9 +178,6 @@ class Bench:
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(self.engines))
 
 
-OURS = "nsdyn"
-
-
 @dataclass(frozen=True)
 class _Engine:
     """An engine: its script, the Python it needs, and the command that installs it."""
@@ -205,8 +202,6 @@ class _Engine:
         except OSError:
             return False
 
-
-_OWN = _Engine("bench_nsdyn.py", "nsdyn", "")
 
 PEERS = {
     "mujoco": _Engine("bench_mujoco.py", "mujoco", "pip install 'nsdyn[peers]'"),
@@ -250,7 +245,7 @@ def measure(cases: Sequence[str] = (), peers: Sequence[str] = (), limit: float =
             raise ValueError(f"peer {name} is not installed: {PEERS[name].install}")
     if not (math.isfinite(limit) and limit > 0.0):
         raise ValueError(f"limit must be a positive number of seconds, got {limit}")
-    engines = {OURS: _OWN, **{name: PEERS[name] for name in peers}}
+    engines = {"nsdyn": _Engine("bench_nsdyn.py", "nsdyn", ""), **{name: PEERS[name] for name in peers}}
     chosen = [CASES[name] for name in cases] if cases else list(CASES.values())
     runs: list[Run] = []
     with (

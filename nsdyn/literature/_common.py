@@ -18,6 +18,9 @@ from nsdyn.problem.fc3d import FC3D, _csr
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
 
+CHECK = 10
+"""Iterations between two measurements of the error."""
+
 SPARSE = 300, 0.1
 """A matrix with more rows than the first number and a lower density than the second is factorised as a sparse one."""
 

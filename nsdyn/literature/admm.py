@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from nsdyn.literature._common import Method, Run, factor, matrix
+from nsdyn.literature._common import CHECK, Method, Run, factor, matrix
 from nsdyn.literature._kernels import variational as _kernels
 from nsdyn.literature.formulations import with_blocks
 from nsdyn.problem.solution import Solution, Status
@@ -19,9 +19,6 @@ Relaxation = Annotated[float, Allowed("in [1, 2)", lambda a: 1.0 <= a < 2.0)]
 
 PROXIMAL = 1e-6
 """Proximal term η added to W of unit blocks; redundant contacts need it."""
-
-CHECK = 10
-"""Iterations between two measurements of the error and changes of the penalty."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from nsdyn.literature._common import Method, Run
+from nsdyn.literature._common import CHECK, Method, Run
 from nsdyn.literature._frozen import defect
 from nsdyn.literature._kernels import one_contact as _kernels
 from nsdyn.problem.solution import Solution
@@ -18,9 +18,6 @@ Local = Literal[
 ]
 Order = Literal["given", "shuffled", "reshuffled", "symmetric"]
 Relaxation = Annotated[float, Allowed("between 0 and 2", lambda omega: 0.0 < omega < 2.0)]
-
-CHECK = 10
-"""Sweeps between two measurements of the error."""
 
 LOCAL_ITERATIONS = 100
 """Largest number of iterations for one contact: Newton takes about 5, the fixed point on the cone some tens."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
 
 NEGLIGIBLE = 1e-9
-"""Fraction of the largest energy below which an energy counts as zero."""
+"""Fraction of the largest energy below which an energy counts as zero; such works are left out of plots."""
 
 
 def pair_works(trajectory: Trajectory) -> dict[tuple[str, str], tuple[Array, Array]]:

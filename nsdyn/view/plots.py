@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from nsdyn.dynamics.ledger import LAYERS
+from nsdyn.recording.breakdown import NEGLIGIBLE
 from nsdyn.recording.columns import ENERGIES
 from nsdyn.recording.tabulated import tabulated
 from nsdyn.recording.trajectory import Trajectory
@@ -18,7 +19,7 @@ from nsdyn.tools.table import Table
 from nsdyn.tools.units import with_unit
 from nsdyn.view import panels
 from nsdyn.view.curves import ledger
-from nsdyn.view.panels import LEDGER, OTHERS, Curve, Panel
+from nsdyn.view.panels import LEDGER, OTHERS, SAME, Curve, Panel
 from nsdyn.view.solids import PALETTE
 
 __all__ = ["KINDS", "draw", "usual"]
@@ -28,12 +29,6 @@ SHOWN = 12
 
 NAMED = len(PALETTE)
 """Named curves if there are more than SHOWN: those that move or carry most, each in its own colour; the rest grey."""
-
-NEGLIGIBLE = 1e-9
-"""Works below this fraction of the largest energy are left out, as on the page."""
-
-APART = 5e-3
-"""Fraction of the height of a stack by which two lines must differ to be seen as two."""
 
 SIDES = " | "
 """Separator between the names of two bodies."""
@@ -286,7 +281,7 @@ def _energy(trajectory: Trajectory, name: str) -> list[Panel]:
     total = np.sum([c.y for c in areas], axis=0)
     curves = [Curve("sum", t, total, {"color": "k", "lw": 1.2})]
     ought = total[0] + found["put_in"]
-    if np.abs(total - ought).max() > APART * max(total.max(), least):
+    if np.abs(total - ought).max() > SAME * max(total.max(), least):
         curves.append(Curve("sum, as it ought to be", t, ought, {"color": "k", "ls": "--", "lw": 0.8}))
     note = f"at rest: nothing of {with_unit(trajectory.largest_energy, 'J')} moves"
     return [Panel("energy [J]", curves, trajectory.largest_energy, areas=areas, note=note)]

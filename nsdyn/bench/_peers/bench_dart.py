@@ -11,9 +11,7 @@ from typing import Any
 
 import numpy as np
 from dartpy import collision, constraint, dynamics, math, simulation
-from stepping import serve
-
-WIDTH, THICKNESS = 20.0, 1.0  # m, of the box that replaces a half-space: the detector is weak on planes
+from stepping import THICKNESS, WIDTH, serve
 
 
 class Simulation:

@@ -15,10 +15,9 @@ import siconos.numerics as sn
 from scipy.spatial.transform import Rotation
 from siconos.mechanics import collision
 from siconos.mechanics.collision import bullet
-from stepping import serve
+from stepping import THICKNESS, WIDTH, serve
 
 THETA = 0.50001
-WIDTH, THICKNESS = 20.0, 1.0  # m, of the box that replaces a half-space
 MARGIN = 0.02  # fraction of a shape's smallest dimension by which Bullet shrinks it to find contacts
 
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from serve import answer
 
+WIDTH, THICKNESS = 20.0, 1.0  # m, of the box that replaces a half-space where a detector is weak on planes
 MOST, ENOUGH = 5, 0.2  # most runs of one request, and seconds after which no further run begins
 
 
