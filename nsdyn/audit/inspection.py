@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -120,20 +120,17 @@ class Inspection:
         width = max([10, *map(len, labels), *(len(joint.name) for joint in self.joints)])
         if self.masses:
             lines.append(f"{'':{width}} {'mass [kg]':>10} {'principal moments [kg m²]':>32}")
-            for label, body in list(zip(labels, self.masses, strict=True))[:SHOWN]:
-                moments = "".join(f"{moment:11.3g}" for moment in body.moments)
-                lines.append(f"{label:{width}} {body.mass:10.4g}{moments}")
-            lines += _more(self.masses)
+            moments = ("".join(f"{moment:11.3g}" for moment in body.moments) for body in self.masses)
+            rows = zip(labels, self.masses, moments, strict=True)
+            lines += _first(f"{label:{width}} {body.mass:10.4g}{of}" for label, body, of in rows)
         if self.joints:
             columns = {word: max(10, len(unit) + 3) for word, unit in UNITS.items()}
             lines.append(f"{'joint':{width}}" + "".join(f"{word:>{n}}" for word, n in columns.items()))
             lines.append(f"{'':{width}}" + "".join(f"{f'[{UNITS[word]}]':>{n}}" for word, n in columns.items()))
-            for joint in self.joints[:SHOWN]:
-                values = (f"{getattr(joint, word):{n}.4g}" for word, n in columns.items())
-                lines.append(f"{joint.name:{width}}" + "".join(values))
-            lines += _more(self.joints)
+            values = ("".join(f"{getattr(j, word):{n}.4g}" for word, n in columns.items()) for j in self.joints)
+            lines += _first(f"{j.name:{width}}{of}" for j, of in zip(self.joints, values, strict=True))
         if self.actuators:
-            lines.append(f"actuators: {', '.join([*self.actuators[:SHOWN], *_more(self.actuators)])}")
+            lines.append(f"actuators: {', '.join(_first(self.actuators))}")
         for what, items in (
             ("overlaps at the start", [f"{a} and {b} by {depth:.3g} m" for a, b, depth in self.overlaps]),
             ("outside its limits", self.outside),
@@ -141,8 +138,8 @@ class Inspection:
             ("left out, changes the motion", self.dropped),
             ("not used", self.unused),
         ):
-            lines += [f"{what}: {item}" for item in items[:SHOWN]] + _more(items) if items else [f"{what}: nothing"]
-        lines += [f"note: {note}" for note in self.notes[:SHOWN]] + _more(self.notes)
+            lines += _first(f"{what}: {item}" for item in items or ["nothing"])
+        lines += _first(f"note: {note}" for note in self.notes)
         lines.append(f"{self.name}: {'passed' if self.passed else 'FAILED'}")
         return "\n".join(lines)
 
@@ -156,8 +153,10 @@ class Inspection:
         return f"{out}, moving from {min(moving):.3g} to {max(moving):.3g} kg" if moving else out
 
 
-def _more(rows: Sequence[Any]) -> list[str]:
-    return [f"... {len(rows) - SHOWN} more"] if len(rows) > SHOWN else []
+def _first(lines: Iterable[str]) -> list[str]:
+    """Return the first `SHOWN` lines, and how many more there are."""
+    rows = list(lines)
+    return rows[:SHOWN] + ([f"... {len(rows) - SHOWN} more"] if len(rows) > SHOWN else [])
 
 
 def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:

@@ -34,9 +34,9 @@ class Retraced:
     Attributes
     ----------
     trees : Trees
-    momentum, motion, lift : (amount, scale) of ndarrays
+    momentum, motion, lift : ndarray, shape (2, n, trees)
         Distance of recorded velocities and configurations from those to which the impulses lead, and displacement by
-        projections, in the norm of the mass matrix; each with its reference.
+        projections, in the norm of the mass matrix; then the reference of each.
     works : dict of str to ndarray
         Works by columns of the ledger, J.
     doubt, parted : ndarray
@@ -63,9 +63,9 @@ class Retraced:
     """
 
     trees: Trees
-    momentum: tuple[Array, Array]
-    motion: tuple[Array, Array]
-    lift: tuple[Array, Array]
+    momentum: Array
+    motion: Array
+    lift: Array
     works: dict[str, Array]
     doubt: Array
     parted: Array
@@ -85,25 +85,13 @@ def retraced(poses: Poses) -> Retraced | str:
     if isinstance(found, str) or (reason := left_out(t)):
         return found if isinstance(found, str) else reason
     n, count, rows = t.steps, len(found.mechanisms), len(t.columns["contacts/geom1"])
-    momentum, motion, lift = ((np.zeros((n, count)), np.zeros((n, count))) for _ in range(3))
+    momentum, motion, lift = np.zeros((3, 2, n, count))
+    doubt, parted, resting = np.zeros((3, n, count))
     works = {name: np.zeros((n, count)) for name in PHYSICS}
-    out = Retraced(
-        found,
-        momentum,
-        motion,
-        lift,
-        works,
-        np.zeros((n, count)),
-        np.zeros((n, count)),
-        np.zeros((n, count)),
-        np.zeros(n),
-        (Side.nowhere(rows), Side.nowhere(rows)),
-        np.zeros(rows),
-        np.zeros(rows),
-        np.zeros(rows, np.bool_),
-        np.zeros(rows),
-        [[] for _ in range(count)],
-    )
+    of_trees = found, momentum, motion, lift, works, doubt, parted, resting, np.zeros(n)
+    met, met_parted = (Side.nowhere(rows), Side.nowhere(rows)), np.zeros(rows, np.bool_)
+    met_doubt, met_unsure, met_twice = np.zeros((3, rows))
+    out = Retraced(*of_trees, met, met_doubt, met_unsure, met_parted, met_twice, [[] for _ in range(count)])
     for i, m in enumerate(found.mechanisms):
         for k in range(n):
             try:
@@ -149,7 +137,7 @@ def _compare(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> None:
         (out.motion, off - doubt[0] - h * doubt[1], span),
         (out.lift, sum(size(kick.shift) for kick in way.kicks), span),
     ):
-        pair[0][k, i], pair[1][k, i] = amount, scale
+        pair[:, k, i] = amount, scale
 
 
 def _book(out: Retraced, i: int, m: Mechanism, k: int, way: Way) -> list[Array]:

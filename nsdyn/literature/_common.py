@@ -8,13 +8,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh, splu
 
 from nsdyn._kernels.compiled import clock
 from nsdyn.literature._kernels import anderson as _anderson
 from nsdyn.problem.fc3d import FC3D, _csr
+from nsdyn.problem.operators import dense
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.tools.arrays import Array
 
@@ -101,16 +101,10 @@ class Method:
 
 def factor(A: Any) -> Callable[[Array], Array] | None:
     """Return a function that solves with A (dense or sparse) for a right-hand side; None if A is singular."""
-    if sp.issparse(A):
-        try:
-            solve: Callable[[Array], Array] = splu(sp.csc_matrix(A)).solve
-        except RuntimeError:
-            return None
-        return solve
-    lu, pivots, info = scipy.linalg.lapack.dgetrf(A)
-    if info != 0 or not np.isfinite(lu[-1, -1]):
+    try:
+        return splu(sp.csc_matrix(A)).solve if sp.issparse(A) else dense(A)
+    except RuntimeError:
         return None
-    return lambda b: np.asarray(scipy.linalg.lapack.dgetrs(lu, pivots, b)[0])
 
 
 def matrix(W: Any) -> Any:

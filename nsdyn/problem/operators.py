@@ -180,7 +180,7 @@ class Velocity:
         return self.graph.factor(self.blocks, A)(self.blocks.momentum(P) - missing)
 
 
-def _dense(K: Array) -> Callable[[Array], Array]:
+def dense(K: Array) -> Callable[[Array], Array]:
     """Return the function b ↦ K⁻¹ b; RuntimeError when K is singular."""
     lu, pivots, bad = dgetrf(K)
     if bad:
@@ -217,7 +217,7 @@ class Local:
         data = A[self.row] @ self.W.data
         data[self.diagonal] += np.eye(3)
         if self._ordered is None:
-            solve = _dense(data.reshape(A.shape[0], -1, 3, 3).swapaxes(1, 2).reshape(self.W.shape))
+            solve = dense(data.reshape(A.shape[0], -1, 3, 3).swapaxes(1, 2).reshape(self.W.shape))
         else:
             np.take(data, self._entry, out=self._ordered.K.data)
             solve = self._ordered.factor()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from test_problem import corner_box
 from test_solvers import CASES
 
@@ -320,5 +321,7 @@ def test_iterates_that_diverge_are_told_by_the_status_alone(name):
     assert solution.status is nd.Status.MAX_ITERATIONS and np.isfinite(solution.r).all()
 
 
-def test_singular_matrix_has_no_solve():
-    assert factor(np.zeros((3, 3))) is None
+@pytest.mark.parametrize("form", [np.array, sp.csr_array])
+def test_singular_matrix_has_no_solve(form):
+    assert factor(form(np.diag([1.0, 0.0, 1.0]))) is None
+    np.testing.assert_allclose(factor(form(np.diag([1.0, 2.0, 4.0])))(np.ones(3)), [1.0, 0.5, 0.25])

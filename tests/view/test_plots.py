@@ -392,7 +392,6 @@ def test_refinement_is_drawn_with_its_orders():
     assert [text.get_text() for text in figure.axes[0].texts] == ["nothing but round-off,\nless than 1e-11"]
 
 
-@pytest.mark.slow
 def test_sweep_is_drawn_over_its_numbers():
     parameters = {"mu": [0.1, 0.2, 0.3], "shape": ["a", "b"]}
     members = [

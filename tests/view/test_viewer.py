@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -328,3 +329,22 @@ def test_articulation_is_drawn_link_by_link():
     # Half a millionth, as above.
     expected = trajectory.body(link).quaternion[-1]
     np.testing.assert_allclose(turns[solids.body_path(link)][-1], expected, rtol=0, atol=6e-7)
+
+
+def test_lines_are_drawn_where_half_spaces_meet(monkeypatch):
+    """Of a room with a slanted floor and two walls, those that the third half-space does not cover."""
+    monkeypatch.setattr(stage, "as_buffer", lambda position: position)
+    view = SimpleNamespace(centre=np.array([0.0, 0.0, 1.0]), radius=2.0)
+    floor, left, behind = (np.array(n) for n in ((0.0, 0.6, 0.8), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    ends = stage.corner_object([(floor, 0.0), (left, -3.0), (behind, -4.0)], view)["geometry"].reshape(-1, 2, 3)
+    planes = np.array([[*floor, 0.0], [*left, -3.0], [*behind, -4.0]])
+    gaps = ends @ planes[:, :3].T - planes[:, 3]
+    assert (gaps >= -1e-12).all()
+    assert sorted(map(tuple, (np.abs(gaps) < 1e-12).all(axis=1).tolist())) == [
+        (False, True, True),
+        (True, False, True),
+        (True, True, False),
+    ]
+    corner = (-3.0, -4.0, 3.0)
+    assert all(np.isclose(line, corner).all(axis=1).any() for line in ends)
+    assert stage.corner_object([(floor, 0.0), (floor, 1.0)], view) is None

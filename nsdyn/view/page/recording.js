@@ -112,11 +112,7 @@ class Recording {
   }
 
   // Heights in all states of a frame, none of one that never moves.
-  heights(frame) {
-    const k = this.arrays["motion/moving"].indexOf(frame);
-    const places = this.arrays["motion/position"];
-    return k < 0 ? [] : Float32Array.from(this.t, (_, row) => places[3 * (k * this.t.length + row) + 2]);
-  }
+  heights(frame) { return this.path(frame).filter(({x}) => x).map(({x}) => x[2]); }
 
   // Value of a curve of the ledger at a time, between its points.
   at(name, t) {
