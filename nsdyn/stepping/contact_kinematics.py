@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn._kernels.stepping import touching as _touching
@@ -108,10 +109,17 @@ class ContactKinematics(NamedTuple):
     def of(
         cls, mid: Midpoint, there: Placement, contacts: ContactSet, joints: JointRows | None, begin: SceneState
     ) -> ContactKinematics:
-        """Compute the relative velocities of a move at its contacts and joint rows, with the frames placed `there`."""
+        """Compute the relative velocities of a move at its contacts and joint rows, with the frames placed `there`.
+
+        A contact whose normal meets the axis of its link's only joint, as that of a wheel, is left out: no motion opens
+        or closes it.
+        """
         d, middle, forces, old, warm = mid.s.dynamics, mid.state, mid.forces, begin.contacts, begin.warm
         rows, frame = d.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
+        # Points of contacts are known to within the gap tolerance.
+        if not _blocks.moved(full.arrays, mid.s.gap_tol, moved := np.empty(nc, np.bool_)):
+            return cls.of(mid, there, take(contacts, moved), joints, begin)
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         _, here, ended = mid.surfaces
         surface_velocity = d.surfaces.surface_velocity(contacts, frame, middle.position.driven_x, nr, here, ended)

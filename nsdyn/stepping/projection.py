@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
+from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.collision.contacts import DetectionPose, take
 from nsdyn.dynamics.values import Forces
 from nsdyn.problem.blocks import DelassusFactors
@@ -55,6 +56,9 @@ def project(s: System, at: SceneState, forces: Forces) -> SceneState:
             joints = d.limit_rows(at.placement, np.zeros(d.n))
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
         rows, _ = d.rows(contacts, at.placement, forces, joints)
+        if not _blocks.moved(rows.full.arrays, closed, lifted := np.empty(gap.size, np.bool_)):
+            contacts, gap = take(contacts, lifted[: contacts.gap.size]), gap[lifted]
+            rows, _ = d.rows(contacts, at.placement, forces, joints)
         # Gaps in units of the deepest overlap; the tolerance is a fraction of it.
         g = np.zeros(3 * gap.size)
         g[0::3] = gap / -deepest

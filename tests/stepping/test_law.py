@@ -1,12 +1,14 @@
 """The contact law of a move: what it foresees of a contact from where that was before."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
 import nsdyn as nd
 from nsdyn._kernels.stepping import law
+from nsdyn.scene import shapes
 from nsdyn.stepping import move, substepping
 from nsdyn.stepping.move_kernel import MoveKernel
 
@@ -168,3 +170,39 @@ def test_a_ball_that_friction_grips_between_rails_rolls_on(mu):
     stepper = nd.Stepper(scene, dt=5e-3)
     steps = [stepper.step() for _ in range(10)]
     assert max(np.abs(step.r).max() for step in steps) < 100.0  # its weight gives 0.05 N·s
+
+
+def hinged(shape, place, seed, deep=0.0):
+    """A pendulum of 0.15 m on a hinge anywhere, with a shape that touches a plate there, `deep` m into it."""
+    rng = np.random.default_rng(seed)
+    turn, at, model = Rotation.random(random_state=seed), rng.normal(size=3), pin.Model()
+    up, where = turn.as_matrix()[:, 2], pin.SE3(np.eye(3), np.array(place))
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3(turn.as_matrix(), at), "lid")
+    model.addJointFrame(joint)
+    model.appendBodyToJoint(joint, pin.Inertia(0.5, np.array([0.15, 0, 0]), np.eye(3) / 100), pin.SE3.Identity())
+    scene = nd.Scene(gravity=-9.81 * up)
+    below = at + (deep - 0.5 - (place[2] == 0.0) * 0.05) * up
+    scene.add_box("plate", (4, 4, 1), fixed=True, position=below, quaternion=turn.as_quat())
+    scene.add_model("m", model, q=[-0.3], collisions={"lid": [(shape, where)]})
+    return scene
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lid_that_touches_on_the_axis_of_its_hinge_falls_shut(seed):
+    """No motion opens or closes the contact there, and what round-off says of it is no lever arm."""
+    run = nd.simulate(hinged(shapes.box((0.6, 0.2, 0.02)), (0.3, 0.0, 0.01), seed), 0.3, dt=1e-2)
+    np.testing.assert_allclose((run.q[-1], run.v[-1]), 0.0, atol=1e-10)
+    assert run.contacts(-1).impulse[:, 0].sum() == pytest.approx(0.5 * 9.81 * 0.15 / 0.6 * 1e-2, rel=1e-9)
+    assert nd.check(run).passed
+
+
+@pytest.mark.parametrize("deep", [0.0, 1e-9, 1e-8])
+def test_a_wheel_on_a_fixed_axle_is_not_lifted_by_turning(deep):
+    """An overlap that no turn of the joint removes stays; the pendulum swings as if nothing touched."""
+    wheel = hinged(shapes.sphere(0.05), (0.0, 0.0, 0.0), 0, deep)
+    free = hinged(shapes.sphere(0.05), (0.0, 0.0, 0.0), 0, -1.0)
+    stepper, other = (nd.Stepper(scene, dt=1e-2, on_fail="ignore") for scene in (wheel, free))
+    for _ in range(20):
+        step, alone = stepper.step(), other.step()
+        np.testing.assert_allclose((step.q, step.v), (alone.q, alone.v), atol=1e-7)
+        assert (step.solution.status == nd.Status.OVERLAP) == (deep > 0.0)

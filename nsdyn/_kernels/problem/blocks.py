@@ -205,6 +205,22 @@ def dependent(blocks, c):
     return determinant <= SINGULAR * trace * trace * trace
 
 
+@no_alloc
+def moved(blocks, least, out):
+    """Mark in out (nc,) the contacts with an entry of their normal row above `least`; return whether all are marked."""
+    offset, block, start, H = blocks[:4]
+    every = True
+    for c in range(out.size):
+        out[c] = False
+        for s in range(2):
+            k = block[c, s]
+            if k >= 0:
+                for i in range(start[c, s], start[c, s] + offset[k + 1] - offset[k]):
+                    out[c] = out[c] or abs(H[i]) > least
+        every = every and out[c]
+    return every
+
+
 @kernel
 def delassus_scales(blocks, out):
     """Write lambda_max of every diagonal block W_cc into out (nc,)."""

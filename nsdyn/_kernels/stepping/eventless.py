@@ -180,7 +180,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
     persists(names, geoms, warm, begin, (none, sliding[:0]), local, end_gap, False, (stays, sticks, was))
     law.offsets(local, (end_gap, scalars[2], sliding[:0], excess_speed, gap_rule), stays, sliding, q)
     norm, good = _blocks.size_of(q, scalars[1])
-    if not (good and _blocks.in_range(scales)):
+    if not (good and _blocks.in_range(scales) and _blocks.moved(blocks, num[col.GAP_TOL], flags[col.OFF, :nc])):
         return OTHERWISE
     rate = col.velocity(b, col.RATE, size)
     if num[col.ELASTIC] > 0.0 and strikes(num, n, (free_bodies, trees), active, local, end_gap, rate, w):
