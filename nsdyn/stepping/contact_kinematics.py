@@ -111,14 +111,14 @@ class ContactKinematics(NamedTuple):
     ) -> ContactKinematics:
         """Compute the relative velocities of a move at its contacts and joint rows, with the frames placed `there`.
 
-        A contact whose normal meets the axis of its link's only joint, as that of a wheel, is left out: no motion opens
-        or closes it.
+        A contact that no motion opens or closes is left out: one whose normal meets the axis of its link's only joint,
+        as that of a wheel, or one with a truss.
         """
         d, middle, forces, old, warm = mid.s.dynamics, mid.state, mid.forces, begin.contacts, begin.warm
         rows, frame = d.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
         # Points of contacts are known to within the gap tolerance.
-        if not _blocks.moved(full.arrays, mid.s.gap_tol, moved := np.empty(nc, np.bool_)):
+        if not _blocks.moved(rows.blocks.arrays, mid.s.gap_tol, moved := np.empty(nc, np.bool_)):
             return cls.of(mid, there, take(contacts, moved), joints, begin)
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         _, here, ended = mid.surfaces

@@ -56,7 +56,7 @@ def project(s: System, at: SceneState, forces: Forces) -> SceneState:
             joints = d.limit_rows(at.placement, np.zeros(d.n))
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
         rows, _ = d.rows(contacts, at.placement, forces, joints)
-        if not _blocks.moved(rows.full.arrays, closed, lifted := np.empty(gap.size, np.bool_)):
+        if not _blocks.moved(rows.blocks.arrays, closed, lifted := np.empty(gap.size, np.bool_)):
             contacts, gap = take(contacts, lifted[: contacts.gap.size]), gap[lifted]
             rows, _ = d.rows(contacts, at.placement, forces, joints)
         # Gaps in units of the deepest overlap; the tolerance is a fraction of it.
