@@ -127,7 +127,7 @@ def collide(s: System, at: SceneState, t: float, h: float, rate: Array) -> tuple
         s, 0.0, t, MidpointState(at.position, at.v, at.placement, ()), forces, at.v, (twist, twist, twist), SILENT
     )
     kin = ContactKinematics.of(mid, at.placement, contacts, joints, at._replace(contacts=contacts))
-    contacts = kin.contacts
+    contacts, joints = kin.contacts, kin.joints
     resting = s.resting(kin, mid.state, rate, (d.surfaces.twists(t + h) - twist) / h)
     slow, nc, depth = resting, contacts.gap.size, np.full(resting.size, s.depth * OPTIONS.joint)
     depth[:nc] = s.penetration_tol(contacts)

@@ -111,15 +111,15 @@ class ContactKinematics(NamedTuple):
     ) -> ContactKinematics:
         """Compute the relative velocities of a move at its contacts and joint rows, with the frames placed `there`.
 
-        A contact that no motion opens or closes is left out: one whose normal meets the axis of its link's only joint,
-        as that of a wheel, or one with a truss.
+        Contacts and joint rows that no motion opens or closes are left out: those whose normal meets the axis of their
+        link's only joint, as that of a wheel, and those of a truss.
         """
         d, middle, forces, old, warm = mid.s.dynamics, mid.state, mid.forces, begin.contacts, begin.warm
         rows, frame = d.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
         # Points of contacts are known to within the gap tolerance.
-        if not _blocks.moved(rows.blocks.arrays, mid.s.gap_tol, moved := np.empty(nc, np.bool_)):
-            return cls.of(mid, there, take(contacts, moved), joints, begin)
+        if not _blocks.moved(rows.blocks.arrays, mid.s.gap_tol, moved := np.empty(nr, np.bool_)):
+            return cls.of(mid, there, take(contacts, moved[:nc]), joints and joints.take(moved[nc:]), begin)
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         _, here, ended = mid.surfaces
         surface_velocity = d.surfaces.surface_velocity(contacts, frame, middle.position.driven_x, nr, here, ended)

@@ -57,7 +57,8 @@ def project(s: System, at: SceneState, forces: Forces) -> SceneState:
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
         rows, _ = d.rows(contacts, at.placement, forces, joints)
         if not _blocks.moved(rows.blocks.arrays, closed, lifted := np.empty(gap.size, np.bool_)):
-            contacts, gap = take(contacts, lifted[: contacts.gap.size]), gap[lifted]
+            nc, gap = contacts.gap.size, gap[lifted]
+            contacts, joints = take(contacts, lifted[:nc]), joints and joints.take(lifted[nc:])
             rows, _ = d.rows(contacts, at.placement, forces, joints)
         # Gaps in units of the deepest overlap; the tolerance is a fraction of it.
         g = np.zeros(3 * gap.size)

@@ -209,12 +209,13 @@ def test_a_wheel_on_a_fixed_axle_is_not_lifted_by_turning(deep):
 
 
 def test_a_truss_that_touches_a_fixed_body_carries_what_falls_on_it():
-    """A loop leaves its two bars no freedom: no impulse there moves anything."""
+    """A loop leaves its two bars no freedom: no impulse there moves anything, nor one at a limit that is reached."""
     model, scene, bar = pin.Model(), nd.Scene(), pin.SE3(np.eye(3), np.array([0, 0, 0.35]))
     for name, x in (("left", -0.5), ("right", 0.5)):
         joint = model.addJoint(0, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([x, 0, 0])), name)
         model.addJointFrame(joint)
         model.appendBodyToJoint(joint, pin.Inertia(1.0, bar.translation, 0.04 * np.eye(3)), pin.SE3.Identity())
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -1.0, np.pi / 4
     collisions = {name: [(shapes.capsule(0.03, 0.7), bar)] for name in ("left", "right")}
     scene.add_model("truss", model, q=np.array([1, -1]) * np.pi / 4, collisions=collisions, self_collisions=False)
     scene.add_loop("truss", "apex", "left", frame2="right", position=(0, 0, 0.5**0.5))
