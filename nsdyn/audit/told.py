@@ -156,7 +156,10 @@ def _states(poses: Poses, flight: Flight) -> Bools:
     r, mu, state = c["impulse"], c["mu"], c["status"]
     pushes, drag, most = r[:, 0] > 0.0, np.linalg.norm(r[:, 1:], axis=1), mu * r[:, 0]
     carried = (poses.frame[poses.pair] >= poses.free).any(axis=0)
-    slow, jams = np.linalg.norm(c["u"][:, 1:], axis=1) <= SLOW, poses.trajectory.solver.status == Status.JAM
+    # A joint that closes a gap at a contact moves that along its surface too.
+    closing = np.where(carried, np.abs(c["u"][:, 0]), 0.0)
+    slow = np.linalg.norm(c["u"][:, 1:], axis=1) <= np.maximum(SLOW, closing)
+    jams = poses.trajectory.solver.status == Status.JAM
     fits = np.select(
         [state == OPEN, state == STICK, state == SLIP],
         [~pushes, pushes & ((drag < most) | slow), pushes & (drag >= most * (1.0 - EDGE))],

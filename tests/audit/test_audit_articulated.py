@@ -514,3 +514,18 @@ def test_moments_that_are_round_off_are_those_of_a_point(tmp_path):
     scene = nd.Scene()
     scene.add_urdf("r", path, q=[0.5, 0.2])
     assert nd.check(nd.simulate(scene, 0.1, 0.01)).passed
+
+
+def test_an_arm_that_falls_on_a_plate_under_its_shoulder_passes():
+    """The shoulder, which alone moves the contact, closes its gap: friction is on its cone though it holds."""
+    model, scene, along = pin.Model(), nd.Scene(), pin.SE3(pin.utils.rotate("y", np.pi / 2), np.array([0.2, 0, 0]))
+    joint, collisions = 0, {}
+    for name, place in (("shoulder", (0, 0, 0.05)), ("elbow", (0.4, 0, 0))):
+        joint = model.addJoint(joint, pin.JointModelRY(), pin.SE3(np.eye(3), np.array(place)), name)
+        model.addJointFrame(joint)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, along.translation, 0.013 * np.eye(3)), pin.SE3.Identity())
+        collisions[name] = [(shapes.capsule(0.05, 0.4), along)]
+    scene.add_box("plate", (0.1, 0.2, 0.02), fixed=True, position=(0, 0, -0.01))
+    scene.add_model("arm", model, q=(-1.0, 0.5), collisions=collisions)
+    run = nd.simulate(scene, 0.4, dt=5e-3)
+    assert nd.check(run).passed
