@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn._kernels.dynamics import joints as _joints
+from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.dynamics.trees import Tree
 from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
@@ -246,6 +247,14 @@ class ContactJacobian:
         )
         self.blocks = DelassusFactors(*reduced)
         self._mobility = -self.joint_load[3 * pressed] / clutch[0]
+
+    def moved(self, least: float) -> Bools:
+        """Mark the rows (nc,) that some motion opens or closes, on an arm of more than `least` m, and clutches."""
+        scales = np.empty(self.full.nc)
+        _blocks.delassus_scales(self.full.arrays, least, scales)
+        scales[self._pressed] = 1.0
+        out: Bools = scales > 0.0
+        return out
 
     def ball_axes(self, x: Array) -> Array:
         """Entries of x (3 nc,) for the three axes of ball joints with dry friction, shape (balls, 3)."""

@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.stepping import law as _law
 from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn._kernels.stepping import touching as _touching
@@ -118,7 +117,7 @@ class ContactKinematics(NamedTuple):
         rows, frame = d.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
         # Points of contacts are known to within the gap tolerance.
-        if not _blocks.moved(rows.blocks.arrays, mid.s.gap_tol, moved := np.empty(nr, np.bool_)):
+        if d.trees and not (moved := rows.moved(mid.s.gap_tol)).all():
             return cls.of(mid, there, take(contacts, moved[:nc]), joints and joints.take(moved[nc:]), begin)
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         _, here, ended = mid.surfaces

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
-from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.collision.contacts import DetectionPose, take
 from nsdyn.dynamics.values import Forces
 from nsdyn.problem.blocks import DelassusFactors
@@ -56,7 +55,7 @@ def project(s: System, at: SceneState, forces: Forces) -> SceneState:
             joints = d.limit_rows(at.placement, np.zeros(d.n))
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
         rows, _ = d.rows(contacts, at.placement, forces, joints)
-        if not _blocks.moved(rows.blocks.arrays, closed, lifted := np.empty(gap.size, np.bool_)):
+        if d.trees and not (lifted := rows.moved(closed)).all():
             nc, gap = contacts.gap.size, gap[lifted]
             contacts, joints = take(contacts, lifted[:nc]), joints and joints.take(lifted[nc:])
             rows, _ = d.rows(contacts, at.placement, forces, joints)

@@ -173,9 +173,12 @@ def test_a_ball_that_friction_grips_between_rails_rolls_on(mu):
 
 
 def hinged(shape, place, seed, deep=0.0):
-    """A pendulum of 0.15 m on a hinge anywhere, with a shape that touches a plate there, `deep` m into it."""
-    rng = np.random.default_rng(seed)
-    turn, at, model = Rotation.random(random_state=seed), rng.normal(size=3), pin.Model()
+    """A pendulum of 0.15 m on a hinge anywhere, with a shape that touches a plate there, `deep` m into it.
+
+    With the seed 0 the hinge is along an axis through the origin, where no round-off hides that nothing moves.
+    """
+    rng, model = np.random.default_rng(seed), pin.Model()
+    turn, at = (Rotation.random(random_state=seed), rng.normal(size=3)) if seed else (Rotation.identity(), np.zeros(3))
     up, where = turn.as_matrix()[:, 2], pin.SE3(np.eye(3), np.array(place))
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3(turn.as_matrix(), at), "lid")
     model.addJointFrame(joint)
@@ -197,15 +200,30 @@ def test_a_lid_that_touches_on_the_axis_of_its_hinge_falls_shut(seed):
 
 
 @pytest.mark.parametrize("deep", [0.0, 1e-9, 1e-8])
-def test_a_wheel_on_a_fixed_axle_is_not_lifted_by_turning(deep):
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_wheel_on_a_fixed_axle_is_not_lifted_by_turning(deep, seed):
     """An overlap that no turn of the joint removes stays; the pendulum swings as if nothing touched."""
-    wheel = hinged(shapes.sphere(0.05), (0.0, 0.0, 0.0), 0, deep)
-    free = hinged(shapes.sphere(0.05), (0.0, 0.0, 0.0), 0, -1.0)
+    wheel, free = (hinged(shapes.sphere(0.05), (0.0, 0.0, 0.0), seed, into) for into in (deep, -1.0))
     stepper, other = (nd.Stepper(scene, dt=1e-2, on_fail="ignore") for scene in (wheel, free))
     for _ in range(20):
         step, alone = stepper.step(), other.step()
         np.testing.assert_allclose((step.q, step.v), (alone.q, alone.v), atol=1e-7)
         assert (step.solution.status == nd.Status.OVERLAP) == (deep > 0.0)
+
+
+def test_a_wheel_that_a_driven_slide_presses_into_the_ground_overlaps():
+    """Only the slide moves the contact, and no impulse moves the slide."""
+    model, joint, scene = pin.Model(), 0, nd.Scene()
+    for name, kind in (("slide", pin.JointModelPZ()), ("wheel", pin.JointModelRY())):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), name)
+        model.addJointFrame(joint)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    scene.add_halfspace("ground")
+    scene.add_model("m", model, q=[0.102, 0.0], collisions={"wheel": [(shapes.sphere(0.1), pin.SE3.Identity())]})
+    scene.set_motion("m/slide", velocity=-0.5)
+    stepper = nd.Stepper(scene, dt=1e-3, on_fail="ignore")
+    steps = [stepper.step() for _ in range(8)]
+    assert [step.solution.status == nd.Status.OVERLAP for step in steps] == [step.q[0] < 0.1 - 1e-9 for step in steps]
 
 
 def test_a_truss_that_touches_a_fixed_body_carries_what_falls_on_it():

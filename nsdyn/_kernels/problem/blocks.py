@@ -205,30 +205,25 @@ def dependent(blocks, c):
     return determinant <= SINGULAR * trace * trace * trace
 
 
-@no_alloc
-def moved(blocks, least, out):
-    """Mark in out (nc,) the contacts with an entry of their normal row above `least`; return whether all are marked."""
-    offset, block, start, H = blocks[:4]
-    every = True
-    for c in range(out.size):
-        out[c] = False
-        for s in range(2):
-            k = block[c, s]
-            if k >= 0:
-                for i in range(start[c, s], start[c, s] + offset[k + 1] - offset[k]):
-                    out[c] = out[c] or abs(H[i]) > least
-        every = every and out[c]
-    return every
-
-
 @kernel
-def delassus_scales(blocks, out):
-    """Write lambda_max of every diagonal block W_cc into out (nc,)."""
+def delassus_scales(blocks, least, out):
+    """Write lambda_max of every diagonal block W_cc into out (nc,); 0 if no motion opens or closes the contact.
+
+    Lever arms below `least` m count as none: W_NN is below least² times the largest entry of M⁻¹.
+    """
+    _, block, _, _, m_start, _, minv = blocks
     most = widest(blocks[0])
     x, y, w = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
     for c in range(out.size):
         diagonal_block(blocks, c, 3, x, y, w)
-        out[c] = largest_eigenvalue(w)
+        out[c], lightest = largest_eigenvalue(w), 0.0
+        for s in range(2):
+            if block[c, s] >= 0:
+                n = blocks[0][block[c, s] + 1] - blocks[0][block[c, s]]
+                for j in range(n):
+                    lightest = max(lightest, minv[m_start[block[c, s]] + j * n + j])
+        if w[0, 0] < square(least) * lightest:
+            out[c] = 0.0
 
 
 @no_alloc

@@ -137,10 +137,10 @@ def seen(s, detection, stage, move, last, rooms, flags, room):
 def posed(s, first, last, active, rows, acted, flags, room):
     """Pose the contact problem of the move: `DONE`, or `OTHERWISE` if it is out of range, or if a contact strikes.
 
-    Slip, couples and end gaps are first as foreseen. last = (warm, forces of the contacts that acted last), acted =
-    (keys, pairs, states) of the active set, room = (old state, results, columns of the active set, work array, work
-    columns of the contacts, places, integers). Factors of W that are computed already belong to the same contacts and
-    are reused.
+    Contacts that no motion opens or closes are out of range, too. Slip, couples and end gaps are first as foreseen.
+    last = (warm, forces of the contacts that acted last), acted = (keys, pairs, states) of the active set, room = (old
+    state, results, columns of the active set, work array, work columns of the contacts, places, integers). Factors of W
+    that are computed already belong to the same contacts and are reused.
     """
     (num, size), (_, _, _, rounding), _, _, _, masses, (free_bodies, trees), _ = s
     (warm, force), (frame, block, start, H, scales, made), (names, _, scalars) = last, rows, active
@@ -155,8 +155,10 @@ def posed(s, first, last, active, rows, acted, flags, room):
         links.rows(trees, active, frame, start, H)
     blocks = (offset, block, start, H[: made[col.SIZE]], m_start, m, minv)
     if not again:
-        _blocks.delassus_scales(blocks, scales)
+        _blocks.delassus_scales(blocks, num[col.GAP_TOL], scales)
         made[col.MADE] = 1
+    if not _blocks.in_range(scales):
+        return OTHERWISE
     local, end_gap = col.local(own, col.LOCAL, nc), col.column(own, col.FORESEEN, nc)
     excess_speed = col.column(own, col.EXCESS_SPEED, nc)
     sliding, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
@@ -180,7 +182,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
     persists(names, geoms, warm, begin, (none, sliding[:0]), local, end_gap, False, (stays, sticks, was))
     law.offsets(local, (end_gap, scalars[2], sliding[:0], excess_speed, gap_rule), stays, sliding, q)
     norm, good = _blocks.size_of(q, scalars[1])
-    if not (good and _blocks.in_range(scales) and _blocks.moved(blocks, num[col.GAP_TOL], flags[col.OFF, :nc])):
+    if not good:
         return OTHERWISE
     rate = col.velocity(b, col.RATE, size)
     if num[col.ELASTIC] > 0.0 and strikes(num, n, (free_bodies, trees), active, local, end_gap, rate, w):
