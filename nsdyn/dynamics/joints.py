@@ -248,10 +248,10 @@ class ContactJacobian:
         self.blocks = DelassusFactors(*reduced)
         self._mobility = -self.joint_load[3 * pressed] / clutch[0]
 
-    def moved(self, least: float) -> Bools:
-        """Mark the rows (nc,) that some motion opens or closes, on an arm of more than `least` m, and clutches."""
+    def moved(self, least: float, gap: Array) -> Bools:
+        """Mark the rows (nc,) that some motion opens or closes, by `_blocks.delassus_scales`, and clutches."""
         scales = np.empty(self.full.nc)
-        _blocks.delassus_scales(self.full.arrays, least, scales)
+        _blocks.delassus_scales(self.full.arrays, least, gap, scales)
         scales[self._pressed] = 1.0
         out: Bools = scales > 0.0
         return out

@@ -100,7 +100,7 @@ class FC3D:
             raise ValueError(f"blocks must have {problem.nc} contacts like mu, got {blocks.nc}")
         if scales is None:
             scales = np.empty(problem.nc)
-            _blocks.delassus_scales(blocks.arrays, 0.0, scales)
+            _blocks.delassus_scales(blocks.arrays, 0.0, scales[:0], scales)
         problem.scales = scales
         problem._check_scales()
         return problem

@@ -117,7 +117,7 @@ class ContactKinematics(NamedTuple):
         rows, frame = d.rows(contacts, there, forces, joints)
         full, nc, nr = rows.full, contacts.gap.size, rows.full.nc
         # Points of contacts are known to within the gap tolerance.
-        if d.trees and not (moved := rows.moved(mid.s.gap_tol)).all():
+        if d.trees and not (moved := rows.moved(mid.s.gap_tol, contacts.gap)).all():
             return cls.of(mid, there, take(contacts, moved[:nc]), joints and joints.take(moved[nc:]), begin)
         local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
         _, here, ended = mid.surfaces

@@ -55,7 +55,7 @@ def project(s: System, at: SceneState, forces: Forces) -> SceneState:
             joints = d.limit_rows(at.placement, np.zeros(d.n))
             gap = gap if joints is None else np.concatenate((gap, joints.gap))
         rows, _ = d.rows(contacts, at.placement, forces, joints)
-        if d.trees and not (lifted := rows.moved(closed)).all():
+        if d.trees and not (lifted := rows.moved(closed, gap)).all():
             nc, gap = contacts.gap.size, gap[lifted]
             contacts, joints = take(contacts, lifted[:nc]), joints and joints.take(lifted[nc:])
             rows, _ = d.rows(contacts, at.placement, forces, joints)

@@ -211,6 +211,38 @@ def test_a_wheel_on_a_fixed_axle_is_not_lifted_by_turning(deep, seed):
         assert (step.solution.status == nd.Status.OVERLAP) == (deep > 0.0)
 
 
+@pytest.mark.filterwarnings("ignore:.* overlap at the start")
+@pytest.mark.parametrize("ahead", [1e-7, -1e-7])
+def test_an_overlap_deeper_than_its_lever_arm_is_left(ahead):
+    """To remove it, the lid would turn by more than a radian; it falls as if nothing touched at its hinge."""
+    lid, free = (hinged(shapes.box((0.6, 0.2, 0.02)), (0.3 + ahead, 0.0, 0.01), 1, into) for into in (1e-6, -1.0))
+    stepper, other = (nd.Stepper(scene, dt=1e-2, on_fail="ignore") for scene in (lid, free))
+    for _ in range(5):
+        step, alone = stepper.step(), other.step()
+        np.testing.assert_allclose((step.q, step.v), (alone.q, alone.v), atol=1e-9)
+        assert step.solution.status == nd.Status.OVERLAP
+
+
+def test_links_of_one_tree_that_touch_on_their_hinge_turn_on_it():
+    """A lid on a chest in flight, with a ring between them on the same hinge: its edge touches and carries nothing."""
+    model, joint, scene = pin.Model(), 0, nd.Scene(gravity=(0, 0, 0))
+    turn, sole = Rotation.random(random_state=1).as_quat(), pin.SE3(np.eye(3), np.array([0.2, 0, 0.01]))
+    hinge, ring = (pin.SE3(np.eye(3), np.array(x)) for x in ((-0.2, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    for name, kind, place, inertia in (
+        ("chest", pin.JointModelFreeFlyer(), ring, pin.Inertia.FromBox(3.0, 0.4, 0.3, 0.2)),
+        ("ring", pin.JointModelRY(), hinge, pin.Inertia.FromSphere(0.1, 0.03)),
+        ("lid", pin.JointModelRY(), ring, pin.Inertia(0.6, sole.translation, 0.01 * np.eye(3))),
+    ):
+        joint = model.addJoint(joint, kind, place, name)
+        model.addJointFrame(joint)
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    boxes = {"chest": [(shapes.box((0.4, 0.3, 0.2)), ring)], "lid": [(shapes.box((0.4, 0.3, 0.02)), sole)]}
+    scene.add_model("m", model, q=[0, 0, 0, *turn, 0.1, -0.8], v=[0, 0, 0, 0, 0, 0, 0, -1], collisions=boxes)
+    run = nd.simulate(scene, 0.1, dt=1e-2)
+    assert run.energy.kinetic[-1] == pytest.approx(run.energy.kinetic[0], rel=1e-9)
+    assert nd.check(run).passed
+
+
 def test_a_wheel_that_a_driven_slide_presses_into_the_ground_overlaps():
     """Only the slide moves the contact, and no impulse moves the slide."""
     model, joint, scene = pin.Model(), 0, nd.Scene()

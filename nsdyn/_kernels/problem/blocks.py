@@ -206,23 +206,26 @@ def dependent(blocks, c):
 
 
 @kernel
-def delassus_scales(blocks, least, out):
+def delassus_scales(blocks, least, gap, out):
     """Write lambda_max of every diagonal block W_cc into out (nc,); 0 if no motion opens or closes the contact.
 
-    Lever arms below `least` m count as none: W_NN is below least² times the largest entry of M⁻¹.
+    A lever arm a, W_NN = a² times the largest entry of M⁻¹, counts as none if it is below `least` m, or below the
+    overlap by the gaps (some of nc,): a turn of a radian would not remove that.
     """
     _, block, _, _, m_start, _, minv = blocks
     most = widest(blocks[0])
     x, y, w = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
     for c in range(out.size):
         diagonal_block(blocks, c, 3, x, y, w)
-        out[c], lightest = largest_eigenvalue(w), 0.0
+        out[c], lightest, arm = largest_eigenvalue(w), 0.0, least
+        if c < gap.size:
+            arm = max(arm, -gap[c])
         for s in range(2):
             if block[c, s] >= 0:
                 n = blocks[0][block[c, s] + 1] - blocks[0][block[c, s]]
                 for j in range(n):
                     lightest = max(lightest, minv[m_start[block[c, s]] + j * n + j])
-        if w[0, 0] < square(least) * lightest:
+        if w[0, 0] < square(arm) * lightest:
             out[c] = 0.0
 
 

@@ -155,7 +155,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
         links.rows(trees, active, frame, start, H)
     blocks = (offset, block, start, H[: made[col.SIZE]], m_start, m, minv)
     if not again:
-        _blocks.delassus_scales(blocks, num[col.GAP_TOL], scales)
+        _blocks.delassus_scales(blocks, num[col.GAP_TOL], scalars[0], scales)
         made[col.MADE] = 1
     if not _blocks.in_range(scales):
         return OTHERWISE
