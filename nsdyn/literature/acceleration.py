@@ -81,7 +81,8 @@ def least_constraint(
         c = int(np.flatnonzero(touching)[u[touching, 0].argmin()])
         names = geoms[found.geom1[c]].name, geoms[found.geom2[c]].name
         raise ValueError(f"{names[0]!r} and {names[1]!r} approach at {-u[c, 0]:.3g} m/s: an impact, no acceleration")
-    keep = np.flatnonzero(touching & (u[:, 0] <= still))
+    # A contact that no motion opens or closes, as that of a link on its own hinge, asks nothing of accelerations.
+    keep = np.flatnonzero(touching & (u[:, 0] <= still) & rows.moved(closed, found.gap))
     M, H = blocks.dense()
 
     size = min((g.shape.bounding_radius for g in geoms if g.frame >= 0), default=1.0)

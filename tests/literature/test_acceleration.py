@@ -16,6 +16,7 @@ import nsdyn as nd
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.loops import Closures
 from nsdyn.literature.acceleration import Existence, accelerations, constraint_acceleration, least_constraint
+from nsdyn.scene import shapes
 
 pytest.importorskip("clarabel", reason="the extra 'acceleration' is not installed")
 
@@ -261,6 +262,23 @@ def test_a_joint_at_its_limit():
     assert abs(pressed.a[0]) <= 1e-9 and pressed.limit[0] == pytest.approx(torque, rel=1e-8)
     free = accelerations(least_constraint(scene))
     assert free.limit[0] == pytest.approx(0.0, abs=1e-9) and free.a[0] == pytest.approx(-1.5 * g, rel=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_link_that_touches_on_its_own_hinge(seed):
+    """No acceleration opens or closes the contact there; round-off had forces of 1e13 N, and an error of 1e-3."""
+    turn, at = Rotation.random(random_state=seed), np.random.default_rng(seed).normal(size=3)
+    model, scene = pin.Model(), nd.Scene(gravity=turn.apply((0, 0, -9.81)))
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3(turn.as_matrix(), at), "lid")
+    model.addJointFrame(joint)
+    model.appendBodyToJoint(joint, pin.Inertia(0.5, np.array([0.3, 0, 0]), 0.01 * np.eye(3)), pin.SE3.Identity())
+    below = at - 0.5 * turn.as_matrix()[:, 2]
+    scene.add_box("floor", (4, 4, 1), fixed=True, position=below, quaternion=turn.as_quat())
+    box = [(shapes.box((0.6, 0.2, 0.02)), pin.SE3(np.eye(3), np.array([0.3, 0, 0.01])))]
+    scene.add_model("m", model, q=[-0.3], collisions={"lid": box})
+    found = accelerations(least_constraint(scene))
+    assert found.existence == Existence.SOLVED
+    assert found.a[0] == pytest.approx(0.5 * 9.81 * 0.3 * math.cos(0.3) / (0.01 + 0.5 * 0.3**2), rel=1e-12)
 
 
 def test_sliders_on_paper():
