@@ -223,6 +223,25 @@ def test_an_overlap_deeper_than_its_lever_arm_is_left(ahead):
         assert step.solution.status == nd.Status.OVERLAP
 
 
+@pytest.mark.filterwarnings("ignore:.* overlap at the start")
+def test_an_overlap_is_removed_whatever_turns_lightly_elsewhere():
+    """A rotor of 1e-6 kg m² on a body that overlaps the ground has no part in its contacts."""
+    model, scene = pin.Model(), nd.Scene()
+    for name, kind, inertia in (
+        ("body", pin.JointModelFreeFlyer(), pin.Inertia.FromBox(10.0, 0.2, 0.2, 0.2)),
+        ("rotor", pin.JointModelRZ(), pin.Inertia(0.01, np.zeros(3), 1e-6 * np.eye(3))),
+    ):
+        joint = model.addJoint(model.njoints - 1, kind, pin.SE3.Identity(), name)
+        model.addJointFrame(joint)
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    scene.add_halfspace("ground")
+    box = [(shapes.box((0.2, 0.2, 0.2)), pin.SE3.Identity())]
+    scene.add_model("m", model, q=[0, 0, 0.0991, 0, 0, 0, 1, 0], collisions={"body": box})
+    step = nd.Stepper(scene, dt=1e-3).step()
+    assert step.q[2] == pytest.approx(0.1, abs=1e-9)
+    assert step.solution.status == nd.Status.CONVERGED
+
+
 def test_links_of_one_tree_that_touch_on_their_hinge_turn_on_it():
     """A lid on a chest in flight, with a ring between them on the same hinge: its edge touches and carries nothing."""
     model, joint, scene = pin.Model(), 0, nd.Scene(gravity=(0, 0, 0))

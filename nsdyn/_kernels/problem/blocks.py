@@ -155,10 +155,10 @@ def size_of(q, mu):
 def diagonal_block(blocks, c, rows, x, y, w):
     """Write W_cc of a contact into w (3, 3), without assembling W: its first `rows` rows, or all 3.
 
-    x and y (3, n) are work arrays.
+    Return the largest change of a coordinate by a unit impulse along the normal. x and y (3, n) are work arrays.
     """
     offset, block, start, H, m_start, _, minv = blocks
-    w[:] = 0.0
+    w[:], most = 0.0, 0.0
     twice = block[c, 0] == block[c, 1]  # both sides on one block: add their rows
     for s in range(1 if twice else 2):
         k = block[c, s]
@@ -182,7 +182,10 @@ def diagonal_block(blocks, c, rows, x, y, w):
                 for l in range(n):
                     total += y[i, l] * x[j, l]
                 w[i, j] += total
+        for j in range(n):
+            most = max(most, abs(y[0, j]))
     w[1, 0], w[2, 0], w[2, 1] = w[0, 1], w[0, 2], w[1, 2]
+    return most
 
 
 @no_alloc
@@ -209,24 +212,16 @@ def dependent(blocks, c):
 def delassus_scales(blocks, least, gap, out):
     """Write lambda_max of every diagonal block W_cc into out (nc,); 0 if no motion opens or closes the contact.
 
-    A lever arm a, W_NN = a² times the largest entry of M⁻¹, counts as none if it is below `least` m, or below the
-    overlap by the gaps (some of nc,): a turn of a radian would not remove that.
+    None does if an impulse along the normal turns a coordinate by a radian before it opens the contact by `least` m, or
+    by the overlap that the gaps (some of nc,) give.
     """
-    _, block, _, _, m_start, _, minv = blocks
     most = widest(blocks[0])
     x, y, w = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))
     for c in range(out.size):
-        diagonal_block(blocks, c, 3, x, y, w)
-        out[c], lightest, arm = largest_eigenvalue(w), 0.0, least
+        turn, arm = diagonal_block(blocks, c, 3, x, y, w), least
         if c < gap.size:
             arm = max(arm, -gap[c])
-        for s in range(2):
-            if block[c, s] >= 0:
-                n = blocks[0][block[c, s] + 1] - blocks[0][block[c, s]]
-                for j in range(n):
-                    lightest = max(lightest, minv[m_start[block[c, s]] + j * n + j])
-        if w[0, 0] < square(arm) * lightest:
-            out[c] = 0.0
+        out[c] = 0.0 if arm > 0.0 and w[0, 0] <= arm * turn else largest_eigenvalue(w)
 
 
 @no_alloc
