@@ -17,7 +17,7 @@ from nsdyn._kernels.collision import advancement, faces, geometry, keys, manifol
 from nsdyn.collision.candidates import MARGIN, TOLERANCE, Candidates
 from nsdyn.collision.contacts import ContactSet, Poses, Touches, among, carry, take, united
 from nsdyn.collision.distances import distance_request
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import NONE, NOTHING, Array, Index
 
 TOUCH = 1e-4
 """Approaching bodies closer than this fraction of the smaller bounding radius touch on their way."""
@@ -26,7 +26,7 @@ ADVANCES = 200
 """Most advances of a pair along its motion. A pair that is still close then, and has not reached the end of the motion,
 counts as touching."""
 
-_NONE, _NOTHING, _NO_CONTACTS = np.empty(0, dtype=np.int64), np.empty(0), ContactSet.empty()
+_NO_CONTACTS = ContactSet.empty()
 
 
 class Detector(Candidates):
@@ -144,7 +144,7 @@ class Detector(Candidates):
         ends = (begin.x, begin.R), (end.x, end.R)
         far = advancement.motions(self.frame, self._arm, *ends, foreseen, turn, reach)
         self._renew(begin.x, begin.R, reach)
-        nothing = Touches(_NO_CONTACTS, _NOTHING, memory, _NONE)
+        nothing = Touches(_NO_CONTACTS, NOTHING, memory, NONE)
         if not self._first.size:
             return nothing
         motion, placed = (begin.x, end.x, turn), (self._R, self._t, self._lower, self._upper)
@@ -159,11 +159,11 @@ class Detector(Candidates):
 
         if far:
             # Do not leave out known pairs: contacts at both ends say nothing about whole turns between.
-            pairs, whirls = may_touch(_NONE), np.linalg.norm(foreseen, axis=1) > advancement.HALF_TURN
+            pairs, whirls = may_touch(NONE), np.linalg.norm(foreseen, axis=1) > advancement.HALF_TURN
             turning = np.append(whirls, False)[self.frame]
             if (of := turning[self._first[pairs]] | turning[self._second[pairs]]).any():
                 return nothing._replace(far=self._codes[pairs[of]])
-        pairs = may_touch(_NONE if known is None else self.codes(known))
+        pairs = may_touch(NONE if known is None else self.codes(known))
         if not pairs.size:
             return nothing
         close = frozenset() if together is None else frozenset(self.codes(together).tolist())
@@ -244,7 +244,7 @@ class Detector(Candidates):
         contacts = ContactSet(*out, keys.match(geoms, TOLERANCE, memory[:3], memory.next_key, names, points))
         others = ~among(self.codes(memory), self._codes[pair])
         remembered = united((take(memory, others), contacts))
-        return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered, _NONE)
+        return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered, NONE)
 
 
 def _distance(solids: Any, R: Array, t: Array, unit: float) -> tuple[float, Array, Array, Array]:

@@ -21,17 +21,16 @@ from nsdyn.dynamics.kinematics import Kinematics
 from nsdyn.dynamics.values import Energies, Forces, FreeMotion, MidpointState, Placement, Position
 from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.scene.checks import rotation
-from nsdyn.tools.arrays import Array, floats
+from nsdyn.tools.arrays import NOTHING, Array, floats
 from nsdyn.tools.displacements import turns
 from nsdyn.tools.naming import choice, unknown
 
-NOTHING: Mapping[Any, Any] = {}
+EMPTY: Mapping[Any, Any] = {}
 Wrenches = tuple[Mapping[str, Array], Mapping[int, tuple[Array, Array]]]
 """External wrenches as two mappings. The first has loads (2, nf, 3) on the free bodies, as in `Forces`, by the column
 of the ledger that books their work. The second has the loads of trees by the index of the tree, as `Tree.pushed`
 returns them."""
 Controls = Mapping[int, Control]
-NONE = np.empty(0)
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
@@ -52,7 +51,7 @@ class Dynamics(Kinematics):
         t: float,
         h: float,
         wrenches: Wrenches | None = None,
-        control: Controls = NOTHING,
+        control: Controls = EMPTY,
         last: Array | None = None,
     ) -> Forces:
         """Forces of a step of h s that ends at the time t, s: M̃ (v_f - v⁻) = h f̃.
@@ -60,7 +59,7 @@ class Dynamics(Kinematics):
         `wrenches` and `control` come from the functions of the user, see `Dynamics.wrenches` and `Dynamics.controls`.
         `last` has the last impulses of the joint rows, (slots, 3).
         """
-        loads, applied = wrenches or (NOTHING, NOTHING)
+        loads, applied = wrenches or (EMPTY, EMPTY)
         load = reduce(add, loads.values()) if loads else self.no_load
         out = np.empty(self.n)
         if self.free:
@@ -188,7 +187,7 @@ class Dynamics(Kinematics):
 
     def limits(self, place: Placement) -> Array:
         """Distances to all joint limits, in the order of `JointLaws.limits`, rad or m."""
-        return self.joints.gaps(self.joints.limits, self.angles(place)) if self.joints.limits.size else NONE
+        return self.joints.gaps(self.joints.limits, self.angles(place)) if self.joints.limits.size else NOTHING
 
     def rows(
         self, contacts: ContactSet, place: Placement, forces: Forces, joints: JointRows | None
@@ -204,7 +203,7 @@ class Dynamics(Kinematics):
         if self.trees:
             _links.rows((*self.linkages, place.fields), found, frame, start, H)
         full = DelassusFactors(self.offset, block, start, H, self.m_start, forces.m, forces.minv)
-        bases = NOTHING
+        bases = EMPTY
         if self.constrained:
             bases = {self.free + k: f.constraints.Z for k, f in enumerate(forces.trees) if f.constraints is not None}
         if joints is None:

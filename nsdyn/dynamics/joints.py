@@ -28,10 +28,9 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn.dynamics.trees import Tree
 from nsdyn.problem.blocks import DelassusFactors
 from nsdyn.problem.fc3d import FC3D
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import NEVER, NONE, NOTHING, Array, Bools, Index
 
-NOTHING = np.empty(0)
-NO_CLUTCHES = np.empty(0, np.int64), np.empty((3, 0)), np.empty(0, np.bool_), np.empty(0, np.bool_)
+NO_CLUTCHES = NONE, np.empty((3, 0)), NEVER, NEVER
 TINY = np.finfo(float).tiny
 
 NEAR = 1e-2

@@ -37,11 +37,10 @@ from nsdyn._kernels.problem.cones import ROUNDING, into_cones
 from nsdyn.problem.cones import saxce
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.frozen import Least
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import NOTHING, Array
 
 __all__ = ["Certificate", "SlaterDirection", "along", "certify", "least_direction", "of_all", "of_own"]
 
-NOTHING = np.empty(0)
 
 SLACK = 0.1
 """Fraction of its margin that a direction may lack: the shortest direction is hardly shorter."""

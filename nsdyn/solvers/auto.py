@@ -16,7 +16,7 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers.continuation import Following
 from nsdyn.solvers.nesterov import Sweeps
 from nsdyn.solvers.newton import DENSE, MARGIN, PENALTY, Multipliers, part
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import NOTHING, Array
 from nsdyn.tools.options import NonNegative, Options, Positive
 
 
@@ -84,7 +84,6 @@ TUNING = Tuning()
 FLOOR = 1e-14
 """Round-off in m/s. Sharper measures than this are not sought, whatever `Tuning.polish` gives."""
 
-UNKNOWN = np.empty(0)
 
 LIMITS = (DENSE, *TUNING.small)
 """Limits passed to `_start.by_factors`: most coordinates, penalty, most Newton steps."""
@@ -322,7 +321,7 @@ class Auto(Options):
         r0: Array | None,
         large: float,
         bound: tuple[float, float] | None = None,
-        before: Array = UNKNOWN,
+        before: Array = NOTHING,
     ) -> Solution:
         """Solve the problem from r0; islands that need more than one kernel call to the tolerance `large`.
 

@@ -25,12 +25,11 @@ from nsdyn.dynamics.values import Placement
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.scene_state import SceneState, System
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import NONE, Array, Bools, Index
 
 if TYPE_CHECKING:
     from nsdyn.stepping.attempt import Attempt
 
-NO_CODES = np.empty(0, np.int64)
 
 PAST = 0.05
 """Penetration, over the smaller inscribed radius, at which a fast move is shortened, if it would become more than twice
@@ -100,17 +99,17 @@ def missed_impacts(s: System, m: Attempt) -> tuple[Index, float]:
     found, active, limits, r = m.moved.contacts, m.kin.contacts, m.moved.limits, m.normal_impulses
     strikes = limits.size > 0 and _reductions.least(limits) < -s.gap_tol
     if found is active and not strikes:
-        return NO_CODES, np.inf
+        return NONE, np.inf
     pressed, known = np.empty(found.gap.size, np.bool_), np.empty(found.gap.size, np.bool_)
     if _touching.known(found.key, active.key, -r, -_touching.LEAST, pressed) and not strikes:
-        return NO_CODES, np.inf
+        return NONE, np.inf
     _touching.known(found.key, active.key, -r, np.inf, known)
     left, rests = take(found, ~pressed), known[~pressed]
     code, gap = s.detector.codes(left), left.gap
     limit = np.where((left.restitution > 0.0) & ~rests, s.gap_tol, s.penetration_tol(left))
     if strikes:
         # Impacts of joint limits are few: they are located sharply, with restitution or without.
-        slots = NO_CODES if m.kin.joints is None else m.kin.joints.slot
+        slots = NONE if m.kin.joints is None else m.kin.joints.slot
         k = np.flatnonzero(~among(s.dynamics.joints.limits, slots))
         code, gap = np.concatenate((code, -1 - k)), np.concatenate((gap, limits[k]))
         limit = np.concatenate((limit, np.full(k.size, s.gap_tol)))

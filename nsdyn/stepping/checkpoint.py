@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.problem.gauss import SlaterDirection
 from nsdyn.scene.scene import Scene
+from nsdyn.tools.arrays import NOTHING
 
 if TYPE_CHECKING:
     from nsdyn.stepping.state import State
 
 Arrays = dict[str, NDArray[Any]]
-
-NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
 OPENING = SlaterDirection(NOTHING, 0, 0.0)

@@ -18,9 +18,7 @@ from nsdyn.stepping.midpoint import SILENT, Midpoint
 from nsdyn.stepping.persistence import NO_COUPLE
 from nsdyn.stepping.rounds import Impact, strike
 from nsdyn.stepping.scene_state import SceneState, System
-from nsdyn.tools.arrays import Array, Bools, Index
-
-NO_SLOTS = np.empty(0, np.int64)
+from nsdyn.tools.arrays import NONE, Array, Bools, Index
 
 
 class Captured(NamedTuple):
@@ -183,7 +181,7 @@ def _strike(s: System, kin: ContactKinematics, before: Array, closed: Bools, res
 def limits_struck(s: System, at: SceneState, h: float) -> Index:
     """Return slots of joint limits that a joint has reached and may strike, given a move of h s to come."""
     if not _reductions.any_below(at.limits, s.gap_tol):
-        return NO_SLOTS
+        return NONE
     joints, slots = s.dynamics.joints, s.dynamics.joints.limits
     limit = np.where(joints.restitution[slots] > 0.0, s.solver.tol, s.depth * OPTIONS.joint / h)
     if s.depth >= OPTIONS.depth_located:

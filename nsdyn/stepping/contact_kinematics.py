@@ -33,7 +33,7 @@ from nsdyn._kernels.stepping import touching as _touching
 from nsdyn.collision.contacts import ContactSet, among, take
 from nsdyn.dynamics.joints import NO_CLUTCHES, ContactJacobian, JointRows
 from nsdyn.dynamics.values import Placement
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import NEVER, NOTHING, Array, Bools, Index
 
 if TYPE_CHECKING:
     from nsdyn.problem.fc3d import FC3D
@@ -47,7 +47,7 @@ SLIPS = 1.0 - 1e-9
 STOPPED = 1e-13
 """Share of a velocity change by impacts that is round-off after some hundred impacts."""
 
-NOTHING, NEVER, UNKNOWN = np.empty(0), np.empty(0, np.bool_), np.empty(0, np.int8)
+UNKNOWN = np.empty(0, np.int8)
 NO_TRANSPORT = np.empty((2, 0))
 
 

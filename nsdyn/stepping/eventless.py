@@ -21,11 +21,11 @@ from nsdyn.stepping.flat_state import FlatState, Found, detected_at, matrices, v
 from nsdyn.stepping.indeterminacy import FEW, Paradoxes
 from nsdyn.stepping.kernel_result import KernelResult
 from nsdyn.stepping.midpoint import Loads, midpoint
-from nsdyn.stepping.move_kernel import NO_PAIRS, MoveKernel
-from nsdyn.stepping.scene_state import NOTHING, SceneState, System
+from nsdyn.stepping.move_kernel import MoveKernel
+from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.state import State
 from nsdyn.stepping.tree_motion import TreeMotion
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import NONE, NOTHING, Array
 
 NOTHING_TRIED = None, None, None
 
@@ -114,7 +114,7 @@ class EventlessSteps:
         """Return the step made by the kernel; None if it meets an event, whose computed part is then kept."""
         direction = old.slater.d if old.slater else NOTHING
         begun = old.floats, old.acted, old.status
-        made = self._mover(begun, found, self._length, direction, NO_PAIRS, True, self._moves, motion)
+        made = self._mover(begun, found, self._length, direction, NONE, True, self._moves, motion)
         if made is not None:
             some = made.floats[_col.WENT] or made.floats[_col.GOES] or made.head[_col.SOME]
             self._moves = bool(some)

@@ -15,8 +15,8 @@ from nsdyn.problem.solution import Solution
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.persistence import Couple
 from nsdyn.stepping.rounds import Impact
-from nsdyn.stepping.scene_state import NOTHING, System, WarmStart
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.stepping.scene_state import System, WarmStart
+from nsdyn.tools.arrays import NOTHING, Array, Bools
 
 
 class Impulses(NamedTuple):

@@ -26,14 +26,14 @@ from nsdyn.stepping.ball_joints import unbalanced
 from nsdyn.stepping.collisions import limits_struck, striking
 from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Loads, Midpoint, midpoint
-from nsdyn.stepping.move import NO_SLOTS, try_move
+from nsdyn.stepping.move import try_move
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.slip_reversal import endings
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
 from nsdyn.stepping.substepping import integrate, turns_far
 from nsdyn.stepping.subsystems import Subsystem, driven, merged
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import NONE, Array, Bools, Index
 
 KEPT = 2048
 """Most nodes of all subsystems that are kept for reuse: each node takes some 40 kB."""
@@ -85,7 +85,7 @@ class Islands:
         if count < 2:
             return integrate(self.whole, state, loads, made or mid, meets=bool(meets[0]))
         if not (skipped := opened.copy()).all():
-            tried = try_move(s, loads, begin, t, h, NO_SLOTS, made or mid, opened[label])
+            tried = try_move(s, loads, begin, t, h, NONE, made or mid, opened[label])
             self._open_events(begin, tried, label, opened, large)
             meets |= self._islands_hit(tried, label, ~skipped)
             opened |= meets

@@ -20,9 +20,7 @@ from nsdyn.stepping.midpoint import SILENT, STILL_SURFACES, Midpoint
 from nsdyn.stepping.persistence import NO_COUPLE, Couple
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.tree_motion import TreeMotion
-from nsdyn.tools.arrays import Array, Bools, Index
-
-NOTHING = np.empty(0)
+from nsdyn.tools.arrays import NOTHING, Array, Bools, Index
 
 
 class KernelResult(NamedTuple):

@@ -30,10 +30,7 @@ from nsdyn.stepping.persistence import NO_COUPLE, turned, worked
 from nsdyn.stepping.projection import found as found_at
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.solving import residuals, solve, update_sliding
-from nsdyn.tools.arrays import Array, Bools, Index
-
-NOTHING, NO_SLOTS = np.empty(0), np.empty(0, np.int64)
-
+from nsdyn.tools.arrays import NONE, NOTHING, Array, Bools, Index
 
 Needs = tuple[ContactSet, JointRows | None]
 """Contacts and joint rows that the second half of a move may need."""
@@ -105,7 +102,7 @@ def _by_stages(s: System, begin: SceneState, mid: Midpoint, located: Index | Non
     if skip is not None and skip.any():
         needs = take(needs[0], ~skip[s.nodes(needs[0])]), needs[1]
     m = _response(s, begin, mid, there, needs, located, None, skip is None)
-    kept = NO_SLOTS
+    kept = NONE
     for update in range(1, UPDATES if located is None else 0):
         mid, r = m.mid, m.solution.r if m.captured is None else m.solution.r + m.captured.impact.r
         real, memory, kept = update_active_set(s, m.kin, r, m.moved, there.memory, mid, kept)

@@ -23,10 +23,7 @@ from nsdyn.stepping.midpoint import Midpoint
 from nsdyn.stepping.scene_state import STILL, SceneState, System
 from nsdyn.stepping.solving import again, grips
 from nsdyn.stepping.tree_motion import TreeMotion
-from nsdyn.tools.arrays import Array, Bools, Index
-
-NO_PAIRS, NOTHING = np.empty(0, np.int64), np.empty(0)
-
+from nsdyn.tools.arrays import NONE, NOTHING, Array, Bools, Index
 
 Rooms = tuple[tuple[Array, Index], tuple[Array, Index], tuple[Array, Index]]
 
@@ -82,7 +79,7 @@ class MoveKernel:
         begun: Found,
         length: tuple[float, float],
         direction: Array = NOTHING,
-        located: Index = NO_PAIRS,
+        located: Index = NONE,
         step: bool = False,
         moves: bool = True,
         motion: TreeMotion | None = None,
@@ -225,7 +222,7 @@ class MoveKernel:
     def is_ready(self, old: Acted, begun: Found) -> bool:
         """Whether the kernel is compiled; if not, another process compiles it."""
         found, detector = begun[:2], self._detector
-        given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NO_PAIRS
+        given = self._arrays, detector.searches, old, found, old, (found, found, found), 0, NOTHING, NONE
         work = self._rooms(False, False)[2]
         MoveKernel.ready = is_ready(
             _eventless.eventless_step, *given, work, (_contacts.DONE, False, detector.asks, False)

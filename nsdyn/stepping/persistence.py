@@ -23,7 +23,7 @@ from nsdyn._kernels.stepping import persistence as _persistence
 from nsdyn.problem.solution import Solution
 from nsdyn.solvers.auto import Auto
 from nsdyn.stepping.contact_kinematics import ContactKinematics
-from nsdyn.tools.arrays import Array, Bools
+from nsdyn.tools.arrays import NOTHING, Array, Bools
 
 if TYPE_CHECKING:
     from nsdyn.stepping.midpoint import Midpoint
@@ -48,7 +48,7 @@ class Couple(NamedTuple):
     dv: Array
 
 
-NO_COUPLE = Couple(np.empty((0, 3)), np.empty(0), np.empty(0))
+NO_COUPLE = Couple(np.empty((0, 3)), NOTHING, NOTHING)
 
 
 def turned(

@@ -22,7 +22,6 @@ from nsdyn.tools.arrays import Array, Index
 if TYPE_CHECKING:
     from nsdyn.stepping.move_kernel import MoveKernel
 
-NOTHING = np.empty(0)
 
 STILL = 0.5
 """Share of the gap tolerance by which frames may have moved since the last detection if its contacts are to be used

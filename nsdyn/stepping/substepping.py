@@ -21,7 +21,7 @@ from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.slip_reversal import reversal
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import NONE, NOTHING, Array, Bools, Index
 
 SOON, AGAIN = 1e-6, 1e-3
 """Shares of a move at its beginning in which a reversal of slip is not located. The first is round-off, also at its
@@ -39,8 +39,6 @@ JUMP = 1e-9
 
 LEAST = 1e-12
 """Share of a step that counts as no time."""
-
-NONE, NOTHING = np.empty(0, np.int64), np.empty(0)
 
 
 class Budget:

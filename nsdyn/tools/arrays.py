@@ -11,6 +11,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+NOTHING: Array = np.empty(0)
+NONE: Index = np.empty(0, np.int64)
+NEVER: Bools = np.empty(0, np.bool_)
+"""No numbers, no indices and no marks."""
+
 
 def numbers(value: ArrayLike, words: str, what: str) -> Array:
     """Return a value as an array of floats, unchanged if it is one; else a ValueError says that it must be `words`."""
