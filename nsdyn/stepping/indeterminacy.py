@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from nsdyn._kernels.problem import paradox as _kernels
+from nsdyn._kernels.stepping.law import JAM, STICK
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.ledger import Works
 from nsdyn.problem import paradox
@@ -15,9 +16,6 @@ from nsdyn.problem.solution import Solution, Status
 from nsdyn.solvers import Solver
 from nsdyn.stepping.impulses import Impulses
 from nsdyn.tools.arrays import Array, Bools
-
-STICK, JAM = 1, 3
-"""States of a contact that sticks or jams, beside 0 open, 2 slip."""
 
 FEW = 8
 """Most contacts of a problem in which a second velocity is searched for, so that a step costs hardly more."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsdyn._kernels.stepping.law import OPEN
 from nsdyn.dynamics.ledger import Works
 from nsdyn.dynamics.values import Energies, Flow, Forces, Placement, Position
 from nsdyn.stepping.attempt import Attempt
@@ -17,8 +18,6 @@ from nsdyn.stepping.projection import project
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import displacement
-
-OPEN = np.int8(0)
 
 
 class StepResult(NamedTuple):
@@ -57,7 +56,7 @@ def finish(s: System, begin: SceneState, a: Attempt, left: Bools | None = None) 
     sinks = s.dt / mid.ahead * a.kin.end_gap[: warm.status.size] > s.penetration_tol(a.kin.contacts)
     arrived = sinks & ~a.kin.stays[: sinks.size]
     if arrived.any():
-        warm = warm._replace(status=np.where(arrived, OPEN, warm.status))
+        warm = warm._replace(status=np.where(arrived, np.int8(OPEN), warm.status))
     works: list[Works] = []
     if end is not a.moved:
         v_end, lifted = d.lift(a.moved.position, end.position, end.v)

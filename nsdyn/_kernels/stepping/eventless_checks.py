@@ -141,7 +141,7 @@ def gained(label, states, works, exempt, out):
     (status, stays, sticks), (normal, friction), (restitution, carried) = states, works, exempt
     for c in range(status.size):
         nothing = normal[c] if stays[c] else 0.0
-        if sticks[c] and status[c] == 1:
+        if sticks[c] and status[c] == law.STICK:
             nothing += friction[c]
         out[0, label[c]] += nothing
         out[1, label[c]] += normal[c] + friction[c] - nothing

@@ -17,6 +17,9 @@ from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
 TILT, TURNS = OPTIONS.tilt, OPTIONS.turn
 
+OPEN, STICK, SLIP, JAM = range(4)
+"""States of contacts: without impulse; with an impulse inside the cone, and on its boundary; and jammed."""
+
 SWING = 3.0
 """Largest turn of a normal over the turns of the bodies, plus their way over the smaller inscribed radius of the curved
 ones: a normal that turns more has jumped to another feature. Crossing edges and the rim of an ellipsoid turn it faster
@@ -316,10 +319,10 @@ def reconsider(solution, local, sliding, back):
         e, f = p + jacobian_drift[i + 1], q + jacobian_drift[i + 2]
         if sliding[c]:
             mean = (u[i + 1] + p) * e + (u[i + 2] + q) * f
-            if found == 1 or (found == 2 and mean <= REVERSED * (e * e + f * f)):
+            if found == STICK or (found == SLIP and mean <= REVERSED * (e * e + f * f)):
                 sliding[c] = False
                 some = True
-        elif not back and mu[c] > 0.0 and found == 2 and u_begin[i + 1] * e + u_begin[i + 2] * f > NO_SLIP * NO_SLIP:
+        elif found == SLIP and not back and mu[c] > 0.0 and u_begin[i + 1] * e + u_begin[i + 2] * f > NO_SLIP * NO_SLIP:
             sliding[c] = True
             some = True
     return some
@@ -327,10 +330,10 @@ def reconsider(solution, local, sliding, back):
 
 @no_alloc
 def state(r, mu, i):
-    """State of rows i to i + 2: 0 open (no impulse), 1 stick (impulse inside the cone), 2 slip (on its boundary)."""
+    """State of rows i to i + 2: `OPEN`, `STICK` or `SLIP`."""
     if r[i] <= 0.0:
-        return 0
-    return 1 if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9) else 2
+        return OPEN
+    return STICK if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9) else SLIP
 
 
 @no_alloc
@@ -374,12 +377,12 @@ def contact_works(bodies, move, velocities, rows, r, lasting, slow, out):
         nothing, held = stays[c], False
         if c < nc:
             status[c], slip = state(r, mu[c], i), square(u_end[i + 1]) + square(u_end[i + 2])
-            if status[c] == 2 and mu[c] > 0.0:
+            if status[c] == SLIP and mu[c] > 0.0:
                 if slip <= slow * slow or (stays[c] and slip <= square(u_end[i]) and dependent(blocks, c)):
-                    status[c] = 1
+                    status[c] = STICK
             if turned.size > c:
                 normal[c] += turned[c]
-            held = sticks[c] and status[c] == 1
+            held = sticks[c] and status[c] == STICK
             for j in range(3):
                 world[c, j] = (frame[c, 0, j] * r[i] + frame[c, 1, j] * r[i + 1] + frame[c, 2, j] * r[i + 2]) / h
         if nothing or (struck.size > c and struck[c] > 0.0):

@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.reductions import copy
-from nsdyn._kernels.stepping.law import NO_SLIP
+from nsdyn._kernels.stepping.law import NO_SLIP, OPEN, SLIP, STICK
 from nsdyn._kernels.stepping.touching import last_status, places
 from nsdyn._kernels.vectors import along, dot, put, row, square, times, to_local
 
@@ -86,7 +86,7 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
         if c < nc:
             known, gap, old = before[c] >= 0, begin_gap[before[c]] if before[c] >= 0 else 0.0, was[c]
         else:
-            known, gap, old = True, limits[0][c - nc], 2 if limits[1][c - nc] else 0
+            known, gap, old = True, limits[0][c - nc], SLIP if limits[1][c - nc] else OPEN
         speed = math.sqrt(square(u_begin[i]) + square(u_begin[i + 1]) + square(u_begin[i + 2]))
         bent = math.sqrt(square(jacobian_drift[i]) + square(jacobian_drift[i + 1]) + square(jacobian_drift[i + 2]))
         still = STILL * (abs(u_free[i] - u[i]) + max(0.0, -jacobian_drift[i])) - LEFT * (speed + bent)
@@ -96,16 +96,16 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
                 if j == i:
                     end_gap[c] += 0.5 * ahead * (jacobian_drift[j] - rest)
                 jacobian_drift[j] = rest
-        if gap < -2.0 * closed or (gap > closed and (c >= nc or old == 0)):
+        if gap < -2.0 * closed or (gap > closed and (c >= nc or old == OPEN)):
             continue
-        if old == 0 and (not known or abs(u_begin[i]) >= still):
+        if old == OPEN and (not known or abs(u_begin[i]) >= still):
             continue
         stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
         if c < nc:
             slip = math.sqrt(square(u_begin[i + 1]) + square(u_begin[i + 2]))
-            sticks[c] = old == 1 or (stays[c] and old == 0 and slip <= still)
-            if old == 0 and slip > max(still, NO_SLIP):
-                was[c] = 2
+            sticks[c] = old == STICK or (stays[c] and old == OPEN and slip <= still)
+            if old == OPEN and slip > max(still, NO_SLIP):
+                was[c] = SLIP
         if stays[c] and abs(end_gap[c]) <= closed and abs(jacobian_drift[i]) * h <= STILL * closed:
             end_gap[c] = 0.0
         some = some or stays[c]

@@ -3,7 +3,7 @@
 import math
 
 from nsdyn._kernels.compiled import no_alloc
-from nsdyn._kernels.stepping.law import state
+from nsdyn._kernels.stepping.law import SLIP, STICK, state
 from nsdyn._kernels.vectors import square
 
 ROUND = 0.5
@@ -26,7 +26,7 @@ def ending(r, y, b, mu, local, was, slid, out):
     for c in range(mu.size):
         out[c] = 0
         if c < nc:
-            sliding = was[c] == 2 and mu[c] > 0.0
+            sliding = was[c] == SLIP and mu[c] > 0.0
         else:
             sliding = slid[c - nc]
         if not sliding:
@@ -40,7 +40,7 @@ def ending(r, y, b, mu, local, was, slid, out):
         if before == 0.0:
             continue  # it had stopped before the move
         # Of redundant contacts that share an impulse some may be at the friction limit though the body sticks.
-        if found == 1 or after <= STANDS * STANDS * before:
+        if found == STICK or after <= STANDS * STANDS * before:
             out[c] = 2 if gain > 0.0 else 1
         elif onward < ROUND * math.sqrt(before * after):
             out[c] = 2
