@@ -337,7 +337,7 @@ class Auto(Options):
             if nc == 1:
                 count, error, residual = _start.alone(W[2], q, mu, scales, q_norm, r, u)
             else:
-                count, error, residual = _start.by_matrix(*W, q, mu, scales, q_norm, r, u, self.aims[1], *IN_TURN)
+                count, error, residual = _start.by_matrix(*W, q, mu, scales, q_norm, r, u, self.aims[1], IN_TURN)
             left = not (error <= self.tol and residual <= self.tol)
         else:
             label, islands = np.empty(nc, np.int64), np.empty((3, nc))

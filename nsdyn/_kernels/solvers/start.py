@@ -243,7 +243,7 @@ def in_turn(problem, r, measure, tol, limits):
 
 
 @no_alloc(rounds=1000)
-def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most, length, penalty):
+def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, limits):
     """Solve a problem in place of r: lone contacts in closed form, others by `in_turn`.
 
     Returns the number of sweeps and factorisations, the error of the literature and the residual of r, m/s. Arrays are
@@ -261,9 +261,8 @@ def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most, len
     r, u : ndarray, shape (3 nc,)
         Initial impulse and result, N·s, and room for W r + q.
     tol : float
-    most, length : int
-        Most sweeps, and Newton steps of the first run.
-    penalty : float
+    limits : tuple
+        Most sweeps, Newton steps of the first run, penalty.
     """
     W, count = (indptr, indices, data), 0
     given.velocity(W, q, r, u)
@@ -275,7 +274,7 @@ def by_matrix(indptr, indices, data, q, mu, scales, q_norm, r, u, tol, most, len
                 closed_form(data[indptr[c]], q[at], mu[c : c + 1], r[at], u[at])
         given.velocity(W, q, r, u)
         best = cones.measure_at(scales, u, r, mu, q_norm)
-        count = in_turn((W, q, mu, scales, q_norm), r, best, tol, (most, length, penalty))
+        count = in_turn((W, q, mu, scales, q_norm), r, best, tol, limits)
         given.velocity(W, q, r, u)
         top, residual = cones.measures(scales, u, r, mu)
     return count, top / q_norm, residual
