@@ -280,7 +280,7 @@ class Auto(Options):
     @cached_property
     def aims(self) -> tuple[float, float]:
         """Measures (m/s or -) for islands of few coordinates: the aim of Newton's method, and the one required."""
-        return sharp(self.tol), MARGIN * self.tol
+        return sharp(self.tol), 0.9 * self.tol  # a wide margin costs nothing there
 
     def __call__(self, problem: FC3D, r0: Array | None = None) -> Solution:
         """Solve the problem from r0 (default 0)."""

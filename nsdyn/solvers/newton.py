@@ -26,8 +26,8 @@ sparse call."""
 PENALTY = 1e5
 """First penalty times λ_max(W_cc) from the result of another method; the penalty adapts."""
 
-MARGIN = 0.9
-"""Fraction of the tolerance to which islands are solved, so that the final measure of the problem stays below it."""
+MARGIN = 0.99
+"""Fraction of the tolerance to which islands are solved, so that round-off keeps the whole problem below it."""
 
 
 class Multipliers:
