@@ -248,7 +248,10 @@ class ContactJacobian:
         self._mobility = -self.joint_load[3 * pressed] / clutch[0]
 
     def moved(self, least: float, gap: Array) -> Bools:
-        """Mark the rows (nc,) that some motion opens or closes, by `_blocks.delassus_scales`, and clutches."""
+        """Mark the rows (nc,) that some motion opens or closes, by the rule of `_blocks.delassus_scales`, and clutches.
+
+        `least` is the least opening that counts, m or rad; the gaps (some of nc,) have overlaps, m or rad.
+        """
         scales = np.empty(self.full.nc)
         _blocks.delassus_scales(self.full.arrays, least, gap, scales)
         scales[self._pressed] = 1.0

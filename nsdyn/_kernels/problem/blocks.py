@@ -212,8 +212,8 @@ def dependent(blocks, c):
 def delassus_scales(blocks, least, gap, out):
     """Write lambda_max of every diagonal block W_cc into out (nc,); 0 if no motion opens or closes the contact.
 
-    None does if an impulse along the normal turns a coordinate by a radian before it opens the contact by `least` m, or
-    by the overlap that the gaps (some of nc,) give.
+    None does if an impulse along the normal changes a coordinate by 1 rad or m before it opens the contact by `least`
+    m, or by the overlap that the gaps (some of nc,) give.
     """
     most = widest(blocks[0])
     x, y, w = np.empty((3, most)), np.empty((3, most)), np.empty((3, 3))

@@ -279,7 +279,8 @@ def _colour(material: Element | None, known: Mapping[str | None, Element]) -> Co
 
 def _shape(geometry: Element | None, folders: Sequence[Path], shown: bool = False) -> tuple[Any, Array]:
     """Return (shape, its origin) of a <geometry>, as `shape_of`; URDF has fewer shapes."""
-    odd = [e.tag for e in geometry or () if e.tag not in ("box", "sphere", "cylinder", "capsule", "mesh")]
+    elements = [] if geometry is None else list(geometry)
+    odd = [e.tag for e in elements if e.tag not in ("box", "sphere", "cylinder", "capsule", "mesh")]
     if odd or (found := shape_of(geometry, Element.get, folders, shown)) is None:
         raise ValueError(f"<{odd[0]}> is no shape of a URDF")
     return found
