@@ -159,7 +159,8 @@ def _states(poses: Poses, flight: Flight) -> Bools:
     # A joint that closes a gap at a contact moves that along its surface too.
     closing = np.where(carried, np.abs(c["u"][:, 0]), 0.0)
     slow = np.linalg.norm(c["u"][:, 1:], axis=1) <= np.maximum(SLOW, closing)
-    jams = poses.trajectory.solver.status == Status.JAM
+    # The status of a step that misses the tolerance, or overlaps, does not tell of its jams.
+    jams = ~np.isin(poses.trajectory.solver.status, (Status.CONVERGED, Status.SEVERAL))
     fits = np.select(
         [state == OPEN, state == STICK, state == SLIP],
         [~pushes, pushes & ((drag < most) | slow), pushes & (drag >= most * (1.0 - EDGE))],
