@@ -81,7 +81,9 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
         move, length, rejected = _substep(own, loads, now, span, rate, budget, cut, begun, meets)
         begun, meets = None, False
         if rejected and _contacts(now) << halvings <= OPTIONS.work:
-            pieces[-1:] = [(end, halvings + 1), (at + 0.5 * length, halvings + 1)]
+            # A short move that ended at an event leaves the rest of its piece as it was.
+            rest = pieces[-1:] if end - at - length > LEAST * s.dt else []
+            pieces[-1:] = [*rest, (at + length, halvings + 1), (at + 0.5 * length, halvings + 1)]
             continue
         done += [acted._replace(begin=at + acted.begin) for acted in move.done]
         path += move.path
