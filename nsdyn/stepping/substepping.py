@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
+from nsdyn._kernels.collision.keys import NEAR
 from nsdyn._kernels.stepping import active_set as _active_set
 from nsdyn._kernels.stepping import touching as _touching
 from nsdyn._kernels.stepping.options import OPTIONS
-from nsdyn.collision.contacts import among
+from nsdyn.collision.contacts import among, take
 from nsdyn.problem.solution import Solution, Status
 from nsdyn.stepping.active_set import missed_impacts, normal_velocities, surface_normal_velocities
 from nsdyn.stepping.attempt import Attempt, Known
@@ -37,15 +38,24 @@ LINEAR = 0.1
 JUMP = 1e-9
 """Share of a move within which a gap that changes sign is a jump: another feature is the first to touch there."""
 
+GROWTH = 1.25
+"""How much longer a move may be than the last one in which a contact swept."""
+
 LEAST = 1e-12
 """Share of a step that counts as no time."""
 
 
 class Budget:
-    """The effort that an island may still spend in a step, counted in contacts of moves."""
+    """The effort that an island may still spend in a step, counted in contacts of moves.
+
+    Attributes
+    ----------
+    longest : float
+        How long the next move may be, s: moves in which a contact sweeps are halved, and the next ones grow again.
+    """
 
     def __init__(self) -> None:
-        self.left = OPTIONS.work
+        self.left, self.longest = OPTIONS.work, math.inf
 
     def affords(self, begin: SceneState) -> bool:
         """Return whether the island may try the moves from an instant that locating one event takes."""
@@ -77,7 +87,7 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
         end, halvings = pieces[-1]
         # In halves, bodies are stopped at a smaller penetration.
         own = s._replace(depth=OPTIONS.depth_located * OPTIONS.refine**halvings)
-        span = state.next_t - (s.dt - at), end - at
+        span = state.next_t - (s.dt - at), min(end - at, budget.longest)
         move, length, rejected = _substep(own, loads, now, span, rate, budget, cut, begun, meets)
         begun, meets = None, False
         if rejected and _contacts(now) << halvings <= OPTIONS.work:
@@ -88,6 +98,7 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
         done += [acted._replace(begin=at + acted.begin) for acted in move.done]
         path += move.path
         now, rate, at = move.end, move.rate, at + length
+        budget.longest *= GROWTH
         cut = end - at > LEAST * s.dt
         if not cut:
             pieces.pop()
@@ -179,6 +190,28 @@ def turns_far(s: System, h: float, acted: Impulses, begin: SceneState, end: Scen
     return out
 
 
+def _sweeps(s: System, begin: SceneState, m: Attempt, hits: Index) -> bool:
+    """Return whether a closed round contact sweeps over its body in a move in which its pair strikes elsewhere.
+
+    The contact of a coin that falls flat sweeps around the rim, the faster the flatter, and the rest of the rim never
+    strikes (M. Srinivasan, A. Ruina, Rocking and rolling: a can that appears to rock might actually roll, Physical
+    Review E 78, 2008). In a longer move it seems to strike, as `hits` says, which would take the energy of the fall.
+    """
+    c, radii = begin.contacts, np.append(s.dynamics.radii, np.inf)
+    round_ = np.isfinite(np.minimum(s.rounding[c.geom1], s.rounding[c.geom2]))
+    if not (closed := round_ & (c.gap <= s.gap_tol) & among(s.detector.codes(c), hits)).any():
+        return False
+    c, where = take(c, closed), np.empty(np.count_nonzero(closed), np.int64)
+    near = NEAR * np.minimum(radii[c.frame1], radii[c.frame2])
+    for there in (m.kin.contacts, m.moved.contacts):
+        _touching.places(there.key, c.key, where)
+        if (where < 0).any():
+            return True
+        if (np.linalg.norm(there.points[2:, where] - c.points[2:], axis=2).min(axis=0) > near).any():
+            return True
+    return False
+
+
 def _jammed(solution: Solution) -> bool:
     """Return whether no velocity opens the contacts: locating events more closely then gains nothing."""
     return solution.status is Status.NO_SLATER_POINT
@@ -232,6 +265,9 @@ def _to_event(
         return capture(begun)
     if touch < h:
         return _to_event(s, loads, begin, t, touch, soon, budget)
+    if affords and hits.size and _sweeps(s, begin, m, hits):
+        budget.longest = 0.5 * h
+        return _to_event(s, loads, begin, t, budget.longest, soon, budget)
     turned = h * reversal(m.kin, s.solver, m.problem, m.solution, soon / h, cut < math.inf) if affords else h
     # Slip that is as large however short the move is, as where contacts hold the joints, has no time of reversal.
     if SOON * h < h - turned <= 0.5 * cut:
