@@ -57,6 +57,13 @@ class Attempt(NamedTuple):
         return self.mid.forces if self.captured is None else self.captured.forces
 
     @property
+    def turns_far(self) -> Bools:
+        """Contacts (nc,) that touch and turn too far in half the move for the contact law: `Options.turn`."""
+        kin = self.kin
+        out: Bools = kin.far & ((self.normal_impulses > 0.0) | (kin.contacts.gap <= self.mid.s.gap_tol))
+        return out
+
+    @property
     def normal_impulses(self) -> Array:
         """Normal impulses of the active contacts, (nc,), N·s."""
         return self.solution.r[0 : 3 * self.kin.contacts.gap.size : 3]

@@ -75,6 +75,8 @@ class ContactKinematics(NamedTuple):
     surface_velocity : ndarray, shape (2, 3 rows)
         Velocities that moving surfaces add to u⁻ and u⁺, and those they would add at the end of the step, m/s; empty if
         none move.
+    far : ndarray of bool, shape (nc,)
+        Contacts that turn far: `nsdyn._kernels.stepping.law.turns_far`.
     struck : ndarray of bool, shape (rows,)
         Rows in which an impact acts in this move; empty if there are none.
     stays, sticks, was : ndarrays of bool, bool and int8, shapes (rows,), (nc,), (nc,)
@@ -96,6 +98,7 @@ class ContactKinematics(NamedTuple):
     local: Array
     end_gap: Array
     surface_velocity: Array = NO_TRANSPORT
+    far: Bools = NEVER
     struck: Bools = NEVER
     stays: Bools = NEVER
     sticks: Bools = NEVER
@@ -119,7 +122,7 @@ class ContactKinematics(NamedTuple):
         # Points of contacts are known to within the gap tolerance.
         if d.trees and not (moved := rows.moved(mid.s.gap_tol, contacts.gap)).all():
             return cls.of(mid, there, take(contacts, moved[:nc]), joints and joints.take(moved[nc:]), begin)
-        local, end_gap, where = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64)
+        local, end_gap, where, far = np.empty((5, 3 * nr)), np.empty(nr), np.empty(nc, np.int64), np.empty(nc, np.bool_)
         _, here, ended = mid.surfaces
         surface_velocity = d.surfaces.surface_velocity(contacts, frame, middle.position.driven_x, nr, here, ended)
         carried = d.surfaces.velocities(old, begin.position.driven_x, here)
@@ -127,11 +130,11 @@ class ContactKinematics(NamedTuple):
             full.arrays,
             (begin.v, middle.v, forces.v),
             (carried, *surface_velocity, rows.joint_load),
-            (old[:3], begin.placement.x, begin.twists, (mid.reach, mid.s.gap_tol, mid.s.rounding)),
+            (old[:3], begin.placement.x, begin.twists, (mid.reach, mid.s.gap_tol, mid.s.rounding, d.free)),
             (contacts[:3], frame, there.x),
             (warm.key, warm.force, mid.h),
             mid.ahead,
-            (local, end_gap, where),
+            (local, end_gap, where, far),
         )
         mu, restitution, slid, turning = contacts.mu, contacts.restitution, NEVER, NEVER
         if joints is not None:
@@ -142,7 +145,7 @@ class ContactKinematics(NamedTuple):
             # A joint that rests at its limit does not slip, however the limit and its friction share the load.
             slid &= ~among(at, at[(joints.mu == 0.0) & (last[:, 0] > 0.0)])
         laws = frame, mu, restitution
-        return cls(contacts, joints, rows, *laws, local, end_gap, surface_velocity, slid=slid, turning=turning)
+        return cls(contacts, joints, rows, *laws, local, end_gap, surface_velocity, far, slid=slid, turning=turning)
 
     def changed(self, dv: Array, dv_free: Array, struck: Bools) -> ContactKinematics:
         """Return the kinematics after impacts, in the rows `struck`: the rows they affect lose their drift c.
@@ -182,6 +185,7 @@ class ContactKinematics(NamedTuple):
             surface_velocity=self.surface_velocity.compress(rows, axis=1)
             if self.surface_velocity.size
             else self.surface_velocity,
+            far=self.far[kept[:nc]],
             stays=self.stays[kept],
             sticks=self.sticks[kept[:nc]],
             was=self.was[kept[:nc]],

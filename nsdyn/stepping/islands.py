@@ -31,7 +31,7 @@ from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.slip_reversal import endings
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
-from nsdyn.stepping.substepping import integrate, turns_far
+from nsdyn.stepping.substepping import integrate
 from nsdyn.stepping.subsystems import Subsystem, driven, merged
 from nsdyn.tools.arrays import NONE, Array, Bools, Index
 
@@ -298,7 +298,7 @@ class Islands:
         refines = ~self._large(begin.contacts, label, count)
         refines[label[s.nodes(begin.contacts)[~s.detector.of_balls(begin.contacts)]]] = True
         far = np.zeros(count, np.bool_)
-        far[island[turns_far(s, s.dt, a, begin, made.end)]] = True
+        far[island[tried.turns_far]] = True
         opened |= far & refines
         carried = d.surfaces.carry(a.contacts) if d.surfaces.count else far[:0]
         states, works = (a.status, kin.stays, kin.sticks), (a.work_normal, a.work_friction)

@@ -88,7 +88,7 @@ class KernelResult(NamedTuple):
         a, own = f[_col.RESULTS + _col.FRAME * n + _col.COORDINATE * nv :], w[_col.FRAME_WORK * n :]
         own = own[_col.COORDINATE_WORK * nv :]
         rows = ContactJacobian(self.active.blocks(s.dynamics, masses), {}, *NO_CLUTCHES)
-        sliding, stays, sticks = self.flags[:3, :nc]
+        sliding, stays, sticks, far = self.flags[:4, :nc]
         problem, solution = solved(f, a, self.active, rows.full, s.solver.tol)
         kinematics = ContactKinematics(
             active,
@@ -101,6 +101,7 @@ class KernelResult(NamedTuple):
             own[_col.FORESEEN * nc : _col.EXCESS_SPEED * nc],
             stays=stays,
             sticks=sticks,
+            far=far,
             was=self.status,
             excess_speed=own[_col.EXCESS_SPEED * nc : _col.PROJECTED * nc],
         )

@@ -16,13 +16,13 @@ from nsdyn.stepping.active_set import missed_impacts, normal_velocities, surface
 from nsdyn.stepping.attempt import Attempt, Known
 from nsdyn.stepping.collisions import collide
 from nsdyn.stepping.impulses import Impulses
-from nsdyn.stepping.midpoint import Loads, Midpoint
+from nsdyn.stepping.midpoint import Loads
 from nsdyn.stepping.move import touch_time, try_move
 from nsdyn.stepping.scene_state import SceneState, System
 from nsdyn.stepping.slip_reversal import reversal
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
-from nsdyn.tools.arrays import NONE, NOTHING, Array, Bools, Index
+from nsdyn.tools.arrays import NONE, NOTHING, Array, Index
 
 SOON, AGAIN = 1e-6, 1e-3
 """Shares of a move at its beginning in which a reversal of slip is not located. The first is round-off, also at its
@@ -149,7 +149,7 @@ def _substep(
     m = m._replace(done=done + m.done, path=path)
     rejected = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position) or any(m.strays)
     if length > LEAST * s.dt and not any(_jammed(acted.solved[1]) for acted in m.done):
-        return m, length, rejected or (_refines(s, begin) and _gains_energy(s, begin, m, tried.mid))
+        return m, length, rejected or (_refines(s, begin) and _gains_energy(s, begin, m, tried))
     return m, length, False
 
 
@@ -162,13 +162,13 @@ def _refines(s: System, begin: SceneState) -> bool:
     return Budget().affords(begin) or not s.detector.of_balls(begin.contacts).all()
 
 
-def _gains_energy(s: System, begin: SceneState, m: StepResult, mid: Midpoint) -> bool:
-    """Return whether a move with the first half `mid` adds energy, or bodies in contact turn far in it.
+def _gains_energy(s: System, begin: SceneState, m: StepResult, tried: Attempt) -> bool:
+    """Return whether a move adds energy, or contacts turn far in it.
 
     The energy is that of persistent contacts, of the projection, and of contacts that could only take energy.
     """
-    d, h, works = s.dynamics, mid.h, [a.works for a in m.done]
-    if any(turns_far(s, h, a, begin, m.end).any() for a in m.done):
+    d, mid, works = s.dynamics, tried.mid, [a.works for a in m.done]
+    if tried.turns_far.any():
         return True
     gained = sum(w.integration for w in works)
     if not any(d.surfaces.carry(a.contacts).any() for a in m.done):  # driven bodies do work of their own
@@ -178,16 +178,8 @@ def _gains_energy(s: System, begin: SceneState, m: StepResult, mid: Midpoint) ->
     if gained <= 0.0:
         return False
     # For bodies at rest, the scale is the energy that gravity gives in a move.
-    scale = max(d.energies(begin.position, v, ())[0] for v in (begin.v, h * m.rate))
+    scale = max(d.energies(begin.position, v, ())[0] for v in (begin.v, mid.h * m.rate))
     return gained > (OPTIONS.stray if d.trees else OPTIONS.gain) * (scale + sum(mid.at_play(begin.energies)))
-
-
-def turns_far(s: System, h: float, acted: Impulses, begin: SceneState, end: SceneState) -> Bools:
-    """Mark the contacts (nc,) that touch and whose bodies turn too far in half a move of h s for the contact law."""
-    c, out = acted.contacts, np.empty(acted.status.size, np.bool_)
-    spins = begin.twists[1], end.twists[1]
-    _touching.turns_far(c[:3], acted.status, s.gap_tol, spins, OPTIONS.turn / (s.theta * h), out)
-    return out
 
 
 def _sweeps(s: System, begin: SceneState, m: Attempt, hits: Index) -> bool:

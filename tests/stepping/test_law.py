@@ -39,9 +39,10 @@ def test_a_normal_that_jumps_is_of_another_contact(angle, way, follows):
     """
     old, frame = np.array([[np.sin(angle), 0.0, np.cos(angle)]]), np.eye(3)[None, [2, 0, 1]].copy()
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
-    begin = contacts([-1], still, old), still, (np.array([[1.0, 0.0, 0.0]]), still), (np.full(1, way), 0.0, np.ones(1))
+    twists = np.array([[1.0, 0.0, 0.0]]), still
+    begin = contacts([-1], still, old), still, twists, (np.full(1, way), 0.0, np.ones(1), 1)
     here = contacts([-1], still, old), frame, still
-    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, 0.5, u)
+    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, 0.5, u, np.empty(1, np.bool_))
     expected = (np.sin(angle), np.cos(angle), 0.0) if follows else (0.0, 1.0, 0.0)
     np.testing.assert_allclose(u, expected, rtol=0, atol=1e-15)
 
@@ -52,9 +53,9 @@ def test_normals_of_flat_shapes_turn_with_bodies_alone(spin, driven, follows):
     old, frame = np.array([[np.sin(0.1), 0.0, np.cos(0.1)]]), np.eye(3)[None, [2, 0, 1]].copy()
     still, none, u = np.zeros((1, 3)), np.empty(0), np.empty(3)
     twists = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, spin, 0.0]])
-    begin = contacts([-1], still, old), still, twists, (np.ones(1), 0.0, np.full(1, np.inf))
+    begin = contacts([-1], still, old), still, twists, (np.ones(1), 0.0, np.full(1, np.inf), 1)
     here = contacts([-1], still, old), frame, still
-    law.begin_velocities(np.array([0]), begin, here, np.zeros((int(driven), 3)), none, 0.5, u)
+    law.begin_velocities(np.array([0]), begin, here, np.zeros((int(driven), 3)), none, 0.5, u, np.empty(1, np.bool_))
     assert abs(u[0]) == pytest.approx(np.sin(0.1) if follows else 0.0, abs=1e-15)
 
 
@@ -83,11 +84,34 @@ def test_only_a_contact_that_is_alone_rolls_far(gone, others, fallen, follows):
     away = np.array([[0.0, 2.0, 0.0]]) * (np.arange(nc) > 0)[:, None]
     before = contacts(np.full(nc, -1), old + away, np.tile(up, (nc, 1)))
     before[2][0, 1:] = others
-    begin = before, still, (along, about), (np.ones(1), 1e-9, np.ones(1))
+    begin = before, still, (along, about), (np.ones(1), 1e-9, np.ones(1), 1)
     count = nc if fallen else 1
     here = contacts(np.full(count, -1), still + away[:count], np.tile(up, (count, 1))), frame, still
-    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, 0.5, u)
+    law.begin_velocities(np.array([0]), begin, here, np.empty((0, 3)), none, 0.5, u, np.empty(1, np.bool_))
     np.testing.assert_allclose(u[:3], (-gone if follows else 0.0, 1.0, 0.0), rtol=0, atol=1e-15 * gone)
+
+
+@pytest.mark.parametrize(
+    ("new", "free", "spin", "slid", "far"),
+    [
+        (False, 1, 0.0, 0.49, False),
+        (False, 1, 0.0, 0.51, True),
+        (False, 1, 9.0, 0.0, False),  # a ball that spins or rolls: the lever stays
+        (False, 0, 9.0, 0.0, True),  # a link, whose joint may be anywhere
+        (True, 1, 0.9, 0.0, False),
+        (True, 1, 1.1, 0.0, True),
+    ],
+)
+def test_a_contact_turns_far_if_its_lever_does(new, free, spin, slid, far):
+    """By half a radian in half a move of 1 s, about a body at the origin, 1 m above; a new one as its body turns."""
+    still, none, frame = np.zeros((1, 3)), np.empty(0), np.eye(3)[None, [2, 0, 1]].copy()
+    up, below = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
+    twists = still, np.array([[0.0, spin, 0.0]])
+    begin = contacts([-1], below - [slid, 0.0, 0.0], up), still, twists, (np.full(1, 9.0), 0.0, np.ones(1), free)
+    marked, here = np.empty(1, np.bool_), (contacts([-1], below, up), frame, still)
+    place = np.array([-1 if new else 0])
+    law.begin_velocities(place, begin, here, np.empty((0, 3)), none, 0.5, np.empty(3), marked)
+    assert marked.tolist() == [far]
 
 
 @pytest.mark.parametrize("after", [-0.04 * (1.0 + 1e-15), -0.04 * (1.0 - 1e-15), -0.02, 0.02])

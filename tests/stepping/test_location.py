@@ -171,8 +171,8 @@ def test_a_move_that_is_halved_leaves_what_was_located_before_it(monkeypatch):
     whole, rest = bounced(), 0.7 * 2e-2
     lengths = []
 
-    def strains(s, begin, move, mid):
-        lengths.append(mid.h)
+    def strains(s, begin, move, tried):
+        lengths.append(tried.mid.h)
         return len(lengths) == 2
 
     monkeypatch.setattr(substepping, "_gains_energy", strains)

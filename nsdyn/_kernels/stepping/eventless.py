@@ -163,7 +163,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
     excess_speed = col.column(own, col.EXCESS_SPEED, nc)
     sliding, stays, sticks = flags[col.SLIDES, :nc], flags[col.STAYS, :nc], flags[col.STICKS, :nc]
     twists, gap_rule = col.twists(b_old, n), gap_rule_of(num)
-    reach = col.column(w, col.REACH, n), num[col.GAP_TOL], rounding
+    reach = col.column(w, col.REACH, n), num[col.GAP_TOL], rounding, free_bodies
     law.local_velocities(
         blocks,
         (col.velocity(b_old, col.V, size), col.velocity(w, col.V_THERE, size), col.velocity(w, col.V_FREE, size)),
@@ -172,7 +172,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
         (active, frame, x),
         (warm[0], force, num[col.STEP]),
         gap_rule[2],
-        (local, end_gap, place),
+        (local, end_gap, place, flags[col.TURNS, :nc]),
     )
     law.predict_sliding(blocks, scalars[1], place, warm[2], local, sliding)
     excess_speed[:], geoms = 0.0, int(num[col.GEOMS])
@@ -242,10 +242,9 @@ def told(s, rows, contacts, begun, flags, status, head, room):
     scene, (_, nowhere, inscribed, _), inertia, _, (gravity, _), masses, _, _ = s
     (num, size), (out, w, _, a), nc = scene, room, status.size
     (geoms, active, now), (b_old, last, first, direction) = contacts, begun
-    b, n = out[col.RESULTS :], size[0]
-    spins = col.twists(b_old, n)[1], col.twists(b, n)[1]
+    b = out[col.RESULTS :]
     shapes, met = (geoms, inscribed, masses[0]), (active, now, first)
-    if not eventless(num, shapes, met, last, flags, status, spins, room):
+    if not eventless(num, shapes, met, last, flags, status, room):
         return EVENT
     book(scene, (*inertia, gravity, nowhere[:0]), rows, active, flags, direction, head, status, room)
     out[col.SUSPECT] = 0.0

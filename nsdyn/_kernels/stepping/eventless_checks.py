@@ -72,16 +72,15 @@ def turns_round(solution, mu, local, was, active, first, node):
 
 
 @no_alloc
-def eventless(num, bodies, contacts, last, flags, was, spins, room):
-    """Whether the move has no event: no slip reversal, no deep overlap, no impact, no body in contact that turns far.
+def eventless(num, bodies, contacts, last, flags, was, room):
+    """Whether the move has no event: no slip reversal, no deep overlap, no impact, no contact that turns far.
 
     Nor is there a contact whose normal does not separate its bodies, as in `active_set.overrun`. bodies = (geoms, radii
     of balls inside the shapes, nodes of the frames), contacts = (active set, those found at the end, those at the
-    beginning), last = (keys, states) of the last active set, spins: angular velocities of the bodies, (n, 3), at both
-    ends.
+    beginning), last = (keys, states) of the last active set.
     """
     (geoms, inscribed, node), (active, now, first) = bodies, contacts
-    nc, n, (names, _, scalars), (f, w, own, a) = was.size, spins[0].shape[0], active, room
+    nc, n, (names, _, scalars), (f, w, own, a) = was.size, node.size - 1, active, room
     local, stays = col.local(own, col.LOCAL, nc), flags[col.STAYS, :nc]
     answer = r, _, _ = col.answer(a, nc)
     deepest, deep = least(now[2][0]), min(num[col.GAP_TOL], num[col.LEAST_PENETRATION])
@@ -96,7 +95,7 @@ def eventless(num, bodies, contacts, last, flags, was, spins, room):
             more -= r[3 * c] > 0.0 and gap[c] < -deep
         if more > 0:
             return False
-    end_gap, presses, far, fastest = col.column(own, col.FORESEEN, nc), flags[col.OTHER, :nc], flags[col.OFF, :nc], 0.0
+    end_gap, presses, far = col.column(own, col.FORESEEN, nc), flags[col.OTHER, :nc], flags[col.OFF, :nc]
     for c in range(nc):
         radius = min(inscribed[names[0, c]], inscribed[names[1, c]])
         presses[c] = r[3 * c] > 0.0
@@ -105,15 +104,9 @@ def eventless(num, bodies, contacts, last, flags, was, spins, room):
     ends = (col.poses(w, n), active), (col.poses(f[col.RESULTS :], n), now)
     if overrun(geoms, active, col.rotations(w, col.R, n), ends, last, presses, (inscribed, DEEP), far):
         return False
-    most = law.TURNS / (num[col.THETA] * num[col.STEP])
-    for spin in spins:
-        for k in range(spin.shape[0]):
-            fastest = max(fastest, square(spin[k, 0]) + square(spin[k, 1]) + square(spin[k, 2]))
-    if fastest > most * most:
-        touching.turns_far(active, presses, num[col.GAP_TOL], spins, most, far)
-        for c in range(nc):
-            if far[c]:
-                return False
+    for c in range(nc):
+        if flags[col.TURNS, c] and (presses[c] or scalars[0, c] <= num[col.GAP_TOL]):
+            return False
     return True
 
 

@@ -65,8 +65,31 @@ def alone(k, contacts, near, closed):
 
 
 @no_alloc
-def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
+def turns_far(c, k, begin, here, ahead):
+    """Whether the lever of contact c about some body turns by more than `TURNS` up to the midpoint.
+
+    k is its place among the contacts at the beginning. About links and driven bodies, or if the contact is new (-1),
+    the lever turns with the body, in `ahead` s. `begin` and `here` are as in `local_velocities`.
+    """
+    (_, old_points, _), x_old, (_, angular), (_, _, _, free) = begin
+    (names, points, _), _, x = here
+    for s in range(2):
+        f = names[2 + s, c]
+        if k >= 0 and 0 <= f < free:
+            arm, old = minus(row(points[0], c), row(x, f)), minus(row(old_points[0], k), row(x_old, f))
+            way = minus(arm, old)
+            if dot(way, way) > TURNS * TURNS * min(dot(arm, arm), dot(old, old)):
+                return True
+        elif f >= 0 and ahead * ahead * dot(row(angular, f), row(angular, f)) > TURNS * TURNS:
+            return True
+    return False
+
+
+@no_alloc
+def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u, far):
     """Relative velocities of the contacts at the beginning of the step, with the rows of the beginning, into u (3 nc,).
+
+    Mark also the contacts that turn far, in `far` (nc,).
 
     Frame f moves at the beginning with linear[f] + angular[f] x (p - x_old[f]). A contact may have been found at the
     beginning too, at a point from which the motion may have carried it to the midpoint. It then uses that point and
@@ -83,7 +106,7 @@ def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
     contacts, 3) at the beginning, in world axes, and `surface_velocity` (3 nc,) at the midpoint, in the contact
     frames; both are empty without moving surfaces. `begin` and `here` are as in `local_velocities`.
     """
-    (_, old_points, _), x_old, (linear, angular), (reach, closed, rounding) = begin
+    (_, old_points, _), x_old, (linear, angular), (reach, closed, rounding, _) = begin
     (names, points, _), frame, x = here
     for c in range(place.size):
         f1, f2, n = names[2, c], names[3, c], row(frame[c], 0)
@@ -91,19 +114,20 @@ def begin_velocities(place, begin, here, carried, surface_velocity, ahead, u):
         m, there = n, False
         if k >= 0:
             d, m = minus(p, row(old_points[0], k)), row(old_points[1], k)
-            far, turn, tilt = 0.0, 0.0, minus(n, m)
+            way, turn, tilt = 0.0, 0.0, minus(n, m)
             for f in (f1, f2):
                 if f >= 0:
-                    far += reach[f]
+                    way += reach[f]
                     turn += ahead * math.sqrt(dot(row(angular, f), row(angular, f)))
                 elif carried.size:  # it may be driven
                     turn = math.inf
-            turn += far / min(rounding[names[0, c]], rounding[names[1, c]])
-            most, gone, far = min(TILT, SWING * turn), dot(d, d), far * far
+            turn += way / min(rounding[names[0, c]], rounding[names[1, c]])
+            most, gone, way = min(TILT, SWING * turn), dot(d, d), way * way
             near = TOGETHER * gone
             there = dot(tilt, tilt) <= most * most and (
-                gone <= far or (alone(k, begin[0], near, closed) and alone(c, here[0], near, closed))
+                gone <= way or (alone(k, begin[0], near, closed) and alone(c, here[0], near, closed))
             )
+        far[c] = turns_far(c, k if there else -1, begin, here, ahead)
         w = (0.0, 0.0, 0.0)
         for s in range(2):
             f = f1 if s == 0 else f2
@@ -128,7 +152,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     u_begin is v_begin in the rows of the beginning; u and u_free are in the rows of the midpoint. `jacobian_drift`
     = u - u_begin is the change of relative velocity because the rows turn, without any impulse. end_gap
     = gap - ahead/2 drift_N belongs to the parabola whose speed at the end of the step, `ahead` seconds later, is 0,
-    but for changes of the twists. For bodies that turn by more than `TURNS` no drift is foreseen.
+    but for changes of the twists. For contacts that turn far no drift is foreseen.
 
     Parameters
     ----------
@@ -142,7 +166,8 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         Each is empty for none.
     begin : tuple
         The contacts found at the beginning of the step, places and twists of the frames there, and (how far points of
-        the frames move in about half a step, the gap tolerance, inscribed radii of curved shapes, infinite for others).
+        the frames move in about half a step, the gap tolerance, inscribed radii of curved shapes, infinite for others,
+        how many frames are free bodies).
     here : tuple
         The contacts at the midpoint, their directions, and the places of the frames.
     warm : tuple
@@ -150,13 +175,13 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
         found at the beginning of the step.
     ahead : float
     out : tuple
-        local, shape (5, 3 rows): u_begin, u, u_free, drift, warm start; end_gap, shape (rows,); and the places of the
-        contacts among those of `warm`, shape (nc,).
+        local, shape (5, 3 rows): u_begin, u, u_free, drift, warm start; end_gap, shape (rows,); the places of the
+        contacts among those of `warm`, shape (nc,); and the contacts that turn far, shape (nc,).
     """
-    local, end_gap, place = out
+    local, end_gap, place, far = out
     v_begin, v, v_free = velocities
     carried, surface_velocity, transport_end, joint_load = surfaces
-    (_, angular), ((names, _, scalars), frame, _) = begin[2], here
+    (names, _, scalars), frame, _ = here
     key, nc = names[4], names.shape[1]
     u_begin, u, u_free, jacobian_drift, guess = local[0], local[1], local[2], local[3], local[4]
     relative_velocity(blocks, v, u)
@@ -164,7 +189,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     if u.size > 3 * nc:  # joint rows are the same everywhere
         relative_velocity(blocks, v_begin, u_begin)
     places(begin[0][0][4], key, place)
-    begin_velocities(place, begin, here, carried, surface_velocity, ahead, u_begin)
+    begin_velocities(place, begin, here, carried, surface_velocity, ahead, u_begin, far)
     places(warm[0], key, place)
     warm_start(place, warm[1], warm[2], frame, guess)
     for i in range(surface_velocity.size):
@@ -173,11 +198,7 @@ def local_velocities(blocks, velocities, surfaces, begin, here, warm, ahead, out
     for i in range(u.size):
         jacobian_drift[i] = u[i] - u_begin[i]
     for c in range(nc):
-        spin = 0.0
-        for f in (names[2, c], names[3, c]):
-            if f >= 0:
-                spin = max(spin, dot(row(angular, f), row(angular, f)))
-        if ahead * ahead * spin > TURNS * TURNS:
+        if far[c]:
             jacobian_drift[3 * c], jacobian_drift[3 * c + 1], jacobian_drift[3 * c + 2] = 0.0, 0.0, 0.0
         end_gap[c] = scalars[0, c] - 0.5 * ahead * jacobian_drift[3 * c]
     # Kinematic bodies have the twist of the end from the midpoint on; reaching it takes no time.

@@ -153,18 +153,3 @@ def striking_speed(contacts, x, twists, warm, geoms, closed):
         if scalars[0, c] <= closed and (was[c] == 0 or scalars[2, c] > 0.0):
             least = min(least, approach_of(c, contacts, x, twists))
     return least
-
-
-@no_alloc
-def turns_far(contacts, status, closed, spins, most, out):
-    """Contacts that are closed, or have an impulse, with a body that turns faster than `most`, rad/s, into out (nc,).
-
-    spins: angular velocities of the frames, (frames, 3), at both ends of a move.
-    """
-    names, _, scalars = contacts
-    for c in range(out.size):
-        out[c] = False
-        if status[c] > 0 or scalars[0, c] <= closed:
-            for f in (names[2, c], names[3, c]):
-                for spin in spins:
-                    out[c] = out[c] or (f >= 0 and dot(row(spin, f), row(spin, f)) > most * most)
