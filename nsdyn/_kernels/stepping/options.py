@@ -54,8 +54,8 @@ class Options:
     configuration of a move: beyond dt = √(m d / T) light links that carry a load whip."""
 
     turn: float = 0.5
-    """Largest turn of a body in half a move, rad, for which the contact law extrapolates how its contacts turn. Beyond
-    it the law is of first order and never adds energy: needles that spin made all the energy they had."""
+    """Largest turn of the lever of a contact in half a move, rad, for which the contact law extrapolates it. Beyond it
+    the law is of first order and never adds energy: needles that spin made all the energy they had."""
 
     tilt: float = 0.2
     """Largest turn of a contact normal in half a move, rad. Beyond it the normal has jumped to another feature, and the
