@@ -7,7 +7,7 @@ To add one:
 docstring has its equations, its source, and where it fails;
 2. ``__call__(problem, r0=None)`` that returns ``Solution.judge(problem, r, tol, iterations, seconds)``: the measures
 are those of the problem, not of the solver, and the status reports values that are not finite;
-3. its name and its home in `HOMES`, for type checkers also among the imports above it;
+3. its class in `CLASSES`, for type checkers also among the imports above it;
 4. `test_solvers.py` and `test_data.py` of `tests/solvers` and `tests/literature/test_reference_solvers.py` run all of
 `SOLVERS`; they list the problems that the method cannot solve;
 5. a line in `demos/guide/solvers.md`, and ``nsdyn profile DIR --solver NAME --solver auto`` to compare it.
@@ -15,6 +15,7 @@ are those of the problem, not of the solver, and the status reports values that 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from importlib.util import find_spec
@@ -107,25 +108,18 @@ class Graded(Solver, Protocol):
 QUICK = 0.1
 """Longest solve, s, that is repeated for its time if kernels had to be loaded or compiled for it."""
 
+CLASSES = {
+    "solvers": "Auto Continuation Newton",
+    "literature": "ACLM ADMM Bundle Extragradient FixedPoint GaussSeidel Hybrid ImpulseNewton Interior InteriorPoint "
+    "Panagiotopoulos PGS Proximal Tresca Uzawa",
+}
+"""Solver classes by folder. The solver `fixed_point` is the class `FixedPoint` of the module `fixed_point`."""
+
 HOMES = {
-    "aclm": ("literature.aclm", "ACLM"),
-    "admm": ("literature.admm", "ADMM"),
-    "auto": ("solvers.auto", "Auto"),
-    "bundle": ("literature.bundle", "Bundle"),
-    "continuation": ("solvers.continuation", "Continuation"),
-    "extragradient": ("literature.extragradient", "Extragradient"),
-    "fixed_point": ("literature.fixed_point", "FixedPoint"),
-    "gauss_seidel": ("literature.gauss_seidel", "GaussSeidel"),
-    "hybrid": ("literature.hybrid", "Hybrid"),
-    "impulse_newton": ("literature.impulse_newton", "ImpulseNewton"),
-    "interior": ("literature.interior", "Interior"),
-    "interior_point": ("literature.interior_point", "InteriorPoint"),
-    "newton": ("solvers.newton", "Newton"),
-    "panagiotopoulos": ("literature.panagiotopoulos", "Panagiotopoulos"),
-    "pgs": ("literature.pgs", "PGS"),
-    "proximal": ("literature.proximal", "Proximal"),
-    "tresca": ("literature.tresca", "Tresca"),
-    "uzawa": ("literature.uzawa", "Uzawa"),
+    name: (f"{folder}.{name}", made)
+    for folder, classes in CLASSES.items()
+    for made in classes.split()
+    for name in [re.sub("(?<=[a-z])(?=[A-Z])", "_", made).lower()]
 }
 """Module and class of each solver, by its name."""
 
@@ -143,7 +137,7 @@ class Known(Mapping[str, type]):
 
     def __iter__(self) -> Iterator[str]:
         there = find_spec("nsdyn.literature") is not None
-        return (name for name, (home, _) in HOMES.items() if there or home.startswith("solvers."))
+        return (name for name, (home, _) in sorted(HOMES.items()) if there or home.startswith("solvers."))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)

@@ -79,15 +79,14 @@ class Multipliers:
         while penalty > _kernels.LEAST:
             if inner == 0:
                 rho = penalty / scales
-                _kernels.projected(u, estimate, rho, mu, P, step)
-            _kernels.stiffness(u, estimate, rho, mu, A)
+                _kernels.projected(u, estimate, rho, mu, P, step, A)
             try:
                 y = y + W.towards(A, step, y)
             except RuntimeError:
                 break
             self.count += 1
             u = W.relative(y) + own
-            _kernels.projected(u, estimate, rho, mu, P, step)
+            _kernels.projected(u, estimate, rho, mu, P, step, A)
             vectors = u, W.product(P) + q, own, P, estimate, self.r
             verdict, so_far = _kernels.judge(given, vectors, (penalty, inner + 1, before, self.best))
             penalty, inner, before, self.best = so_far

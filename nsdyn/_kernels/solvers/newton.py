@@ -36,8 +36,8 @@ GOES_ON, SETTLED, FAILED = range(3)
 
 
 @no_alloc
-def projected(u, r, rho, mu, P, step):
-    """Write P(u) of every contact, and P - r.
+def projected(u, r, rho, mu, P, step, A):
+    """Write P(u) of every contact, P - r, and A_c = -dP_c/du_c.
 
     Parameters
     ----------
@@ -47,41 +47,28 @@ def projected(u, r, rho, mu, P, step):
         Penalties, kg, and coefficients of friction.
     P, step : ndarray, shape (3 nc,)
         Results P and P - r, N·s.
+    A : ndarray, shape (nc, 3, 3)
+        Result A_c, kg.
     """
     for c in range(mu.size):
-        i = 3 * c
+        i, B = 3 * c, A[c]
+        B[:] = 0.0
         a = r[i] - rho[c] * u[i]
         if a <= 0.0:
             P[i] = P[i + 1] = P[i + 2] = 0.0
         else:
             z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
-            t = math.sqrt(z1 * z1 + z2 * z2)
-            s = mu[c] * a / t if t > mu[c] * a else 1.0
+            t, s = math.sqrt(z1 * z1 + z2 * z2), 1.0
+            B[0, 0] = B[1, 1] = B[2, 2] = rho[c]
+            if t > mu[c] * a:
+                s = mu[c] * a / t
+                x, y, k = z1 / t, z2 / t, rho[c] * mu[c] * a / t
+                B[1, 0], B[2, 0] = rho[c] * mu[c] * x, rho[c] * mu[c] * y
+                B[1, 1], B[2, 2] = k * y * y, k * x * x
+                B[1, 2] = B[2, 1] = -k * x * y
             P[i], P[i + 1], P[i + 2] = a, s * z1, s * z2
         for j in range(i, i + 3):
             step[j] = P[j] - r[j]
-
-
-@no_alloc
-def stiffness(u, r, rho, mu, A):
-    """Write A_c = -dP_c/du_c of every contact into A (nc, 3, 3)."""
-    for c in range(mu.size):
-        i = 3 * c
-        B = A[c]
-        B[:] = 0.0
-        a = r[i] - rho[c] * u[i]
-        if a <= 0.0:
-            continue
-        z1, z2 = r[i + 1] - rho[c] * u[i + 1], r[i + 2] - rho[c] * u[i + 2]
-        t = math.sqrt(z1 * z1 + z2 * z2)
-        B[0, 0] = rho[c]
-        if t <= mu[c] * a:
-            B[1, 1] = B[2, 2] = rho[c]
-            continue
-        x, y, k = z1 / t, z2 / t, rho[c] * mu[c] * a / t
-        B[1, 0], B[2, 0] = rho[c] * mu[c] * x, rho[c] * mu[c] * y
-        B[1, 1], B[2, 2] = k * y * y, k * x * x
-        B[1, 2] = B[2, 1] = -k * x * y
 
 
 @no_alloc
@@ -191,9 +178,8 @@ def dense(problem, r, enough, near, penalty, most):
     while best > enough and count < most and penalty > LEAST and not (best <= near and count - since >= IDLE):
         if inner == 0:
             rho = penalty / scales
-            projected(u, estimate, rho, mu, P, step)
+            projected(u, estimate, rho, mu, P, step, A)
         defect(blocks, y, step, F, work)
-        stiffness(u, estimate, rho, mu, A)
         assemble(blocks, A, indptr, blocks[0], slot, diagonal, K.reshape(-1))
         if not factorise(K, pivot, low, end):
             return count, best
@@ -202,7 +188,7 @@ def dense(problem, r, enough, near, penalty, most):
         count += 1
         relative_velocity(blocks, y, u)
         u += own
-        projected(u, estimate, rho, mu, P, step)
+        projected(u, estimate, rho, mu, P, step, A)
         velocity(blocks, q, P, dy, shown, work)
         so_far = penalty, inner + 1, before, best
         verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)
@@ -237,8 +223,7 @@ def impulses(problem, r, enough, penalty, most):
     while best > enough and count < most and penalty > LEAST:
         if inner == 0:
             rho = penalty / scales
-            projected(u, estimate, rho, mu, P, step)
-        stiffness(u, estimate, rho, mu, A)
+            projected(u, estimate, rho, mu, P, step, A)
         given.stiffened(W, A, S)
         if not factorise(S, pivot, low, end):
             break
@@ -247,7 +232,7 @@ def impulses(problem, r, enough, penalty, most):
         y += step
         count += 1
         given.velocity(W, own, y, u)
-        projected(u, estimate, rho, mu, P, step)
+        projected(u, estimate, rho, mu, P, step, A)
         given.velocity(W, q, P, shown)
         so_far = penalty, inner + 1, before, best
         verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)
