@@ -25,10 +25,10 @@ from typing import Any, NoReturn
 from nsdyn.cli.doctor import diagnose, version_of
 from nsdyn.cli.figures import add_plot, draw
 from nsdyn.cli.films import add_film, make_film
-from nsdyn.cli.output import OUTPUTS, add_input, add_json, add_output, one_line
+from nsdyn.cli.output import OUTPUTS, add_input, add_made, add_output, one_line
 from nsdyn.cli.problems import bench_engines, profile_solvers, solve_file
 from nsdyn.cli.results import add_table, show_energy, show_table, write_page
-from nsdyn.cli.run import add_simulation, begin_scene, list_scenes, run_scene
+from nsdyn.cli.run import add_scene, add_simulation, begin_scene, list_scenes, run_scene
 from nsdyn.cli.studies import add_check, add_compare, add_study, check_anything, compare_recordings, study_steps
 from nsdyn.cli.sweeps import add_sweep, sweep_scene
 from nsdyn.tools import callbacks
@@ -67,13 +67,14 @@ TABLES = {
     "contacts": "Print or export contact points: gap, velocity, impulse, state.",
 }
 
+FIGURES = "scenes doctor run sweep study check solve profile bench energy compare".split()
+"""Commands whose results are figures, which ``--json`` prints."""
+
 OPTIONS = {"duration": "--time", "dts": "--dt", "package_dirs": "--package-dir"}
 """Options of the command by names of Python arguments; an error that begins with the name shows the option instead."""
 
 AGAIN = 0.05
 """Time after which an interrupt that Python has dropped is repeated, s."""
-
-SCENE = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn new' begins"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -161,7 +162,9 @@ def parser() -> _Parser:
     _add_simulations(command)
     _add_problems(command)
     _add_results(command)
-    for p in commands.choices.values():
+    for name, p in commands.choices.items():
+        if name in FIGURES:
+            p.add_argument("--json", action="store_true", help="print the figures as JSON")
         if p.get_default("outputs"):
             p.epilog = OUTPUTS
     return top
@@ -176,24 +179,15 @@ def _help(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int
 def _add_simulations(command: Command) -> None:
     """Add the commands that make and run scenes."""
     p = command("scenes", list_scenes, "List the named scenes and their parameters.")
-    add_json(p)
 
     p = command("doctor", diagnose, "Show versions and places of what nsdyn depends on, and check that it works.")
     p.add_argument("--compile", action="store_true", help="first compile all kernels")
-    add_json(p)
 
     p = command("new", begin_scene, "Write a commented scene file to begin with; one that exists is left alone.")
     p.add_argument("file", type=Path, metavar="MY.py")
 
     p = command("run", run_scene, "Simulate a scene and print its energy ledger.")
-    p.add_argument("scene", metavar="SCENE", help=SCENE)
-    p.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        help="parameter of the scene; may be repeated",
-    )
+    add_scene(p)
     add_simulation(p, "raise", "dump", "ignore")
     where = p.add_mutually_exclusive_group()
     add_output(where, "-o", "--output", kind=RECORDING, metavar="RUN.h5", help="recording, written while it runs")
@@ -213,14 +207,11 @@ def _add_simulations(command: Command) -> None:
         "--dump-on-fail", type=Path, metavar="DIR", help="folder for the problems of steps that fail, as FCLIB files"
     )
     p.add_argument("--check", action="store_true", help="audit the motion; the exit code is 0 only if it passes")
-    add_json(p)
 
     p = command("sweep", sweep_scene, "Simulate a scene for every combination of parameters and print a table.")
-    p.add_argument("scene", metavar="SCENE", help=SCENE)
     add_sweep(p)
 
     p = command("study", study_steps, "Simulate a scene at several time steps: errors against the finest, orders.")
-    p.add_argument("scene", metavar="SCENE", help=SCENE)
     add_study(p)
 
     add_check(command("check", check_anything, "Look for what is wrong with a robot file, a scene or a recording."))
@@ -233,7 +224,6 @@ def _add_problems(command: Command) -> None:
     p.add_argument("--solver", default="auto", metavar="S", help="solver by name (default: %(default)s)")
     p.add_argument("--tol", type=float, default=1e-8, metavar="E", help="its tolerance (default: %(default)s)")
     add_output(p, "-o", "--output", kind=PROBLEM, metavar="SOLUTION.hdf5", help="the problem and its solution")
-    add_json(p)
 
     p = command(
         "profile", profile_solvers, "Compare solvers on a folder of FCLIB files: Dolan-Moré performance profiles."
@@ -250,7 +240,6 @@ def _add_problems(command: Command) -> None:
     p.add_argument("--peer", action="append", default=[], metavar="NAME", help="siconos or pinocchio: all its solvers")
     add_output(p, "--csv", kind=TABLE, metavar="F.csv", help="all runs, one a line")
     add_output(p, "--plot", kind=PICTURE, metavar="F.png", help="picture of the profiles (png, pdf or svg)")
-    add_json(p)
 
     p = command(
         "bench", bench_engines, "Speed against error: scenes with known answers, in nsdyn and in other engines."
@@ -268,7 +257,6 @@ def _add_problems(command: Command) -> None:
     )
     add_output(p, "--csv", kind=TABLE, metavar="F.csv", help="all runs, one a line")
     add_output(p, "--plot", kind=PICTURE, metavar="F.png", help="picture of time against error (png, pdf or svg)")
-    add_json(p)
 
 
 def _add_results(command: Command) -> None:
@@ -282,7 +270,6 @@ def _add_results(command: Command) -> None:
         help="in place of the ledger, works of the contacts of each pair of bodies, or energies of each body",
     )
     add_output(p, "--csv", kind=TABLE, metavar="E.csv", help="all times: energies, and the works of each step, in J")
-    add_json(p)
 
     for kind, summary in TABLES.items():
         add_table(command(kind, partial(show_table, kind), summary))
@@ -290,15 +277,7 @@ def _add_results(command: Command) -> None:
     p = command("view", write_page, "Make a web page or a picture of a recording, or of some beside each other.")
     add_input(p, "recording", metavar="RUN.h5")
     add_input(p, "beside", metavar="OTHER.h5", nargs="*", help="shown beside it, on the same clock")
-    add_output(
-        p,
-        "-o",
-        "--output",
-        kind=PAGE,
-        metavar="RUN.html",
-        help="self-contained animated page (default, if nothing else is asked for: named after the recording, in this "
-        "folder)",
-    )
+    add_made(p, PAGE, "html", "self-contained animated page; with --png only if it is named")
     p.add_argument(
         "--forces",
         nargs="?",

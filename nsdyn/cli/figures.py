@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import add_input, add_output, check_files, picture, say, sides
+from nsdyn.cli.output import add_input, add_made, check_files, picture, say, sides
 from nsdyn.tools.files import PICTURE
 
 KINDS = "position speed force slip gap joint phase energy power friction certificate penetration".split()
@@ -23,14 +23,7 @@ SMALL = 89.0
 def add_plot(parser: argparse.ArgumentParser) -> None:
     """Add the options of ``nsdyn plot``."""
     add_input(parser, "recording", metavar="RUN.h5")
-    add_output(
-        parser,
-        "-o",
-        "--output",
-        kind=PICTURE,
-        metavar="P.png",
-        help="picture (png, pdf or svg; default: named after the recording, in this folder)",
-    )
+    add_made(parser, PICTURE, "png", "picture, png, pdf or svg")
     parser.add_argument(
         "--kind",
         action="append",

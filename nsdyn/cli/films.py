@@ -6,7 +6,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from nsdyn.cli.output import add_input, add_output, check_files, say, sides
+from nsdyn.cli.output import add_input, add_made, check_files, say, sides
 from nsdyn.tools.files import FILM
 
 CURVES = ("energy", "power", "motion", "checks", "none")
@@ -17,14 +17,7 @@ def add_film(parser: argparse.ArgumentParser) -> None:
     """Add the options of ``nsdyn film``."""
     add_input(parser, "recording", metavar="RUN.h5")
     add_input(parser, "beside", metavar="OTHER.h5", nargs="*", help="shown beside it, on the same clock")
-    add_output(
-        parser,
-        "-o",
-        "--output",
-        kind=FILM,
-        metavar="RUN.mp4",
-        help="the film (default: named after the recording, in this folder)",
-    )
+    add_made(parser, FILM, "mp4", "the film")
     parser.add_argument("--size", default="1280x720", metavar="WxH", help="in pixels (default: %(default)s)")
     parser.add_argument(
         "--speed",

@@ -34,11 +34,6 @@ OUTPUTS = (
 )
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--json``."""
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-
-
 def say(arguments: argparse.Namespace, text: object) -> None:
     """Print results to stdout, or to stderr if an output file is stdout."""
     from nsdyn.tools import files
@@ -92,6 +87,12 @@ def add_output(parser: argparse._ActionsContainer, *names: str, kind: Kind, **op
     """Add an option for the path of a file to write, of a given kind."""
     written = parser.add_argument(*names, type=Path, **options).dest
     parser.set_defaults(outputs={**(parser.get_default("outputs") or {}), written: kind})
+
+
+def add_made(parser: argparse.ArgumentParser, kind: Kind, ending: str, what: str) -> None:
+    """Add the option for the one file that a command makes of a recording."""
+    told = f"{what} (default: named after the recording, in this folder)"
+    add_output(parser, "-o", "--output", kind=kind, metavar=f"RUN.{ending}", help=told)
 
 
 def check_files(arguments: argparse.Namespace) -> None:

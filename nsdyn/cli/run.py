@@ -18,6 +18,19 @@ COARSEST = 1.0
 """Largest tolerance, m/s: a larger one probably comes from an exponent without its sign."""
 
 
+def add_set(parser: argparse.ArgumentParser, values: str = "VALUE", what: str = "parameter of the scene") -> None:
+    """Add the option for the parameters of a scene."""
+    told = f"{what}; may be repeated"
+    parser.add_argument("--set", metavar=f"NAME={values}", action="append", default=[], help=told)
+
+
+def add_scene(parser: argparse.ArgumentParser, *values: str) -> None:
+    """Add the scene of a command, and its parameters."""
+    known = "a name that 'nsdyn scenes' lists, or a file of your own, which 'nsdyn new' begins"
+    parser.add_argument("scene", metavar="SCENE", help=known)
+    add_set(parser, *values)
+
+
 def add_simulation(parser: argparse.ArgumentParser, *on_fail: str) -> None:
     """Add the options of a simulation: its duration, its time step, and those of `add_solver`."""
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")

@@ -10,7 +10,6 @@ from typing import Any
 from nsdyn.cli.output import (
     PICTURE_SIZE,
     add_input,
-    add_json,
     add_output,
     check_files,
     header,
@@ -18,12 +17,13 @@ from nsdyn.cli.output import (
     picture,
     report,
 )
-from nsdyn.cli.run import add_solver, chosen_solver
+from nsdyn.cli.run import add_scene, add_set, add_solver, chosen_solver
 from nsdyn.tools.files import PICTURE, TABLE, write_csv
 
 
 def add_study(parser: argparse.ArgumentParser) -> None:
-    """Add the options of ``nsdyn study`` besides its scene."""
+    """Add the options of ``nsdyn study``."""
+    add_scene(parser)
     parser.add_argument(
         "--dt",
         required=True,
@@ -31,12 +31,10 @@ def add_study(parser: argparse.ArgumentParser) -> None:
         metavar="H,H,...",
         help="time steps in s, with commas between; may be repeated; the least is the reference",
     )
-    parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="parameter; may be repeated")
     parser.add_argument("--time", type=float, metavar="T", help="simulated time in s (default: the scene's own)")
     add_solver(parser, "raise", "ignore")
     add_output(parser, "--csv", kind=TABLE, metavar="F.csv", help="the table")
     add_output(parser, "--plot", kind=PICTURE, metavar="F.png", help="picture of the errors over dt (png, pdf or svg)")
-    add_json(parser)
 
 
 def study_steps(arguments: argparse.Namespace) -> int:
@@ -83,7 +81,6 @@ def add_compare(parser: argparse.ArgumentParser) -> None:
     """Add the options of ``nsdyn compare``."""
     add_input(parser, "first", metavar="A.h5")
     add_input(parser, "second", metavar="B.h5")
-    add_json(parser)
 
 
 def compare_recordings(arguments: argparse.Namespace) -> int:
@@ -103,9 +100,7 @@ def add_check(parser: argparse.ArgumentParser) -> None:
         metavar="ROBOT|SCENE|RUN.h5",
         help="a robot file (.urdf, .sdf, .xml, .mjcf), a scene by its name or its file (.py), a recording (.h5)",
     )
-    parser.add_argument(
-        "--set", metavar="NAME=VALUE", action="append", default=[], help="parameter of the scene; may be repeated"
-    )
+    add_set(parser)
     parser.add_argument("--base", choices=("fixed", "free"), help="of a URDF (default: fixed)")
     parser.add_argument("--keyframe", metavar="NAME", help="that an MJCF file starts from")
     parser.add_argument(
@@ -121,7 +116,6 @@ def add_check(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="where the meshes of a robot are looked up; may be repeated",
     )
-    add_json(parser)
 
 
 def check_anything(arguments: argparse.Namespace) -> int:

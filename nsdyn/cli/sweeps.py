@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from nsdyn.cli.output import (
     PICTURE_SIZE,
-    add_json,
     add_output,
     check_files,
     header,
@@ -21,7 +20,7 @@ from nsdyn.cli.output import (
     report,
     table,
 )
-from nsdyn.cli.run import add_simulation, chosen_solver, chosen_steps
+from nsdyn.cli.run import add_scene, add_simulation, chosen_solver, chosen_steps
 from nsdyn.tools.files import PICTURE, STORE, TABLE, write_csv
 
 if TYPE_CHECKING:
@@ -32,14 +31,8 @@ ROUND_OFF = 1e-12
 
 
 def add_sweep(parser: argparse.ArgumentParser) -> None:
-    """Add the options of ``nsdyn sweep`` besides its scene."""
-    parser.add_argument(
-        "--set",
-        metavar="NAME=VALUE,...",
-        action="append",
-        default=[],
-        help="values of a parameter of the scene, with commas between; may be repeated",
-    )
+    """Add the options of ``nsdyn sweep``."""
+    add_scene(parser, "VALUE,...", "values of a parameter of the scene, with commas between")
     add_simulation(parser, "raise", "ignore")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes to use (default: as many as cores)")
@@ -59,7 +52,6 @@ def add_sweep(parser: argparse.ArgumentParser) -> None:
         metavar="F.png",
         help="picture of displacement, energy and works over the parameter with the most values (png, pdf or svg)",
     )
-    add_json(parser)
 
 
 def sweep_scene(arguments: argparse.Namespace) -> int:
