@@ -47,9 +47,7 @@ def _places(poses: Poses, found: Trees) -> Iterator[Finding]:
     t, frames = poses.trajectory, poses.scene["frames"]
     off, far = np.zeros((2, t.steps + 1, len(frames)))
     R, x = np.zeros((t.steps + 1, len(frames), 3, 3)), np.zeros((t.steps + 1, len(frames), 3))
-    radius, links = np.zeros(len(frames)), list(found.links)
-    moving = poses.frame >= 0
-    np.maximum.at(radius, poses.frame[moving], poses.bounding_radius[moving])
+    links = list(found.links)
     gaps, beyond, scales, ranges, labels = [], [], [], [], []
     for i, m in enumerate(found.mechanisms):
         own = [(frame, joint) for frame, (tree, joint) in found.links.items() if tree == i]
@@ -70,9 +68,9 @@ def _places(poses: Poses, found: Trees) -> Iterator[Finding]:
     quaternion = poses.quaternion[:, links]
     turn = np.linalg.norm(matrix(quaternion) - R[:, links], axis=(2, 3))
     turn += np.abs(np.linalg.norm(quaternion, axis=2) - 1.0)
-    off[:, links] = np.linalg.norm(poses.x[:, links] - x[:, links], axis=2) + radius[links] * turn
+    off[:, links] = np.linalg.norm(poses.x[:, links] - x[:, links], axis=2) + poses.reach[links] * turn
     far[:, links] = np.linalg.norm(x[:, links], axis=2)
-    yield worst_among("links", off, radius + far, frames, 0)
+    yield worst_among("links", off, poses.reach + far, frames, 0)
     k, i = np.array(labels).T
     trees_ = [m.name for m in found.mechanisms]
     looped = np.array([found.mechanisms[tree].loops > 0 for tree in i])

@@ -87,21 +87,14 @@ def _motion(poses: Poses, flight: Flight | None) -> Finding:
     than its size. Otherwise the reference is the displacement of the body.
     """
     t, free, theta = poses.trajectory, poses.free, poses.theta
-    q, radius = poses.quaternion[:, :free], _radius(poses)
+    q, radius = poses.quaternion[:, :free], poses.reach[:free]
     size = np.broadcast_to(poses.smallest, (t.steps, free))
     if flight is not None:
-        far, at = (
-            np.linalg.norm(flight.pushes.shift.reshape(-1, 2, 3), axis=2),
-            (flight.pushes.step, flight.pushes.body),
-        )
-        all_lifts, largest = flight.pushes.summed((t.steps, free), far), np.zeros((t.steps, free, 2))
-        np.maximum.at(largest, at, far)
-        one, amount = (
-            np.maximum(
-                flight.astray + lift[..., 0] - flight.unknown, (flight.turn - flight.flow + lift[..., 1]) * radius
-            )
-            for lift in (largest, all_lifts)
-        )
+        far = np.linalg.norm(flight.pushes.shift.reshape(-1, 2, 3), axis=2)
+        lifts = np.stack([np.zeros((t.steps, free, 2)), flight.pushes.summed((t.steps, free), far)])
+        np.maximum.at(lifts[0], (flight.pushes.step, flight.pushes.body), far)
+        moved, turned_by = flight.astray + lifts[..., 0] - flight.unknown, flight.turn - flight.flow + lifts[..., 1]
+        one, amount = np.maximum(moved, turned_by * radius)  # for the largest lift of a step, and for all its lifts
         speed = np.linalg.norm(poses.v[..., :3], axis=2) + radius * np.linalg.norm(poses.v[..., 3:], axis=2)
         scale = np.maximum(size, t.dt * np.maximum(speed[:-1], speed[1:]))
         alone = one * scale > amount * size
@@ -113,13 +106,6 @@ def _motion(poses: Poses, flight: Flight | None) -> Finding:
     turn = angles(turned(q[:-1], before[..., 3:]), turned(q[1:], -after[..., 3:]))
     amount = np.maximum(left, (turn - poses.uncertain[1][:, :free]) * radius)
     return worst_among("motion", amount, size, poses.scene["frames"])
-
-
-def _radius(poses: Poses) -> Array:
-    """Largest distance of a point of each free body from its centre of mass, (free,), m."""
-    out, own = np.zeros(poses.free), np.flatnonzero(poses.is_free(poses.frame))
-    np.maximum.at(out, poses.frame[own], poses.bounding_radius[own])
-    return out
 
 
 def _lifts(poses: Poses, flight: Flight) -> Iterator[Finding]:
@@ -148,7 +134,9 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Finding]:
     off = np.zeros(moved.shape)
     np.maximum.at(off, (step, body), across - along - flight.round_off[step, body])
     yield worst_among("sideways", off, moved, poses.scene["frames"])
-    off = np.maximum(flight.astray - flight.unknown - flight.round_off, (flight.turn - flight.flow) * _radius(poses))
+    off = np.maximum(
+        flight.astray - flight.unknown - flight.round_off, (flight.turn - flight.flow) * poses.reach[:free]
+    )
     yield worst_among("lifts", off, np.broadcast_to(poses.smallest, off.shape), poses.scene["frames"])
 
 

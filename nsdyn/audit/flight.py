@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import DOP853
 
-from nsdyn.audit.findings import TOLERANCES
+from nsdyn.audit.findings import CREEP, TOLERANCES
 from nsdyn.audit.meetings import Meetings, Side
 from nsdyn.audit.poses import CONJUGATE, Poses, matrix, product, turned
 from nsdyn.audit.pushes import LIFT, Pushes, together, velocities
@@ -36,9 +36,6 @@ and the same again for the motion of the body."""
 
 CLOSED = 1e-9
 """Gap that counts as closed, as a fraction of the radius of the smallest moving shape."""
-
-SLOW = 0.01
-"""m/s: a contact may sink for the time in which this speed covers the size of its bodies, at most for a step."""
 
 
 @dataclass(frozen=True)
@@ -233,11 +230,11 @@ def _wander(poses: Poses) -> Array:
 
 
 def sunk(poses: Poses, size: Array) -> Array:
-    """Penetration in a step that the solver's tolerance allows for contacts of bodies of such a size, m."""
+    """Penetration that the solver's tolerance allows bodies of a size in a step, at most in size / `CREEP`, m."""
     t = poses.trajectory
     told = re.search(r"\btol=(\d+(?:\.\d*)?(?:e[+-]?\d+)?)", str(t.meta.get("solver", "")))
     tol = min(float(told[1]), TOLERANCES["velocities"]) if told else 0.0
-    out: Array = tol * np.minimum(t.dt, size / SLOW)
+    out: Array = tol * np.minimum(t.dt, size / CREEP)
     return out
 
 

@@ -67,12 +67,11 @@ class Poses:
                 kinds[key] = len(kinds)
                 self.solids.append(Solid.described(geom))
             self.kind[k] = kinds[key]
-        extents = np.array([solid.extent for solid in self.solids])
-        self.extent = extents[self.kind] if len(geoms) else np.empty(0)
-        self.rounding = np.array([self.solids[kind].rounding for kind in self.kind])
+        lengths = [(solid.extent, solid.rounding, solid.bounding_radius) for solid in self.solids]
+        self.extent: Array
+        self.extent, self.rounding, radius = np.array(lengths).reshape(-1, 3)[self.kind].T
         # Largest distance of a point of each shape from the origin of its frame, m.
-        arms = np.linalg.norm(self.placement[:, :3, 3], axis=1)
-        self.bounding_radius = np.array([self.solids[kind].bounding_radius for kind in self.kind]) + arms
+        self.bounding_radius = radius + np.linalg.norm(self.placement[:, :3, 3], axis=1)
 
     @cached_property
     def theta(self) -> float:
@@ -132,6 +131,13 @@ class Poses:
         """Unit normals of contacts, (contacts, 3)."""
         n = self.contacts["normal"]
         out: Array = n / np.linalg.norm(n, axis=1)[:, None]
+        return out
+
+    @cached_property
+    def reach(self) -> Array:
+        """Largest distance of a point of the shapes on each frame from its origin, (frames,), m."""
+        own, out = self.frame >= 0, np.zeros(len(self.scene["frames"]))
+        np.maximum.at(out, self.frame[own], self.bounding_radius[own])
         return out
 
     @cached_property

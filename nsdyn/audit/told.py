@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nsdyn.audit.findings import CREEP, Finding, not_audited, worst_of
+from nsdyn.audit.findings import CREEP, TOLERANCES, Finding, not_audited, worst_of
 from nsdyn.audit.flight import Flight
 from nsdyn.audit.poses import Poses
 from nsdyn.audit.touching import SLOW, along, apart, bouncing, from_surfaces, measured, pushing
@@ -14,9 +14,6 @@ from nsdyn.problem.solution import Status
 from nsdyn.recording.columns import OPEN, SLIP, STICK
 from nsdyn.recording.tables import left_out
 from nsdyn.tools.arrays import Array, Bools, Index
-
-EDGE = 1e-8
-"""An impulse within this fraction of the largest friction is on its cone; steps use 1e-9."""
 
 LAWS = "dissipative", "newton", "fremond"
 """Laws of impact by which a contact that strikes alone rebounds with its restitution."""
@@ -163,7 +160,7 @@ def _states(poses: Poses, flight: Flight) -> Bools:
     jams = ~np.isin(poses.trajectory.solver.status, (Status.CONVERGED, Status.SEVERAL))
     fits = np.select(
         [state == OPEN, state == STICK, state == SLIP],
-        [~pushes, pushes & ((drag < most) | slow), pushes & (drag >= most * (1.0 - EDGE))],
+        [~pushes, pushes & ((drag < most) | slow), pushes & (drag >= most * (1.0 - TOLERANCES["cone"]))],
         pushes & jams[step],
     )
     # Couples cancel the work of contacts between moving free bodies; contacts of links and impacts have no couple.

@@ -107,29 +107,20 @@ def tested(poses: Poses) -> NDArray[np.bool_]:
 def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, Index, Index]:
     """Pairs of shapes whose bounding boxes along the world axes meet: (first, second, state)."""
     count = len(poses.names)
-    low, high = np.empty((2, count, rows.size, 3))
-    flat = np.zeros(count, np.bool_)
+    high = np.full((count, rows.size, 3), np.inf)  # of half-spaces
+    low = -high
     for k in range(count):
         solid = poses.solids[poses.kind[k]]
-        R, x = poses.of(np.full(rows.size, k), rows)
-        flat[k] = solid.kind == "halfspace"
-        if not flat[k]:
-            high[k] = x + solid.support(np.swapaxes(R, 1, 2).swapaxes(1, 2))
-            low[k] = x - solid.support(-R)
-    first, second, state = [], [], []
+        if solid.kind != "halfspace":
+            R, x = poses.of(np.full(rows.size, k), rows)
+            low[k], high[k] = x - solid.support(-R), x + solid.support(R)
+    found = [np.empty((3, 0), np.int64)]
     for i in range(count):
         others = np.flatnonzero(pairs[i])
-        solid = others[~flat[others]] if not flat[i] else others[:0]
-        near = ((low[i] <= high[solid]) & (low[solid] <= high[i])).all(axis=2)
-        some = [(solid[near.nonzero()[0]], near.nonzero()[1])]
-        plane = np.setdiff1d(others, solid)
-        some.append((np.repeat(plane, rows.size), np.tile(np.arange(rows.size), plane.size)))
-        for other, at in some:
-            first.append(np.full(other.size, i))
-            second.append(other)
-            state.append(rows[at])
-    empty = np.empty(0, np.int64)
-    return tuple(np.concatenate([empty, *items]) for items in (first, second, state))  # type: ignore[return-value]
+        other, at = ((low[i] <= high[others]) & (low[others] <= high[i])).all(axis=2).nonzero()
+        found.append(np.stack([np.full(at.size, i), others[other], rows[at]]))
+    first, second, state = np.concatenate(found, axis=1)
+    return first, second, state
 
 
 def contacts(poses: Poses, flight: Flight | None) -> Iterator[Finding]:
