@@ -17,8 +17,8 @@ from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.naming import counted
 from nsdyn.view import arrows, contact_points, curves, keyframes, marks, paths, payload, titles
 from nsdyn.view.commands import Json, as_hex
-from nsdyn.view.looks import look_path, mesh_arrays, veiled, visual_commands
-from nsdyn.view.solids import body_path, colour, geom_path, shape_commands
+from nsdyn.view.looks import mesh_arrays, veiled, visual_commands
+from nsdyn.view.solids import body_path, colour, shape_commands, shape_path
 from nsdyn.view.stage import BACKGROUND, FIELD_OF_VIEW, View, stage_commands
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         "frames": [body_path(name) for name in scene["frames"]],
         "geoms": [
             {
-                "path": geom_path(scene, geom),
+                "path": shape_path(scene, geom, geom["name"]),
                 "body": number[label],
                 "solid": geom["shape"] != "halfspace",
                 "veiled": behind,
@@ -187,7 +187,7 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
             for geom, label, behind in zip(scene["geoms"], labels, veiled(scene), strict=True)
         ],
         "looks": [
-            {"path": look_path(scene, k), "body": number[look["link"]], "mesh": look.get("mesh")}
+            {"path": shape_path(scene, look, f"look {k}"), "body": number[look["link"]], "mesh": look.get("mesh")}
             for k, look in enumerate(looks)
         ],
         "view": {

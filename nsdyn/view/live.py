@@ -19,7 +19,7 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.options import is_number
 from nsdyn.view.commands import Json, as_three, by_columns, set_property
 from nsdyn.view.looks import veiled, visual_commands
-from nsdyn.view.solids import body_path, geom_path, shape_commands
+from nsdyn.view.solids import body_path, shape_commands, shape_path
 from nsdyn.view.stage import View, stage_commands
 
 
@@ -74,7 +74,7 @@ class Live:
         self.url: str = self._window.web_url
         self._paths = [body_path(name) for name in scene["frames"]]
         self._wait, self._next = 1.0 / fps, 0.0
-        hidden = [geom_path(scene, geom) for geom, on in zip(scene["geoms"], veiled(scene), strict=True) if on]
+        hidden = [shape_path(scene, g, g["name"]) for g, on in zip(scene["geoms"], veiled(scene), strict=True) if on]
         commands = stage_commands(view) + shape_commands(scene, view) + visual_commands(scene, whole=True)
         for command in commands + [set_property(path, "visible", False) for path in hidden]:
             self._send(command)

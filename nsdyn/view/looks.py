@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nsdyn.tools.array_text import from_text
 from nsdyn.view.commands import Json, as_buffer, by_columns, set_object
-from nsdyn.view.solids import body_path, solid, surface
+from nsdyn.view.solids import shape_path, solid, surface
 
 PLAIN = (0.72, 0.73, 0.75)
 """Colour if the file gives none."""
@@ -20,12 +20,6 @@ DETAIL = 16
 BACK_SIDE, DOUBLE_SIDE = 1, 2
 """Constants of three.js: triangles of files must be visible from behind. As for all bodies, the sides that face away
 from the sun cast the shadows; the sides that face it would show stripes of their own shadow."""
-
-
-def look_path(scene: Json, k: int) -> str:
-    """Return the path of a visual shape in the page's tree: under its moving frame, or fixed."""
-    frame = scene["visuals"][k]["frame"]
-    return f"{body_path(scene['frames'][frame]) if frame >= 0 else '/nsdyn/fixed'}/look {k}"
 
 
 def veiled(scene: Json) -> list[bool]:
@@ -42,16 +36,16 @@ def visual_commands(scene: Json, whole: bool = False) -> list[Json]:
     """
     commands = []
     for k, visual in enumerate(scene.get("visuals", ())):
-        rgba = visual["colour"] or PLAIN
+        path, rgba = shape_path(scene, visual, f"look {k}"), visual["colour"] or PLAIN
         if visual["shape"] == "mesh":
             mesh = scene["meshes"][visual["mesh"]]
             triangles = from_text(mesh["triangles"], "<u4", 3).ravel() if whole else [0, 0, 0]
             node = surface(as_buffer(position=from_text(mesh["vertices"], "<f4", 3)[triangles]), rgba)
             node["material"] |= {"side": DOUBLE_SIDE, "shadowSide": BACK_SIDE, "flatShading": whole}
             matrix = by_columns(np.array(visual["placement"]))
-            commands.append(set_object(look_path(scene, k), {"type": "Group", "matrix": matrix, "children": [node]}))
+            commands.append(set_object(path, {"type": "Group", "matrix": matrix, "children": [node]}))
         else:
-            commands.append(set_object(look_path(scene, k), solid(visual, rgba, DETAIL, marked=False)))
+            commands.append(set_object(path, solid(visual, rgba, DETAIL, marked=False)))
     return commands
 
 

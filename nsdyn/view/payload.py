@@ -33,19 +33,6 @@ def pack(values: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
     return base64.b64encode(data).decode()
 
 
-def unpack(text: str) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Unpack the text of `pack` into values and flat arrays."""
-    data = zlib.decompress(base64.b64decode(text))
-    start = ALIGNMENT + int.from_bytes(data[:ALIGNMENT], "little")
-    head = json.loads(data[ALIGNMENT:start])
-    out = {}
-    for name, entry in head["arrays"].items():
-        kind, at = np.dtype(entry["type"]), start + entry["at"]
-        planes = np.frombuffer(data, np.uint8, entry["size"] * kind.itemsize, at).reshape(kind.itemsize, -1)
-        out[name] = np.ascontiguousarray(planes.T).reshape(-1).view(kind)
-    return head["values"], out
-
-
 def rounded(values: ArrayLike) -> NDArray[np.float32]:
     """Round to single precision with BITS of 23 bits of mantissa: the remaining bits are zero and compress well."""
     whole = np.ascontiguousarray(values, dtype="<f4").view(np.uint32)

@@ -157,18 +157,29 @@ def _curves(table: Table, shown: Shown, key: Any, column: str) -> list[Curve]:
     return [Curve(label, rows[n]["t"], rows[n][column], own) for n, (label, own) in shown.items() if n in rows]
 
 
-def _bodies(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int]]:
-    """Return the table of some bodies, and the number of each body's frame, by which the page colours it."""
+Named = tuple[Table, dict[str, int], Any]
+"""A table, the number of each name in it, and the name in every row."""
+
+
+def _columns(found: Named, shown: dict[str, str], scale: float, cut: bool = False) -> list[Panel]:
+    """Return panels of columns by their labels; the names with the largest values of the first have their own look."""
+    table, numbers, key = found
+    looks = _shown(numbers, _most(table, key, next(iter(shown.values()))))
+    return [Panel(label, _curves(table, looks, key, column), scale, cut=cut) for label, column in shown.items()]
+
+
+def _bodies(trajectory: Trajectory, name: str) -> Named:
+    """Return the table of some bodies, numbered by their frames, by which the page colours them."""
     table, frames = tabulated(trajectory, "bodies", name), trajectory.scene["frames"]
     links = {link["name"]: link["frame"] for link in trajectory.scene["links"]}
     names = dict.fromkeys(table["body"].tolist())
-    return table, {body: links[body] if body in links else frames.index(body) for body in names}
+    return table, {body: links[body] if body in links else frames.index(body) for body in names}, table["body"]
 
 
 def _position(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, numbers = _bodies(trajectory, name)
-    shown = _shown(numbers, _most(table, table["body"], *"xyz", size=np.ptp))
-    moved = {axis: _curves(table, shown, table["body"], axis) for axis in "xyz"}
+    table, numbers, key = _bodies(trajectory, name)
+    shown = _shown(numbers, _most(table, key, *"xyz", size=np.ptp))
+    moved = {axis: _curves(table, shown, key, axis) for axis in "xyz"}
     spans = {axis: max(float(np.ptp(c.y)) for c in curves) for axis, curves in moved.items()}
     scale = max(*spans.values(), _fallen(trajectory)[0])
     out = {axis: Panel(f"{axis} [m]", curves, scale, zero=False) for axis, curves in moved.items()}
@@ -184,13 +195,11 @@ def _fallen(trajectory: Trajectory) -> tuple[float, float]:
 
 
 def _speed(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, numbers = _bodies(trajectory, name)
-    shown = _shown(numbers, _most(table, table["body"], "speed"))
-    return [Panel("speed [m/s]", _curves(table, shown, table["body"], "speed"), _fallen(trajectory)[1])]
+    return _columns(_bodies(trajectory, name), {"speed [m/s]": "speed"}, _fallen(trajectory)[1])
 
 
-def _pairs(trajectory: Trajectory, name: str) -> tuple[Table, dict[str, int], Any]:
-    """Return the table of some pairs, their numbers, and the name of the pair in every row."""
+def _pairs(trajectory: Trajectory, name: str) -> Named:
+    """Return the table of some pairs, numbered in its order."""
     table = tabulated(trajectory, "pairs", name)
     key = np.array([f"{a}{SIDES}{b}" for a, b in zip(table["body1"], table["body2"], strict=True)], dtype=object)
     return table, _numbered(key), key
@@ -202,27 +211,17 @@ def _numbered(key: Any) -> dict[str, int]:
 
 
 def _force(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, numbers, key = _pairs(trajectory, name)
-    scale = float(table["normal_force"].max(initial=0.0))
-    shown = _shown(numbers, _most(table, key, "normal_force"))
-    return [
-        Panel(label, _curves(table, shown, key, column), scale, cut=True)
-        for label, column in (("normal force [N]", "normal_force"), ("friction [N]", "friction_force"))
-    ]
+    found, shown = _pairs(trajectory, name), {"normal force [N]": "normal_force", "friction [N]": "friction_force"}
+    return _columns(found, shown, float(found[0]["normal_force"].max(initial=0.0)), cut=True)
 
 
 def _slip(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, numbers, key = _pairs(trajectory, name)
-    shown = _shown(numbers, _most(table, key, "slip"))
-    return [Panel("slip [m/s]", _curves(table, shown, key, "slip"), _fallen(trajectory)[1])]
+    return _columns(_pairs(trajectory, name), {"slip [m/s]": "slip"}, _fallen(trajectory)[1])
 
 
 def _gap(trajectory: Trajectory, name: str) -> list[Panel]:
-    table, numbers, key = _pairs(trajectory, name)
-    free = trajectory.scene["free"]
-    far = np.abs(trajectory.q[:, : 7 * free].reshape(-1, 7)[:, :3]).max(initial=0.0)
-    shown = _shown(numbers, _most(table, key, "gap"))
-    return [Panel("gap [m]", _curves(table, shown, key, "gap"), float(far))]
+    far = np.abs(trajectory.q[:, : 7 * trajectory.scene["free"]].reshape(-1, 7)[:, :3]).max(initial=0.0)
+    return _columns(_pairs(trajectory, name), {"gap [m]": "gap"}, float(far))
 
 
 def _joint(trajectory: Trajectory, name: str) -> list[Panel]:

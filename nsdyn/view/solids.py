@@ -27,10 +27,10 @@ def body_path(frame: str) -> str:
     return f"/nsdyn/bodies/{frame.replace('/', '.')}"
 
 
-def geom_path(scene: Json, geom: Json) -> str:
-    """Return the path of a shape: under its moving frame, or fixed."""
-    name, k = geom["name"].replace("/", "."), geom["frame"]
-    return f"{body_path(scene['frames'][k])}/{name}" if k >= 0 else f"/nsdyn/fixed/{name}"
+def shape_path(scene: Json, shape: Json, name: str) -> str:
+    """Return the path of a shape by its name: under its moving frame, or fixed."""
+    frame = shape["frame"]
+    return f"{body_path(scene['frames'][frame]) if frame >= 0 else '/nsdyn/fixed'}/{name.replace('/', '.')}"
 
 
 def colour(geom: Json) -> tuple[float, ...]:
@@ -49,7 +49,7 @@ def shape_commands(scene: Json, view: View) -> list[Json]:
     commands = []
     detail = 32 if len(scene["geoms"]) <= FEW else 16
     for geom in scene["geoms"]:
-        path = geom_path(scene, geom)
+        path = shape_path(scene, geom, geom["name"])
         if geom["shape"] == "halfspace":
             plane = halfspace_object(np.array(geom["size"]), geom["offset"], colour(geom), view)
             commands.append(set_object(path, plane))

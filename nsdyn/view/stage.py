@@ -266,17 +266,13 @@ def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view
 
 def _receiver(centre: Array, radius: float) -> Json:
     """Return a disc in the plane z = 0 that shows only shadows."""
+    place = np.eye(4)
+    place[:3, 3] = centre
     return {
         "type": "Mesh",
-        "matrix": by_columns(_moved(centre)),
+        "matrix": by_columns(place),
         "geometry": {"type": "CircleGeometry", "radius": radius, "segments": 32},
-        "material": {
-            "type": "ShadowMaterial",
-            "color": 0,
-            "opacity": 0.28,
-            "transparent": True,
-            "depthWrite": False,
-        },
+        "material": {"type": "ShadowMaterial", "color": 0, "opacity": 0.28, "transparent": True, "depthWrite": False},
         "receiveShadow": True,
     }
 
@@ -298,12 +294,6 @@ def _shadow(normal: Array, offset: float, view: View) -> tuple[Array, float] | N
     lower, upper = (feet - r / steepness).min(axis=0), (feet + r / steepness).max(axis=0)
     centre: Array = 0.5 * (lower + upper)
     return centre - (normal @ centre - offset) * normal, min(3.5 * R, 0.5 * float(np.linalg.norm(upper - lower)))
-
-
-def _moved(by: Array) -> Array:
-    out = np.eye(4)
-    out[:3, 3] = by
-    return out
 
 
 def corner_object(planes: Sequence[tuple[Array, float]], view: View) -> Json | None:

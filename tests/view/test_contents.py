@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from recordings import recording
-from test_viewer import contents
+from test_viewer import contents, unpacked
 
 import nsdyn as nd
 from nsdyn.dynamics.ledger import LAYERS, NUMERICS, PHYSICS
@@ -32,7 +32,7 @@ def test_packed_values_come_back():
         "real": np.array([[1.5, -np.inf], [np.nan, 1e-300]]),
         "none": np.empty((0, 3), np.float32),
     }
-    values, back = payload.unpack(payload.pack({"name": "</script> é"}, arrays))
+    values, back = unpacked(payload.pack({"name": "</script> é"}, arrays))
     assert values == {"name": "</script> é"}
     for name, array in arrays.items():
         assert back[name].dtype == array.dtype
@@ -45,7 +45,7 @@ def test_steps_that_miss_the_tolerance_are_told(sliding):
     status = np.array([nd.Status.LOOSE] * 13 + [nd.Status.STALLED] * 2 + [nd.Status.JAM] * 5)
     partly = nd.Trajectory(sliding.meta, sliding.scene, sliding.columns | {"solver/status": status})
     assert titles.words(partly).endswith(" by auto, 13 of 20 steps to 1e-4, 2 of 20 steps missed it")
-    shown = payload.unpack(packed(partly, None, False, 2000, None))[0]["words"]
+    shown = unpacked(packed(partly, None, False, 2000, None))[0]["words"]
     assert shown == titles.words(partly)
 
 
@@ -245,7 +245,7 @@ def test_curves_are_the_ledger(bouncing, monkeypatch):
 
 def test_a_page_is_told_what_its_ledger_shows(sliding):
     """The stack from below, in words and colours; every layer has its curve."""
-    values, arrays = payload.unpack(packed(sliding, None, False, 2000, None))
+    values, arrays = unpacked(packed(sliding, None, False, 2000, None))
     shown = {layer["name"]: (layer["label"], layer["colour"], layer["sign"]) for layer in values["layers"]}
     assert list(shown) == list(LAYERS)
     assert shown["potential"] == ("potential", "#b9cfe4", 1) and shown["normal"] == ("impacts took", "#b5405e", -1)
@@ -262,11 +262,11 @@ def test_bodies_have_speed_and_energy(bouncing):
 def test_what_is_left_out_is_told(sliding, monkeypatch):
     monkeypatch.setattr(packing, "MAX_CONTACTS", 30)
     monkeypatch.setattr(curves, "MAX_POINTS", 10)
-    values, arrays = payload.unpack(packed(sliding, 100, False, 3000, None))
+    values, arrays = unpacked(packed(sliding, 100, False, 3000, None))
     assert values["notes"] == ["all 21 recorded states", "contacts of one in 3 of them"]
     assert arrays["contacts/t"].tolist() == sliding.t[::3].tolist()
     assert arrays["contacts/id"].size == 24
-    assert payload.unpack(packed(sliding, 10, False, 3000, None))[0]["notes"][:2] == [
+    assert unpacked(packed(sliding, 10, False, 3000, None))[0]["notes"][:2] == [
         "3 of 21 recorded states",
         "curves of 10 of them, figures of checks the largest in between",
     ]
@@ -275,7 +275,7 @@ def test_what_is_left_out_is_told(sliding, monkeypatch):
 def test_all_states_are_kept_where_they_are_cheap(bouncing, monkeypatch):
     usual, whole = packed(bouncing, 30, False, 3000, None), packed(bouncing, None, False, 3000, None)
     assert len(usual) < len(whole) < len(usual) + packing.CHEAP
-    arrays = payload.unpack(whole)[1]
+    arrays = unpacked(whole)[1]
     assert arrays["t"].tolist() == arrays["ledger/t"].tolist() == bouncing.t.tolist()
     monkeypatch.setattr(packing, "CHEAP", len(whole) - len(usual))
     assert packed(bouncing, None, False, 3000, None) == usual
@@ -296,7 +296,7 @@ def test_the_scene_is_built_once(bouncing, monkeypatch):
 
 def test_forces_push_the_moving_body(sliding):
     """They carry and brake the box: the mean since the state before."""
-    values, arrays = payload.unpack(packed(sliding, 10, "pair", 3000, None))
+    values, arrays = unpacked(packed(sliding, 10, "pair", 3000, None))
     force = arrays["forces/force"].reshape(-1, 3)
     assert values["forces"] is True and arrays["forces/offset"].tolist() == [0, 0, 1, 2]
     mean = [sliding.force("box")[k : k + 10].mean(axis=0) for k in (0, 10)]

@@ -1,10 +1,12 @@
 """Pages: the commands they hold, and what a real browser makes of them."""
 
+import base64
 import json
 import math
 import re
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,10 +24,22 @@ OCTAHEDRON = [(-1, 0, 0), (1, 0, 0), (0, -2, 0), (0, 2, 0), (0, 0, -3), (0, 0, 3
 FLOATS = 0x17  # Float32Array in the viewer's MessagePack dialect
 
 
+def unpacked(text):
+    """Undo `payload.pack`: return values and flat arrays."""
+    data = zlib.decompress(base64.b64decode(text))
+    start = payload.ALIGNMENT + int.from_bytes(data[: payload.ALIGNMENT], "little")
+    head, out = json.loads(data[payload.ALIGNMENT : start]), {}
+    for name, entry in head["arrays"].items():
+        kind, at = np.dtype(entry["type"]), start + entry["at"]
+        planes = np.frombuffer(data, np.uint8, entry["size"] * kind.itemsize, at).reshape(kind.itemsize, -1)
+        out[name] = np.ascontiguousarray(planes.T).reshape(-1).view(kind)
+    return head["values"], out
+
+
 def contents(page):
     """Decode the values and arrays of a page."""
     (text,) = re.findall('class="recording">([^<]*)<', page)
-    return payload.unpack(text)
+    return unpacked(text)
 
 
 def commands(page):
