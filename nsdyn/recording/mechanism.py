@@ -57,6 +57,8 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 """Pinocchio's joints by name, and the entries of the description from which each is made."""
 
+LAWS = "armature", "friction", "damping", "stiffness", "rest"
+"""Laws of the joints that have a value for every coordinate."""
 
 WINDING = {f"JointModel{kind}" for kind in ("SphericalZYX", "Universal", "Ellipsoid", "Composite")}
 
@@ -106,7 +108,7 @@ class Mechanism:
         self.turned = [pin.SE3.Identity()]  # frame of each recorded joint in the frame of its joint in this model
         for label, joint in zip(joints, told["joints"], strict=True):
             self._add(label, joint)
-        laws = [np.array(told[law], dtype=float) for law in ("armature", "friction", "damping", "stiffness", "rest")]
+        laws = [np.array(told[law], dtype=float) for law in LAWS]
         self.armature, self.friction, self.damping, self.stiffness, self.rest = laws
         bounds = [np.array([np.nan if x is None else x for x in told[side]], float) for side in ("lower", "upper")]
         self.lower, self.upper = (np.where(np.isnan(b), s * np.inf, b) for b, s in zip(bounds, (-1, 1), strict=True))

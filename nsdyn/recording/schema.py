@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsdyn.recording.columns import ON_BODIES, RAGGED
+from nsdyn.recording.mechanism import KINDS, LAWS
 from nsdyn.scene.materials import COMBINATION_RULES
 from nsdyn.tools.array_text import from_text
 from nsdyn.tools.datasets import dataset
@@ -26,13 +27,7 @@ JOINT = {
     "kind": str,
     "?parts": (dict,),
     "?placements": (PLACEMENT,),
-    "?axis": TRIPLE,
-    "?axis1": TRIPLE,
-    "?axis2": TRIPLE,
-    "?pitch": float,
-    "?radius_x": float,
-    "?radius_y": float,
-    "?radius_z": float,
+    **{f"?{name}": TRIPLE if "axis" in name else float for names in KINDS.values() for name in names},
     "parent": int,
     "placement": PLACEMENT,
     "mass": float,
@@ -41,14 +36,8 @@ JOINT = {
 }
 MODEL = {
     "joints": (JOINT,),
-    "armature": (float,),
-    "friction": (float,),
-    "damping": (float,),
-    "stiffness": (float,),
-    "rest": (float,),
-    "effort": (object,),
-    "lower": (object,),
-    "upper": (object,),
+    **dict.fromkeys(LAWS, (float,)),
+    **dict.fromkeys(("effort", "lower", "upper"), (object,)),
     "restitution": float,
     "loops": ({"name": str, "kind": str, "joints": [int, int], "placements": [PLACEMENT, PLACEMENT]},),
     "driven": dict,

@@ -156,6 +156,7 @@ class Shape:
 
 
 _NO_FACES = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+"""Vertices, normals, offsets, pointers and loops of a shape without faces."""
 
 
 def _curved(
@@ -202,22 +203,9 @@ def box(size: ArrayLike) -> Shape:
     loops = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     normals = np.repeat(np.eye(3), 2, axis=0)
     normals[::2] *= -1.0
-    geometry = coal.Box(*lengths)
-    return Shape(
-        POLYTOPE,
-        geometry,
-        lengths,
-        vertices,
-        normals,
-        np.repeat(half, 2),
-        np.arange(0, 25, 4),
-        loops.ravel(),
-        0.0,
-        float(np.prod(lengths)),
-        _moment(geometry),
-        float(np.linalg.norm(half)),
-        float(half.min()),
-    )
+    geometry, faces = coal.Box(*lengths), (vertices, normals, np.repeat(half, 2), np.arange(0, 25, 4), loops.ravel())
+    solid = float(np.prod(lengths)), _moment(geometry)
+    return Shape(POLYTOPE, geometry, lengths, *faces, 0.0, *solid, float(np.linalg.norm(half)), float(half.min()))
 
 
 def sphere(radius: float) -> Shape:
@@ -282,22 +270,9 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
     normals = np.array([_area_vector(corners[flat[a:b]]) for a, b in pairwise(face_ptr)])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = np.array([(corners[flat[face_ptr[f] : face_ptr[f + 1]]] @ n).max() for f, n in enumerate(normals)])
-    shape = Shape(
-        POLYTOPE,
-        geometry,
-        np.zeros(3),
-        corners,
-        normals,
-        offsets,
-        face_ptr,
-        flat.astype(np.int64),
-        0.0,
-        float(geometry.computeVolume()),
-        _moment(geometry),
-        float(np.linalg.norm(corners, axis=1).max()),
-        float(offsets.min()),
-    )
-    return shape, centroid
+    faces, solid = (corners, normals, offsets, face_ptr, flat), (float(geometry.computeVolume()), _moment(geometry))
+    bounding, inscribed = float(np.linalg.norm(corners, axis=1).max()), float(offsets.min())
+    return Shape(POLYTOPE, geometry, np.zeros(3), *faces, 0.0, *solid, bounding, inscribed), centroid
 
 
 def _area_vector(loop: Array) -> Array:
