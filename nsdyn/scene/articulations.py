@@ -73,19 +73,59 @@ class Loop:
     kind: str = "point"
 
 
-@dataclass(frozen=True, eq=False)
-class Articulation:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contents:
+    """Contents of an articulated tree, in its file or in a scene.
+
+    Attributes
+    ----------
+    model : pinocchio.Model
+        With position limits.
+    q : ndarray, shape (nq,)
+        Initial configuration, Pinocchio's convention.
+    links : tuple of Link
+    stiffness, rest : ndarray, shape (nv,)
+        Springs τ = -stiffness (q - rest) in revolute and prismatic joints, N m/rad or N/m; rad or m.
+    loops : tuple of Loop
+    gears : tuple of Gear
+    actuators : tuple of Actuator
+        Actuators of an MJCF file, which `nsdyn.Actuation` controls.
+    visuals : tuple of Visual
+        Visual shapes, which pages show in place of the `links` of the same body.
+    missing : tuple of str
+        Unused contents of the file without which the mechanism is another: shapes, masses, constraints.
+    dropped : tuple of str
+        Other unused contents that change the motion.
+    unused : tuple of str
+        Unused contents that do not change the motion, for instance pictures.
+    """
+
+    model: Any
+    q: Array
+    links: tuple[Link, ...]
+    stiffness: Array
+    rest: Array
+    loops: tuple[Loop, ...] = ()
+    gears: tuple[Gear, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
+    visuals: tuple[Visual, ...] = ()
+    missing: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Articulation(Contents):
     """An articulated tree: one Pinocchio model with its collision shapes, and the friction and forces of its joints.
+
+    The `model` of its `Contents` is a copy for this articulation alone. It includes `armature`, so that Pinocchio's
+    mass matrix does too. Its position limits are infinite for coordinates without a limit.
 
     Attributes
     ----------
     name : str
-    model : pinocchio.Model
-        A copy for this articulation alone. The model includes `armature`, so that Pinocchio's mass matrix does too. It
-        also has the position limits, infinite for coordinates without a limit.
-    links : tuple of Link
-    q, v : ndarray, shapes (nq,), (nv,)
-        Initial configuration and velocity, Pinocchio's convention.
+    v : ndarray, shape (nv,)
+        Initial velocity, Pinocchio's convention.
     limits : bool
         Whether position limits of the model are enforced.
     restitution : float
@@ -97,50 +137,24 @@ class Articulation:
         Viscous damping, N m s/rad or N s/m.
     armature : ndarray, shape (nv,)
         Inertia added to the diagonal of the mass matrix, kg m² or kg.
-    stiffness, rest : ndarray, shape (nv,)
-        Springs τ = -stiffness (q - rest) in revolute and prismatic joints, N m/rad or N/m; rad or m.
     effort : ndarray, shape (nv,)
         Default limit of a `nsdyn.PD` control, N m or N; infinite for no limit.
-    loops : tuple of Loop
-    gears : tuple of Gear
-    actuators : tuple of Actuator
-        Actuators of an MJCF file, which `nsdyn.Actuation` controls.
     fixed : tuple of Body
         Shapes of the file's world, which are fixed bodies of the scene.
-    visuals : tuple of Visual
-        Visual shapes, which pages show in place of the `links` of the same body.
     excluded : frozenset of (int, int)
         Pairs that are never tested for contact, by index: first `links`, then, counted after them, `fixed`.
-    missing : tuple of str
-        Unused contents of the file without which the mechanism is another: shapes, masses, constraints.
-    dropped : tuple of str
-        Other unused contents that change the motion.
-    unused : tuple of str
-        Unused contents that do not change the motion, for instance pictures.
     """
 
     name: str
-    model: Any
-    links: tuple[Link, ...]
-    q: Array
     v: Array
     limits: bool
     restitution: float
     friction: Array
     damping: Array
     armature: Array
-    stiffness: Array
-    rest: Array
     effort: Array
-    loops: tuple[Loop, ...] = ()
-    gears: tuple[Gear, ...] = ()
-    actuators: tuple[Actuator, ...] = ()
     fixed: tuple[Body, ...] = ()
-    visuals: tuple[Visual, ...] = ()
     excluded: frozenset[tuple[int, int]] = frozenset()
-    missing: tuple[str, ...] = ()
-    dropped: tuple[str, ...] = ()
-    unused: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         joints, counts = list(self.model.names)[1:], ((len(self.loops), "loop"), (len(self.gears), "gear"))
@@ -166,21 +180,12 @@ class Articulation:
         return lower, upper
 
 
-@dataclass(frozen=True, eq=False)
-class Description:
-    """Contents of a robot file, before they are placed in a scene.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Description(Contents):
+    """Contents of a robot file before they are placed in a scene; the model has dry friction, damping and armature.
 
     Attributes
     ----------
-    model : pinocchio.Model
-        With position limits, dry friction, damping and armature.
-    q : ndarray, shape (nq,)
-        Initial configuration.
-    links : tuple of Link
-    stiffness, rest : ndarray, shape (nv,)
-    loops : tuple of Loop
-    gears : tuple of Gear
-    actuators : tuple of Actuator
     excluded : frozenset of frozenset of str
         Pairs of bodies that are never tested for contact.
     filtered : frozenset of frozenset of str
@@ -190,30 +195,15 @@ class Description:
     trees : mapping of str to str
         In a file with several trees, the tree of every body and joint, by name. A tree is everything that one body of
         the world carries. Contacts between different trees are not self-collisions. Fixed bodies have the tree `WORLD`.
-    missing, dropped, unused : tuple of str
-        Unused contents, as in `Articulation`; a warning names the first two.
     flaws : tuple of str
         Inertias that no body can have, in words.
-    visuals : tuple of Visual
     """
 
-    model: Any
-    q: Array
-    links: tuple[Link, ...]
-    stiffness: Array
-    rest: Array
-    loops: tuple[Loop, ...] = ()
-    gears: tuple[Gear, ...] = ()
-    actuators: tuple[Actuator, ...] = ()
     excluded: frozenset[frozenset[str]] = frozenset()
     filtered: frozenset[frozenset[str]] = frozenset()
     world_touches: bool = False
     trees: Mapping[str, str] = field(default_factory=dict)
-    missing: tuple[str, ...] = ()
-    dropped: tuple[str, ...] = ()
-    unused: tuple[str, ...] = ()
     flaws: tuple[str, ...] = ()
-    visuals: tuple[Visual, ...] = ()
 
 
 class ArticulationOptions(TypedDict, total=False):
@@ -241,7 +231,7 @@ class ArticulationOptions(TypedDict, total=False):
 def describe_model(model: Any, links: Iterable[Link] = (), **more: Any) -> Description:
     """Describe a Pinocchio model unchanged: neutral configuration and no springs, unless `more` gives them."""
     defaults = {"q": pin.neutral(model), "stiffness": np.zeros(model.nv), "rest": np.zeros(model.nv)}
-    return Description(model, links=tuple(links), **(defaults | more))
+    return Description(model=model, links=tuple(links), **(defaults | more))
 
 
 def check_joints(name: str, joints: Iterable[str]) -> None:

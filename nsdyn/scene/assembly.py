@@ -86,13 +86,13 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     dropped = (*overlapping, *description.dropped, *description.flaws)
     _warn(name, [*description.missing, *dropped])
     return Articulation(
-        name,
-        model,
-        links[:n],
-        q0,
-        v0,
-        limits,
-        float(restitution),
+        name=name,
+        model=model,
+        links=links[:n],
+        q=q0,
+        v=v0,
+        limits=limits,
+        restitution=float(restitution),
         **in_joints,
         gears=description.gears,
         actuators=description.actuators,

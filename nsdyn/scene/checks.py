@@ -18,7 +18,6 @@ from nsdyn.tools.naming import counted
 LARGEST, SMALLEST = 1e50, 1e-50
 """Sizes of numbers, and of masses, inertias and lengths, whose products stay in the range of floating-point numbers."""
 
-
 NORMALISED = 1e-6
 """Error that a user's rounding may leave in the norm of a quaternion or a pair (cos, sin); a larger one is a mistake
 (w x y z, degrees)."""

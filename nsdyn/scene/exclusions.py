@@ -19,7 +19,6 @@ from nsdyn.tools.files import is_file
 if TYPE_CHECKING:
     from nsdyn.scene.articulations import Link, Loop
 
-
 FREE = "JointModelFreeFlyer"
 
 

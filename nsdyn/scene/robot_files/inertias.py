@@ -10,7 +10,6 @@ from nsdyn.tools.arrays import Array
 ROUNDING = 1e-2
 """Relative violation of the triangle inequality that is allowed, because files may round to two digits."""
 
-
 NOTHING = 1e-15
 """Moments of inertia, kg m², below which they are round-off of the program that wrote the file."""
 

@@ -55,9 +55,7 @@ CHOICES = {
 
 def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
     """Read an MJCF file; the file decides which bases are fixed or free, and `keyframe` names the initial state."""
-    root = _with_includes(name, path, parse(name, path, "MJCF"), {path.resolve()})
-    if root.tag != "mujoco":
-        raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <mujoco>")
+    root = _with_includes(name, path, parse(name, path, "MJCF", "mujoco"), {path.resolve()})
     report = Report()
     try:
         _merge(root)
@@ -85,7 +83,10 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         ]
         drawn = [link for link in links if trees[link.body] != WORLD or not any(geoms.masks[link.name])]
         visuals = visuals_of(geoms, drawn, geometry, path.parent, report.unused)
-        excluded = frozenset(_excluded(root, trees))
+        excluded = frozenset(
+            frozenset(choice(e.get(end, ""), trees, f"{end} of an <exclude>") for end in ("body1", "body2"))
+            for e in root.iterfind("contact/exclude")
+        )
         links = [link for link in links if any(geoms.masks[link.name])]
         filtered = frozenset(
             frozenset((a.name, b.name)) for a, b in combinations(links, 2) if not geoms.collide(a.name, b.name)
@@ -343,9 +344,3 @@ def _of_joints(trees: Mapping[str, str], model: Any) -> dict[str, str]:
     """Return the trees of the joints, by name: the trees of the bodies that they carry."""
     carried = [f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
     return {model.names[f.parentJoint]: trees[f.name] for f in carried}
-
-
-def _excluded(root: Element, known: Mapping[str, str]) -> Iterator[frozenset[str]]:
-    """Yield the pairs of bodies that never touch each other."""
-    for element in root.iterfind("contact/exclude"):
-        yield frozenset(choice(element.get(end, ""), known, f"{end} of an <exclude>") for end in ("body1", "body2"))

@@ -36,10 +36,8 @@ FRICTION = "surface/friction/ode"
 
 def read_sdf(name: str, path: Path, package_dirs: Sequence[Path]) -> Description:
     """Read an SDF file with one model; a base that no joint holds is free, unless the model is static."""
-    root = parse(name, path, "SDF")
+    root = parse(name, path, "SDF", "sdf")
     try:
-        if root.tag != "sdf":
-            raise ValueError(f"its root is <{root.tag}>, not <sdf>")
         found = [*root.findall("model"), *root.findall("world/model")]
         if len(found) != 1:
             raise ValueError(f"it must hold one model, got {[m.get('name') for m in found]}")

@@ -84,9 +84,7 @@ def read_urdf(name: str, path: Path, base: str, package_dirs: Sequence[Path]) ->
     """
     if base not in ("fixed", "free"):
         raise ValueError(f"base of {name!r} must be 'fixed' or 'free', got {base!r}")
-    root = parse(name, path, "URDF")
-    if root.tag != "robot":
-        raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <robot>")
+    root = parse(name, path, "URDF", "robot")
     if any("xacro" in e.tag or "${" in "".join(e.attrib.values()) for e in root.iter()):
         raise ValueError(f"path of {name!r}: {path} {XACRO}")
     _write_angles(name, path, root)

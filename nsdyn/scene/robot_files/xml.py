@@ -60,8 +60,8 @@ class Report:
         return {name: tuple(notes) for name, notes in vars(self).items()}
 
 
-def parse(name: str, path: Path, kind: str) -> Element:
-    """Parse an XML file and return its root."""
+def parse(name: str, path: Path, kind: str, tag: str = "") -> Element:
+    """Parse an XML file and return its root, which must have the `tag` if one is given."""
     if not is_file(path):
         raise ValueError(f"path of {name!r} must be a file in {kind}, got {str(path)!r}")
     try:
@@ -71,11 +71,13 @@ def parse(name: str, path: Path, kind: str) -> Element:
             if depth > DEEPEST:
                 raise ValueError(f"path of {name!r}: {path} has elements more than {DEEPEST} deep in each other")
         root: Element = events.root  # type: ignore[attr-defined]  # documented, and unknown to the stubs
-        return root
     except (ElementTree.ParseError, UnicodeDecodeError) as failure:
         if b"xacro:" in path.read_bytes():
             raise ValueError(f"path of {name!r}: {path} {XACRO}") from None
         raise ValueError(f"path of {name!r}: {path} could not be read: {failure}") from None
+    if tag not in ("", root.tag):
+        raise ValueError(f"path of {name!r}: {path} could not be read: its root is <{root.tag}>, not <{tag}>")
+    return root
 
 
 def numbers(text: str | None, count: int | None, default: Sequence[float] | None, what: str) -> Array:
