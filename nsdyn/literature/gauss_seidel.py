@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from nsdyn.tools.options import Allowed, Count, Options, Positive
 Local = Literal[
     "projection", "iterated-projection", "exact", "alart-curnier", "jean-moreau", "natural", "fischer-burmeister"
 ]
+"""Local solvers, in the order of their numbers in `_kernels.one_contact`."""
+
 Order = Literal["given", "shuffled", "reshuffled", "symmetric"]
 Relaxation = Annotated[float, Allowed("between 0 and 2", lambda omega: 0.0 < omega < 2.0)]
 
@@ -65,15 +67,7 @@ class GaussSeidel(Options, Method):
 
     def _solve(self, run: Run) -> Solution:
         problem, scaled, k = run.problem, run.scaled, 0
-        kind = {
-            "projection": _kernels.PROJECTION,
-            "iterated-projection": _kernels.ITERATED,
-            "exact": _kernels.EXACT,
-            "alart-curnier": _kernels.ALART_CURNIER,
-            "jean-moreau": _kernels.JEAN_MOREAU,
-            "natural": _kernels.NATURAL,
-            "fischer-burmeister": _kernels.FISCHER_BURMEISTER,
-        }[self.local]
+        kind = get_args(Local).index(self.local)
         size, share = float(np.linalg.norm(scaled.q)), 0.1 / np.sqrt(problem.nc)
         rng, order = np.random.default_rng(0), np.arange(problem.nc)
         if self.order == "shuffled":

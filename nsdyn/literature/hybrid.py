@@ -8,7 +8,7 @@ import numpy as np
 
 from nsdyn.literature._common import Method, Run, matrix
 from nsdyn.literature.fixed_point import march
-from nsdyn.literature.impulse_newton import Function, newton, steps
+from nsdyn.literature.impulse_newton import Equation, Function, newton, steps
 from nsdyn.problem.solution import Solution
 from nsdyn.tools.options import Count, Options, Positive
 
@@ -50,24 +50,16 @@ class Hybrid(Options, Method):
 
     def _solve(self, run: Run) -> Solution:
         problem, scaled, count, safe = run.problem, run.scaled, 0, SAFE
-        W, rho = matrix(scaled.W), steps(problem, "spectral")
+        given = matrix(scaled.W), scaled.q, scaled.mu
+        method: Equation = self.function, "none", steps(problem, "spectral")
         while count < self.max_iter:
             start = march(Run(problem, run.r, self.tol), min(safe, self.max_iter - count), "khobotov", extra=True)
             count += max(start.iterations, 1)
             if run.done(start.r) or count >= self.max_iter:
                 break
             with np.errstate(over="ignore", invalid="ignore"):  # a Newton method that diverges has failed
-                _, used, _ = newton(
-                    W,
-                    scaled.q,
-                    scaled.mu,
-                    run.r * scaled.root,
-                    rho,
-                    self.function,
-                    "none",
-                    lambda x, _: run.done(x / scaled.root),
-                    min(FACTORISATIONS, self.max_iter - count),
-                )
+                most = min(FACTORISATIONS, self.max_iter - count)
+                _, used, _ = newton(given, run.r * scaled.root, method, lambda x, _: run.done(x / scaled.root), most)
             count += used
             if run.over:
                 break

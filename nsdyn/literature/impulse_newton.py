@@ -18,6 +18,7 @@ from nsdyn.tools.options import Count, Options, Positive
 Function = Literal["alart-curnier", "fischer-burmeister", "jean-moreau", "natural"]
 Search = Literal["goldstein-price", "armijo", "none"]
 Rho = Literal["spectral", "split", "condition", "one"]
+Equation = tuple[Function, Search, Array]
 
 LIFT = 1e-10
 """Added to W (of unit blocks) in the matrix only, which redundant contacts make singular: it selects a solution."""
@@ -77,13 +78,9 @@ def _length(merit: Callable[[float], float], start: float, search: Search) -> fl
 
 
 def newton(
-    W: Any,
-    q: Array,
-    mu: Array,
+    given: tuple[Any, Array, Array],
     x: Array,
-    rho: Array,
-    function: Function,
-    search: Search,
+    method: Equation,
     done: Callable[[Array, float], bool],
     max_iter: int,
 ) -> tuple[Array, int, bool]:
@@ -91,21 +88,17 @@ def newton(
 
     Parameters
     ----------
-    W : ndarray or sparse array, shape (3 nc, 3 nc)
-        Sparse if a sparse factorisation is cheaper.
-    q, x : ndarray, shape (3 nc,)
-        Free velocity, and the initial x.
-    mu : ndarray, shape (nc,)
-    rho : ndarray, shape (nc, 3)
-        Steps of the map.
-    function : str
-        Name in `ELEMENTS`.
-    search : str
-        Line search of `_length`.
+    given : (W, q, mu)
+        W, sparse if a sparse factorisation is cheaper, free velocity and friction.
+    x : ndarray, shape (3 nc,)
+        Initial x.
+    method : (function, search, rho)
+        Name in `ELEMENTS`, line search of `_length`, and steps of the map, shape (nc, 2).
     done : callable
         done(x, ‖F(x)‖) is called at every iterate; True ends the iteration.
     max_iter : int
     """
+    (W, q, mu), (function, search, rho) = given, method
     element, nc = ELEMENTS[function], mu.size
     sparse = not isinstance(W, np.ndarray)
 
@@ -177,15 +170,8 @@ class ImpulseNewton(Options, Method):
 
     def _solve(self, run: Run) -> Solution:
         scaled = run.scaled
-        _, count, ended = newton(
-            matrix(scaled.W),
-            scaled.q,
-            scaled.mu,
-            run.r * scaled.root,
-            steps(run.problem, self.rho),
-            self.function,
-            self.search,
-            lambda x, _: run.done(x / scaled.root),
-            self.max_iter,
-        )
+        given = matrix(scaled.W), scaled.q, scaled.mu
+        method = self.function, self.search, steps(run.problem, self.rho)
+        start, most = run.r * scaled.root, self.max_iter
+        _, count, ended = newton(given, start, method, lambda x, _: run.done(x / scaled.root), most)
         return run.finish(count, Status.MAX_ITERATIONS if ended or count == self.max_iter else Status.STALLED)
