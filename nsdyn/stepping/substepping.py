@@ -257,7 +257,7 @@ def _to_event(
         return capture(begun)
     if touch < h:
         return _to_event(s, loads, begin, t, touch, soon, budget)
-    if affords and hits.size and _sweeps(s, begin, m, hits):
+    if affords and hits.size and h > LEAST * s.dt and _sweeps(s, begin, m, hits):
         budget.longest = 0.5 * h
         return _to_event(s, loads, begin, t, budget.longest, soon, budget)
     turned = h * reversal(m.kin, s.solver, m.problem, m.solution, soon / h, cut < math.inf) if affords else h
