@@ -93,7 +93,7 @@ class Meetings(NamedTuple):
     def of(cls, sides: tuple[Side, Side], axes: Array, point: Array, rounding: Array, wander: Array) -> Meetings:
         """Build from frames (contacts, 3, 3) with axes as rows, points, and sums of both radii of curvature, m.
 
-        `wander` is the speed at which contacts move, m/s: when bodies roll, the contact moves to other points of them.
+        `wander` is the mean speed at which contacts move, m/s: when bodies roll, the contact moves to other points of them.
         """
         one, other = sides
         apart = other.v - one.v
@@ -104,9 +104,10 @@ class Meetings(NamedTuple):
         # Sliding around a round shape turns the normal; corners and faces turn it with their bodies.
         bent = speed * speed / np.where(rounding > 0.0, rounding, np.inf)
         for side in sides:
-            # Rotation changes a body's axes at the rate ω, and ω itself no faster than that.
+            # Rotation changes a body's axes at the rate ω, and ω itself no faster than that. What gets faster moves at
+            # up to twice its mean speed.
             turning = np.linalg.norm(side.spin, axis=2).max(axis=0)
             arm = np.where(turning > 0.0, np.linalg.norm(point - side.x, axis=1), 0.0)
-            bent += turning * (speed + wander + 2.0 * turning * arm)
+            bent += turning * (speed + 2.0 * wander + 2.0 * turning * arm)
         spin = (other.spin - one.spin).mean(axis=0)
         return cls(sides, np.stack([begin, *turned]), before, after, spin, bent)
