@@ -10,6 +10,7 @@ import numpy as np
 from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.detector import Detector
 from nsdyn.dynamics.dynamics import Dynamics
+from nsdyn.dynamics.loops import ROUNDED
 from nsdyn.scene.bodies import Geom
 from nsdyn.scene.scene import Scene
 from nsdyn.scene.shapes import HALFSPACE, POLYTOPE
@@ -51,8 +52,10 @@ def system_of(
     """Return the `System` of a scene with these shapes; scheme = (θ, step [s]), `law` is the law of impact."""
     # Without shapes only joint limits can close, in rad or in lengths of the order of a metre.
     size = min((g.shape.inscribed_radius for g in geoms if g.frame >= 0), default=0.1)
-    # Penetration that the solver's own tolerance allows in a step need not be removed.
-    closed = max(OPTIONS.gap_tol * size, solver.tol * min(scheme[1], size / OPTIONS.slow))
+    # Penetration that the solver's own tolerance allows in a step need not be removed. No gap is known better than the
+    # places of its bodies.
+    place = float(np.abs(dynamics.place(dynamics.start()[0]).x).max(initial=0.0))
+    closed = max(OPTIONS.gap_tol * size, ROUNDED * place, solver.tol * min(scheme[1], size / OPTIONS.slow))
     flat = [g.shape.kind in (HALFSPACE, POLYTOPE) for g in geoms]
     rounding = np.where(flat, np.inf, [g.shape.inscribed_radius for g in geoms])
     inscribed = np.array([g.shape.inscribed_radius if g.frame >= 0 else np.inf for g in geoms])

@@ -693,3 +693,15 @@ def test_a_step_keeps_nothing_that_its_solves_worked_with():
     stepper = nd.Stepper(scene, dt=5e-3, on_fail="ignore")
     steps = [stepper.step() for _ in range(6)]
     assert max(step.problem.nc for step in steps) > 400 and not any(step.problem.kept for step in steps)
+
+
+def test_a_robot_that_falls_far_from_the_origin_moves_as_at_it():
+    """30 km up its places are rounded to 4e-12 m, a fifth of the gap that counts as closed at the origin."""
+    near, far = (nd.scenes.load("quadruped")() for _ in range(2))
+    height = 3e4
+    far.articulations["quadruped"].q[2] += height
+    del far.bodies["ground"]
+    far.add_halfspace("ground", offset=height, material=near.bodies["ground"].material)
+    ends = [nd.simulate(scene, 0.2, 2e-3).q[-1] for scene in (near, far)]
+    ends[1][2] -= height
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-7)
