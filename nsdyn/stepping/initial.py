@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn.collision.contacts import ContactSet, DetectionPose
 from nsdyn.dynamics.dynamics import Dynamics
 from nsdyn.dynamics.values import Placement, Position
@@ -45,8 +46,8 @@ def begin(
     d = s.dynamics
     position, velocity = d.start() if q is None and v is None else _chosen(d, q, v)
     at = d.place(position)
-    if q is not None:
-        _check_limits(d, at)
+    # The joints of a scene are within their limits, until its loops and gears are closed.
+    _check_limits(d, at, ROUNDING + (overlap * OPTIONS.joint if q is None else 0.0))
     detected_at = DetectionPose(at.x, at.R, np.zeros(d.frames))
     contacts = s.detector.find(*detected_at, ContactSet.empty())
     nobody = np.empty(0, np.int64)
@@ -87,13 +88,14 @@ def _chosen(d: Dynamics, q: ArrayLike | None, v: ArrayLike | None) -> tuple[Posi
     return Position(x, quaternions, tuple(trees), start.driven_x, start.driven_quaternion), velocity
 
 
-def _check_limits(d: Dynamics, at: Placement) -> None:
-    """ValueError for a joint beyond its limits."""
+def _check_limits(d: Dynamics, at: Placement, most: float) -> None:
+    """ValueError for a joint further beyond its limits than `most`, rad or m."""
     for tree, links in zip(d.trees, at.links, strict=True):
         lower, upper = tree.limits()
-        for k in np.flatnonzero((links.angle < lower - ROUNDING) | (links.angle > upper + ROUNDING)).tolist():
+        for k in np.flatnonzero((links.angle < lower - most) | (links.angle > upper + most)).tolist():
+            closed = "" if tree.closures is None else " when loops and gears are closed"
             raise ValueError(
-                f"q must respect the limits: joint '{tree.name}/{tree.joint_of(k)}' is at {links.angle[k]:g}, "
+                f"q must respect the limits: joint '{tree.name}/{tree.joint_of(k)}' is at {links.angle[k]:g}{closed}, "
                 f"its limits are {lower[k]:g} and {upper[k]:g}"
             )
 

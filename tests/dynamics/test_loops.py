@@ -315,6 +315,24 @@ def test_loops_that_cannot_close_are_refused():
         nd.Stepper(scene)
 
 
+def test_joints_that_closing_moves_beyond_their_limits_are_refused():
+    """What a gear moves by less than a thousandth beyond a limit is rounding of the user's numbers."""
+    model = pin.Model()
+    for name in ("a", "b"):
+        hang(model, 0, name, pin.JointModelRY(), rod((0, 0, -1)))
+    limit(model, -1.0, 0.55)
+    starts = []
+    for q in ((0.278, 0.549), (0.5, 0.5)):
+        scene = nd.Scene()
+        add(scene, "w", model, q=q)
+        scene.add_gear("w", "a", "b", 2.0, 0.0)
+        starts.append(scene)
+    assert nd.Stepper(starts[0]).start().q[1] == pytest.approx(0.5504, abs=1e-12)
+    told = "joint 'w/b' is at 0.6 when loops and gears are closed, its limits are -1 and 0.55"
+    with pytest.raises(ValueError, match=told):
+        nd.Stepper(starts[1])
+
+
 def test_a_linkage_far_from_the_origin_moves_as_at_it():
     """There its loop is closed but for the round-off of 1e5 m, 1e-11 m."""
     turns = []
