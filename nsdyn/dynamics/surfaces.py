@@ -9,7 +9,7 @@ import numpy as np
 from nsdyn._kernels.dynamics import motion as _motion
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.scene.scene import Scene
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Array, Index
 
 NONE, NO_TRANSPORT, NO_VELOCITIES = np.empty((0, 2, 3)), np.empty((2, 0)), np.empty((0, 3))
 
@@ -106,12 +106,6 @@ class Surfaces:
             # The sum is written out, so that the value of one contact does not depend on the number of contacts.
             out[k, : len(frame)] = frame[:, :, 0] * w[..., 0] + frame[:, :, 1] * w[..., 1] + frame[:, :, 2] * w[..., 2]
         return out.reshape(2, -1)
-
-    def carry(self, contacts: ContactSet) -> Bools:
-        """True for contacts with kinematic bodies or sliding surfaces, shape (nc,)."""
-        moves = self._motion_of_geom >= 0
-        out: Bools = moves[contacts.geom1] | moves[contacts.geom2]
-        return out
 
     def velocities(self, contacts: ContactSet, driven_x: Array, twist: Array) -> Array:
         """Contribution of the surfaces to the relative velocities, world axes, (nc, 3); (0, 3) without surfaces."""

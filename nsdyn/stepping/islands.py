@@ -300,9 +300,8 @@ class Islands:
         far = np.zeros(count, np.bool_)
         far[island[tried.turns_far]] = True
         opened |= far & refines
-        carried = d.surfaces.carry(a.contacts) if d.surfaces.count else far[:0]
         states, works = (a.status, kin.stays, kin.sticks), (a.work_normal, a.work_friction)
-        _checks.gained(island, states, works, (a.contacts.restitution, carried), both := np.zeros((2, count)))
+        _checks.gained(island, states, works, a.contacts.restitution, both := np.zeros((2, count)))
         gained = both[0]
         if (gained > 0.0).any():
             energies, share = [], np.full(count, OPTIONS.gain)

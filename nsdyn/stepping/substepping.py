@@ -170,11 +170,9 @@ def _gains_energy(s: System, begin: SceneState, m: StepResult, tried: Attempt) -
     d, mid, works = s.dynamics, tried.mid, [a.works for a in m.done]
     if tried.turns_far.any():
         return True
-    gained = sum(w.integration for w in works)
-    if not any(d.surfaces.carry(a.contacts).any() for a in m.done):  # driven bodies do work of their own
-        gained += sum(w.projection for w in works)
-        if not any((a.contacts.restitution > 0.0).any() for a in m.done):  # contacts then only take energy
-            gained += sum(max(0.0, w.normal + w.friction) for w in works)
+    gained = sum(w.integration + w.projection for w in works)
+    if not any((a.contacts.restitution > 0.0).any() for a in m.done):  # contacts then only take energy
+        gained += sum(max(0.0, w.normal + w.friction) for w in works)
     if gained <= 0.0:
         return False
     # For bodies at rest, the scale is the energy that gravity gives in a move.

@@ -124,21 +124,21 @@ def may_gain(mass, works, fallen):
 
 
 @no_alloc
-def gained(label, states, works, exempt, out):
+def gained(label, states, works, restitution, out):
     """Energy that the contacts of every island add by errors of the motion, into out[0]; out is (2, islands), zero.
 
     It is the work of persistent contacts, and of others the sum if it is positive: those only take energy. Not so in
-    islands with contacts that rebound or are carried; exempt = (restitution, carried), carried empty for none. states =
-    (states of contacts, stays, sticks), works = (normal, friction), all (nc,), as `label`.
+    islands with contacts that rebound. states = (states of contacts, stays, sticks), works = (normal, friction), all
+    (nc,), as `label` and `restitution`.
     """
-    (status, stays, sticks), (normal, friction), (restitution, carried) = states, works, exempt
+    (status, stays, sticks), (normal, friction) = states, works
     for c in range(status.size):
         nothing = normal[c] if stays[c] else 0.0
         if sticks[c] and status[c] == law.STICK:
             nothing += friction[c]
         out[0, label[c]] += nothing
         out[1, label[c]] += normal[c] + friction[c] - nothing
-        if restitution[c] > 0.0 or (carried.size > c and carried[c]):
+        if restitution[c] > 0.0:
             out[1, label[c]] = -np.inf
     for k in range(out.shape[1]):
         out[0, k] += max(0.0, out[1, k])
@@ -154,7 +154,7 @@ def gains(bodies, blocks, active, flags, status, works, velocities):
     (mass, J), nc, label = bodies, status.size, np.empty(status.size, np.int64)
     found = _blocks.islands(blocks[1], blocks[0].size - 1, label)
     added = np.zeros((2, found))
-    gained(label, (status, flags[col.STAYS], flags[col.STICKS]), works, (active[2][2], flags[0, :0]), added)
+    gained(label, (status, flags[col.STAYS], flags[col.STICKS]), works, active[2][2], added)
     energies, counted = np.zeros((2, found)), np.zeros(mass.size, np.bool_)
     for c in range(nc):
         for s in range(2):
