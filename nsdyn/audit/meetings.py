@@ -93,7 +93,7 @@ class Meetings(NamedTuple):
     def of(cls, sides: tuple[Side, Side], axes: Array, point: Array, rounding: Array, wander: Array) -> Meetings:
         """Build from frames (contacts, 3, 3) with axes as rows, points, and sums of both radii of curvature, m.
 
-        `wander` is the mean speed at which contacts move, m/s: when bodies roll, the contact moves to other points of them.
+        `wander` is the mean speed at which contacts move, m/s: where bodies roll, to other points of them.
         """
         one, other = sides
         apart = other.v - one.v
