@@ -51,7 +51,7 @@ MIDDLE, END, ACTIVE, SOME, KEY_MIDDLE, KEY_END, PASSES_LEFT, AGAIN, TURNED, NEED
 HEAD = CLOCK + 2
 
 # Flags of the contacts, the first index of the flags array.
-SLIDES, STAYS, STICKS, TURNS, OTHER, OFF, FLAGS = range(7)
+SLIDES, STAYS, STICKS, LEVER, OTHER, OFF, FLAGS = range(7)
 
 
 @kernel(inline="always")

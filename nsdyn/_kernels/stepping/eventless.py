@@ -172,7 +172,7 @@ def posed(s, first, last, active, rows, acted, flags, room):
         (active, frame, x),
         (warm[0], force, num[col.STEP]),
         gap_rule[2],
-        (local, end_gap, place, flags[col.TURNS, :nc]),
+        (local, end_gap, place, flags[col.LEVER, :nc]),
     )
     law.predict_sliding(blocks, scalars[1], place, warm[2], local, sliding)
     excess_speed[:], geoms = 0.0, int(num[col.GEOMS])

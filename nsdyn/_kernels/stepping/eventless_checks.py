@@ -105,7 +105,7 @@ def eventless(num, bodies, contacts, last, flags, was, room):
     if overrun(geoms, active, col.rotations(w, col.R, n), ends, last, presses, (inscribed, DEEP), far):
         return False
     for c in range(nc):
-        if flags[col.TURNS, c] and (presses[c] or scalars[0, c] <= num[col.GAP_TOL]):
+        if flags[col.LEVER, c] and (presses[c] or scalars[0, c] <= num[col.GAP_TOL]):
             return False
     return True
 
