@@ -488,22 +488,13 @@ def test_bounces_are_exact():
         assert max(abs(error(steps, shift)) for shift in (0.0, 0.2, 0.5, 0.7)) <= 1e-12
 
 
-def rocking_can(across, mu, e, dt, radius=0.03, height=0.1):
-    """0.6 s of a can of 1 kg, tilted, that turns about the axis across at `across` rad/s: it falls on its base."""
-    scene, material, tilt = nd.Scene(), nd.Material(mu=mu, restitution=e), math.radians(12.0)
-    scene.add_halfspace("table", material=material)
-    place = {"position": (0, 0, 0.5 * height * math.cos(tilt) + radius * math.sin(tilt)), "material": material}
-    turned = {"quaternion": (0, math.sin(tilt / 2), 0, math.cos(tilt / 2)), "angular_velocity": (across, 0, 0)}
-    scene.add_cylinder("can", radius, height, 1.0, **place, **turned)
-    return nd.simulate(scene, 0.6, dt=dt)
-
-
 @pytest.mark.parametrize(("across", "mu", "e"), [(0.05, 0.8, 0.0), (0.3, 0.8, 0.5), (0.1, 0.5, 0.2)])
 def test_a_can_that_seems_to_rock_rolls(across, mu, e):
     """M. Srinivasan, A. Ruina 2008: its contact sweeps around the rim, and it rises again. Nothing ever strikes."""
-    fine = rocking_can(across, mu, e, 1e-4)
+    can = nd.scenes.load("can")(across=across, mass=1.0, mu=mu, restitution=e)
+    fine = nd.simulate(can, 0.6, dt=1e-4)
     for dt in (1e-2, 3e-3):
-        run = rocking_can(across, mu, e, dt)
+        run = nd.simulate(can, 0.6, dt=dt)
         energy = run.energy.total - g * 0.05  # above lying flat
         assert energy[-1] + abs(run.energy.friction.sum()) >= 0.995 * energy[0]  # an impact takes a fifth and more
         # m: where the second sweep ends depends on the first, which is far shorter than dt.
@@ -530,7 +521,8 @@ def test_a_can_without_friction_rolls_on_its_rim(dt, error):
         return rate, push / (A + m * z1 * z1)
 
     end = solve_ivp(slope, (0, 0.6), (tilt, 0.0), method="DOP853", rtol=1e-12, atol=1e-14, max_step=1e-3).y[0, -1]
-    height = rocking_can(across, 0.0, 0.0, dt, r, h).body("can").position[-1, 2]
+    can = nd.scenes.load("can")(across=across, radius=r, height=h, mass=m, mu=0.0)
+    height = nd.simulate(can, 0.6, dt=dt).body("can").position[-1, 2]
     assert abs(height - r * math.sin(end) - 0.5 * h * math.cos(end)) <= error
 
 
