@@ -51,7 +51,8 @@ class Budget:
     Attributes
     ----------
     longest : float
-        How long the next move may be, s: moves in which a contact sweeps are halved, and the next ones grow again.
+        How long the next move may be, s. Moves in which a contact sweeps are halved, and the next ones grow again;
+        those that are then rejected were too long for the sweep as well.
     """
 
     def __init__(self) -> None:
@@ -91,6 +92,8 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
         move, length, rejected = _substep(own, loads, now, span, rate, budget, cut, begun, meets)
         begun, meets = None, False
         if rejected and _contacts(now) << halvings <= OPTIONS.work:
+            if budget.longest < math.inf:
+                budget.longest = 0.5 * length
             # A short move that ended at an event leaves the rest of its piece as it was.
             rest = pieces[-1:] if end - at - length > LEAST * s.dt else []
             pieces[-1:] = [*rest, (at + length, halvings + 1), (at + 0.5 * length, halvings + 1)]
