@@ -76,7 +76,7 @@ class ContactKinematics(NamedTuple):
         Velocities that moving surfaces add to u⁻ and u⁺, and those they would add at the end of the step, m/s; empty if
         none move.
     far : ndarray of bool, shape (nc,)
-        Contacts that turn far: `nsdyn._kernels.stepping.law.turns_far`.
+        Contacts that turn far: `nsdyn._kernels.stepping.touching.turns_far`.
     struck : ndarray of bool, shape (rows,)
         Rows in which an impact acts in this move; empty if there are none.
     stays, sticks, was : ndarrays of bool, bool and int8, shapes (rows,), (nc,), (nc,)

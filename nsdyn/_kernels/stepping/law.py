@@ -12,10 +12,10 @@ from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.dynamics.motion import beyond_potential
 from nsdyn._kernels.problem.blocks import dependent, diagonal_block, relative_velocity, widest
 from nsdyn._kernels.stepping.options import OPTIONS
-from nsdyn._kernels.stepping.touching import places
+from nsdyn._kernels.stepping.touching import places, turns_far
 from nsdyn._kernels.vectors import along, cross, dot, minus, row, square
 
-TILT, TURNS = OPTIONS.tilt, OPTIONS.turn
+TILT = OPTIONS.tilt
 
 OPEN, STICK, SLIP, JAM = range(4)
 """States of contacts: without impulse; with an impulse inside the cone, and on its boundary; and jammed."""
@@ -62,27 +62,6 @@ def alone(k, contacts, near, closed):
             if scalars[0, other] <= scalars[0, k] + closed and dot(d, d) > near:
                 return False
     return True
-
-
-@no_alloc
-def turns_far(c, k, begin, here, ahead):
-    """Whether the lever of contact c about some body turns by more than `TURNS` up to the midpoint.
-
-    k is its place among the contacts at the beginning. About links and driven bodies, or if the contact is new (-1),
-    the lever turns with the body, in `ahead` s. `begin` and `here` are as in `local_velocities`.
-    """
-    (_, old_points, _), x_old, (_, angular), (_, _, _, free) = begin
-    (names, points, _), _, x = here
-    for s in range(2):
-        f = names[2 + s, c]
-        if k >= 0 and 0 <= f < free:
-            arm, old = minus(row(points[0], c), row(x, f)), minus(row(old_points[0], k), row(x_old, f))
-            way = minus(arm, old)
-            if dot(way, way) > TURNS * TURNS * min(dot(arm, arm), dot(old, old)):
-                return True
-        elif f >= 0 and ahead * ahead * dot(row(angular, f), row(angular, f)) > TURNS * TURNS:
-            return True
-    return False
 
 
 @no_alloc

@@ -1,4 +1,4 @@
-"""Matching of contacts with earlier ones, reuse of detection, and normal velocities of contacts.
+"""Matching of contacts with earlier ones, reuse of detection, normal velocities of contacts, and how far they turn.
 
 Contacts are (names, points, scalars), the fields of `nsdyn.collision.contacts.ContactSet`.
 """
@@ -7,7 +7,10 @@ import numpy as np
 
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.sorting import order, place_of
+from nsdyn._kernels.stepping.options import OPTIONS
 from nsdyn._kernels.vectors import along, cross, dot, minus, row
+
+TURNS = OPTIONS.turn
 
 LEAST = 5e-324
 """The least positive impulse, N·s."""
@@ -153,3 +156,24 @@ def striking_speed(contacts, x, twists, warm, geoms, closed):
         if scalars[0, c] <= closed and (was[c] == 0 or scalars[2, c] > 0.0):
             least = min(least, approach_of(c, contacts, x, twists))
     return least
+
+
+@no_alloc
+def turns_far(c, k, begin, here, ahead):
+    """Whether the lever of contact c about some body turns by more than `TURNS` up to the midpoint.
+
+    k is its place among the contacts at the beginning. About links and driven bodies, or if the contact is new (-1),
+    the lever turns with the body, in `ahead` s. `begin` and `here` are as in `law.local_velocities`.
+    """
+    (_, old_points, _), x_old, (_, angular), (_, _, _, free) = begin
+    (names, points, _), _, x = here
+    for s in range(2):
+        f = names[2 + s, c]
+        if k >= 0 and 0 <= f < free:
+            arm, old = minus(row(points[0], c), row(x, f)), minus(row(old_points[0], k), row(x_old, f))
+            way = minus(arm, old)
+            if dot(way, way) > TURNS * TURNS * min(dot(arm, arm), dot(old, old)):
+                return True
+        elif f >= 0 and ahead * ahead * dot(row(angular, f), row(angular, f)) > TURNS * TURNS:
+            return True
+    return False
