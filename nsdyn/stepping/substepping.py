@@ -95,8 +95,9 @@ def integrate(system: System, state: State, loads: Loads, begun: Known = None, m
             if budget.longest < math.inf:
                 budget.longest = 0.5 * length
             # A short move that ended at an event leaves the rest of its piece as it was.
-            rest = pieces[-1:] if end - at - length > LEAST * s.dt else []
-            pieces[-1:] = [*rest, (at + length, halvings + 1), (at + 0.5 * length, halvings + 1)]
+            whole = end - at - length <= LEAST * s.dt
+            rest, until = ([], end) if whole else (pieces[-1:], at + length)
+            pieces[-1:] = [*rest, (until, halvings + 1), (at + 0.5 * length, halvings + 1)]
             continue
         done += [acted._replace(begin=at + acted.begin) for acted in move.done]
         path += move.path
@@ -135,7 +136,7 @@ def _substep(
         Free acceleration at the beginning, m/s² and rad/s².
     budget : Budget
     cut : bool
-        Whether the previous move ended at an event.
+        Whether the previous move ended before its piece: at an event, or where a contact sweeps.
     begun : Midpoint or Attempt, optional
         As in `integrate`, for a move over the whole span.
     meets : bool
