@@ -155,8 +155,14 @@ class Kernel(CPUDispatcher):
         return None
 
     def save_overload(self, types: Any, result: CompileResult) -> None:
-        """Save a compiled kernel; part of numba's interface of a cache."""
-        save(self.file(types), result._reduce())
+        """Save a compiled kernel; part of numba's interface of a cache.
+
+        numba would save its LLVM code, too, and read that at every start. Of it only the names of the entries are used.
+        """
+        (name, kind, (code, _)), description, *others = result._reduce()
+        entries = description.llvm_func_name, description.llvm_cpython_wrapper_name
+        named = llvm.parse_assembly("".join(f'define void @"{entry}"() {{ ret void }}' for entry in entries))
+        save(self.file(types), ((name, kind, (code, named.as_bitcode())), description, *others))
 
     def callee(self, types: Any) -> tuple[Any, object, Any]:
         """(signature, entry, environment) for calls from other kernels, which use LLVM's code."""
