@@ -127,7 +127,7 @@ def problems() -> None:
 
 def everything() -> None:
     """What anything calls."""
-    compilation.run()
+    compilation.run(compilation.STEPS[0])
     Stepper(scenes.load("bounce")(), 2.0, on_fail="ignore").step()  # more bounces than are located
     Stepper(scenes.load("slide")(), 0.5).step()  # stops
     Stepper(scenes.load("quadruped")(), 1e-5).step()  # hardly moves

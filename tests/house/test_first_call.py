@@ -32,6 +32,25 @@ below = coal.Transform3s(numpy.eye(3), numpy.array([0.0, 0.0, -3.0]))
 asked = coal.Capsule(0.5, 1.0), below, coal.Box(2.0, 2.0, 2.0), coal.Transform3s()
 print(coal.distance(*asked, coal.DistanceRequest(), coal.DistanceResult()))
 """
+AFTER_ALL = """
+import warnings
+from nsdyn import compilation
+from nsdyn._kernels.compiled import Kernel
+from nsdyn.scene import named
+from nsdyn.stepping.stepper import Stepper
+
+warnings.simplefilter("ignore")
+calls, load = [], Kernel.load_overload
+Kernel.load_overload = lambda *kernel: calls.append(str(kernel[0])) or load(*kernel)
+compilation.run(compilation.STEPS[-1])
+calls.clear()
+for name in named.names():
+    setup = named.setup(name)
+    stepper = Stepper(setup.scene, **setup.options(on_fail="ignore"))
+    for _ in range(300):
+        stepper.step()
+print(calls)
+"""
 CALLER = """
 from nsdyn._kernels import callee
 from nsdyn._kernels.compiled import kernel
@@ -188,6 +207,11 @@ def test_a_terminal_gets_a_bar(package, tmp_path):
     assert b"| 2/2 [" in shown and b"kernel" in shown
     assert len(list((tmp_path / "cache").glob("callee.*.nbc"))) == 2
     assert not list((tmp_path / "cache").glob("*.ask"))
+
+
+@pytest.mark.slow
+def test_what_is_compiled_ahead_is_all_that_named_scenes_call():
+    assert python("-c", AFTER_ALL, NSDYN_COMPILE_PROCESSES="1").stdout == "[]\n"
 
 
 @pytest.mark.slow
