@@ -93,8 +93,7 @@ def _pieces(found: Trees) -> Finding:
         sums = np.zeros((t.steps, *parts.shape[1:]))
         np.add.at(sums, each, parts)
         left = np.abs(sums - of_step).reshape(t.steps, -1).max(axis=1, initial=0.0)
-        out: Array = left / max(float(np.abs(of_step).max(initial=0.0)), 1e-300)
-        return out
+        return left / max(float(np.abs(of_step).max(initial=0.0)), 1e-300)
 
     whole = {"contacts": np.diff(c["contacts/offset"])} | {name: c[f"joints/{name}"] for name in ON_JOINTS}
     worst = np.max([off(name, of_step) for name, of_step in whole.items()], axis=0) * (counts > 0)

@@ -234,8 +234,7 @@ def sunk(poses: Poses, size: Array) -> Array:
     t = poses.trajectory
     told = re.search(r"\btol=(\d+(?:\.\d*)?(?:e[+-]?\d+)?)", str(t.meta.get("solver", "")))
     tol = min(float(told[1]), TOLERANCES["velocities"]) if told else 0.0
-    out: Array = tol * np.minimum(t.dt, size / CREEP)
-    return out
+    return tol * np.minimum(t.dt, size / CREEP)
 
 
 def _closed(poses: Poses) -> float:
@@ -260,14 +259,12 @@ def _doubted(
     for way in ways:
         off = off + np.linalg.norm(way[at], axis=1)
         spun = spun + np.linalg.norm((levers @ way[at][:, :, None])[..., 0], axis=1)
-    out: Array = np.linalg.norm(turning, axis=2).max(axis=0) * off + length * pushes.around(spun)[1]
-    return out
+    return np.linalg.norm(turning, axis=2).max(axis=0) * off + length * pushes.around(spun)[1]
 
 
 def _fastest(poses: Poses, levers: Array) -> Array:
     """Largest angular velocity of free bodies in each step, (n, free), rad/s."""
-    out: Array = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least(poses)
-    return out
+    return (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least(poses)
 
 
 def least(poses: Poses) -> Array:
@@ -278,8 +275,7 @@ def least(poses: Poses) -> Array:
 def angles(one: Array, other: Array) -> Array:
     """Angles between orientations (..., 4), to second order, (...), rad."""
     near = np.where((one * other).sum(axis=-1, keepdims=True) < 0.0, -other, other)
-    out: Array = 2.0 * np.linalg.norm(one - near, axis=-1)
-    return out
+    return 2.0 * np.linalg.norm(one - near, axis=-1)
 
 
 def _lifted(poses: Poses, pushes: Pushes, then: Array, turning: Array) -> Array:
@@ -329,8 +325,7 @@ def _turned(poses: Poses, pushes: Pushes, moment: Array) -> tuple[Array, Array, 
 def spins(poses: Poses) -> Array:
     """Angular momenta of free bodies about their centres of mass in world axes, (n + 1, free, 3), N·m·s."""
     own = np.einsum("bij,nbj->nbi", poses.inertia, poses.v[..., 3:])
-    out: Array = rotate(poses.quaternion[:, : poses.free], own)
-    return out
+    return rotate(poses.quaternion[:, : poses.free], own)
 
 
 def tumbled(quaternion: Array, turning: Array, inertia: Array, time: Array) -> tuple[Array, Array]:

@@ -86,8 +86,7 @@ class Meetings(NamedTuple):
     @property
     def mean(self) -> Array:
         """Mean of the relative velocities before and after."""
-        out: Array = 0.5 * (self.before + self.after)
-        return out
+        return 0.5 * (self.before + self.after)
 
     @classmethod
     def of(cls, sides: tuple[Side, Side], axes: Array, point: Array, rounding: Array, wander: Array) -> Meetings:

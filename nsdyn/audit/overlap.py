@@ -104,8 +104,7 @@ def separation(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, e
     R, x = np.broadcast_to(R, (len(x), 3, 3)), np.broadcast_to(x, (len(R), 3))
     if b.kind == "halfspace":
         n = R @ b.size
-        out: Array = -np.einsum("mi,mi->m", n, x) - a.support(-n) - b.offset
-        return out
+        return -np.einsum("mi,mi->m", n, x) - a.support(-n) - b.offset
     return _in_parts(_smooth_separation if a.smooth or b.smooth else _polytope_separation, a, b, R, x, exact)
 
 
@@ -143,8 +142,7 @@ def _over_faces(a: Solid, b: Solid, R: Array, x: Array) -> Array:
     (low, high), across = a.span, x @ a.normals.T
     other = (a.normals @ R) @ b.corners.T
     apart = np.maximum(across + other.min(axis=2) - high, low - across - other.max(axis=2))
-    out: Array = apart.max(axis=1, initial=-np.inf) - a.radius - b.radius
-    return out
+    return apart.max(axis=1, initial=-np.inf) - a.radius - b.radius
 
 
 SAME, AXIS = 1e-12, np.array([0.0, 0.0, 1.0])
@@ -158,8 +156,7 @@ def _along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
     first, second = a.corners @ np.swapaxes(n, 1, 2), b.corners @ np.swapaxes(n @ R, 1, 2)
     second += np.swapaxes(n @ x[:, :, None], 1, 2)
     up, down = second.min(axis=1) - first.max(axis=1), first.min(axis=1) - second.max(axis=1)
-    out: Array = np.where(length > 0.0, np.maximum(up, down) - a.radius - b.radius, -np.inf)
-    return out
+    return np.where(length > 0.0, np.maximum(up, down) - a.radius - b.radius, -np.inf)
 
 
 def _face_normals(a: Solid, b: Solid, R: Array, x: Array) -> Array:
@@ -250,8 +247,7 @@ def _best_along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array
 
 def _each_along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
     """Separations along unit vectors n (m, k, 3) from a to b, shape (m, k)."""
-    out: Array = (n @ x[:, :, None])[..., 0] - a.support(n) - b.support(-(n @ R))
-    return out
+    return (n @ x[:, :, None])[..., 0] - a.support(n) - b.support(-(n @ R))
 
 
 def _climb(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> tuple[Array, Array]:

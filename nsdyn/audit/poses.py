@@ -80,8 +80,7 @@ class Poses:
 
     def is_free(self, frame: Index) -> Bools:
         """Mask of the frames that belong to free bodies."""
-        out: Bools = (frame >= 0) & (frame < self.free)
-        return out
+        return (frame >= 0) & (frame < self.free)
 
     @cached_property
     def contacts(self) -> dict[str, Any]:
@@ -101,8 +100,7 @@ class Poses:
     @cached_property
     def code(self) -> Index:
         """Number that identifies the pair of shapes of every contact."""
-        out: Index = self.pair[0] * len(self.names) + self.pair[1]
-        return out
+        return self.pair[0] * len(self.names) + self.pair[1]
 
     @cached_property
     def instant(self) -> Index:
@@ -118,20 +116,17 @@ class Poses:
         nodes, node = np.unique(at.ravel() * len(self.names) + body[self.pair], return_inverse=True)
         (first, second), both = node.reshape(2, -1), moving.all(axis=0)
         graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes.size, nodes.size))
-        out: Index = connected_components(graph, directed=False)[1][np.where(moving[0], first, second)]
-        return out
+        return connected_components(graph, directed=False)[1][np.where(moving[0], first, second)]
 
     def beside(self, which: Bools) -> Bools:
         """Contacts at the same instants and on the same islands as the given ones, including these."""
-        out: Bools = np.isin(self.instant, self.instant[which])
-        return out
+        return np.isin(self.instant, self.instant[which])
 
     @cached_property
     def normal(self) -> Array:
         """Unit normals of contacts, (contacts, 3)."""
         n = self.contacts["normal"]
-        out: Array = n / np.linalg.norm(n, axis=1)[:, None]
-        return out
+        return n / np.linalg.norm(n, axis=1)[:, None]
 
     @cached_property
     def reach(self) -> Array:

@@ -108,8 +108,7 @@ def _fell_in_pieces(poses: Poses) -> Bools:
     forced = t.dt * np.diff(v, axis=0)
     left = np.diff(poses.x[:, : poses.free], axis=0) - t.dt * v[:-1] - theta * forced
     least = 8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, : poses.free], axis=2)
-    out: Bools = (np.linalg.norm(left, axis=2) > least) & (theta > 0.5)
-    return out
+    return (np.linalg.norm(left, axis=2) > least) & (theta > 0.5)
 
 
 def together(*keys: NDArray[Any]) -> tuple[Index, Index]:
@@ -121,5 +120,4 @@ def together(*keys: NDArray[Any]) -> tuple[Index, Index]:
 
 def velocities(poses: Poses) -> Array:
     """Velocities of free bodies in world axes, (n + 1, free, 3), m/s."""
-    out: Array = rotate(poses.quaternion[:, : poses.free], poses.v[..., :3])
-    return out
+    return rotate(poses.quaternion[:, : poses.free], poses.v[..., :3])

@@ -203,8 +203,7 @@ def _fastest(m: Mechanism, kick: Kick, rows: Array) -> Array:
     """Largest speeds along rows (k, nv) between impacts, as if from all kinetic energy before or after."""
     M = m.mass(kick.q)
     most = max(float(v @ M @ v) for v in (kick.before, kick.after))
-    out: Array = np.sqrt(most * (rows.T * np.linalg.solve(M, rows.T)).sum(axis=0))
-    return out
+    return np.sqrt(most * (rows.T * np.linalg.solve(M, rows.T)).sum(axis=0))
 
 
 def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[Array, Array]) -> None:

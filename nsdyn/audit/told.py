@@ -164,8 +164,7 @@ def _states(poses: Poses, flight: Flight) -> Bools:
         pushes & jams[step],
     )
     # Couples cancel the work of contacts between moving free bodies; contacts of links and impacts have no couple.
-    out: Bools = ~fits.astype(np.bool_) | ((carried | flight.instant) & (c["couple"] != 0.0).any(axis=1))
-    return out
+    return ~fits.astype(np.bool_) | ((carried | flight.instant) & (c["couple"] != 0.0).any(axis=1))
 
 
 def _keys(poses: Poses, instants: int) -> Bools:

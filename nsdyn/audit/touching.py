@@ -57,8 +57,7 @@ def apart(poses: Poses, first: Index, second: Index, row: Index, exact: bool = F
     _, one, all_ = np.unique((first * count + second) * states + row, return_index=True, return_inverse=True)
     first, second, row = first[one], second[one], row[one]
     measure = partial(separation, exact=exact)
-    out: Array = measured(poses, measure, first, second, poses.of(first, row), poses.of(second, row))[all_.ravel()]
-    return out
+    return measured(poses, measure, first, second, poses.of(first, row), poses.of(second, row))[all_.ravel()]
 
 
 def measured(
@@ -199,15 +198,13 @@ def bouncing(poses: Poses) -> NDArray[np.bool_]:
     c = poses.contacts
     _, instant = np.unique(np.stack([poses.step, c["time"]]), axis=1, return_inverse=True)
     bounces = (c["impulse"][:, 0] > 0.0) & (c["restitution"] > 0.0)
-    out: NDArray[np.bool_] = np.bincount(instant.ravel(), bounces)[instant.ravel()] > 0.0
-    return out
+    return np.bincount(instant.ravel(), bounces)[instant.ravel()] > 0.0
 
 
 def by_fremond(poses: Poses) -> NDArray[np.bool_]:
     """Contacts of impacts by Frémond's law, after which bodies that separate may strike other bodies."""
     fremond = str(poses.trajectory.meta.get("impact", "")).lower().startswith("fremond")
-    out: NDArray[np.bool_] = fremond & (poses.contacts["duration"] == 0.0)
-    return out
+    return fremond & (poses.contacts["duration"] == 0.0)
 
 
 def _slips(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
@@ -216,22 +213,19 @@ def _slips(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     slip = np.linalg.norm(c["u"][:, 1:], axis=1)
     if flight is not None:
         slip = np.fmin(slip, np.linalg.norm(flight.met.mean[:, 1:], axis=1) - flight.unsure)
-    out: NDArray[np.bool_] = (slip > 10.0 * SLOW) & (c["restitution"] == 0.0)
-    return out
+    return (slip > 10.0 * SLOW) & (c["restitution"] == 0.0)
 
 
 def _rubbed(r: Array, mu: Array, u: Array) -> Array:
     """|μ r_N ‖u‖ + r_T·u| of contacts with slip u (nc, 2), J: 0 if friction opposes the slip or the slip is 0."""
-    out: Array = np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(u, axis=1) + (r[:, 1:] * u).sum(axis=1))
-    return out
+    return np.abs(mu * np.maximum(r[:, 0], 0.0) * np.linalg.norm(u, axis=1) + (r[:, 1:] * u).sum(axis=1))
 
 
 def _round_off(poses: Poses) -> Array:
     """Impulses that are round-off of the momenta of free bodies, for the step that ends in each state, N·s."""
     momenta = poses.mass * np.linalg.norm(poses.v[..., :3], axis=2)
     most = momenta.max(axis=1, initial=0.0)
-    out: Array = 4.0 * np.finfo(float).eps * np.maximum(most, np.append(0.0, most[:-1]))
-    return out
+    return 4.0 * np.finfo(float).eps * np.maximum(most, np.append(0.0, most[:-1]))
 
 
 def _struck(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
@@ -249,8 +243,7 @@ def _struck(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
     graph = coo_matrix((np.ones(both.sum()), (first[both], second[both])), (nodes, nodes))
     island = connected_components(graph, directed=False)[1]
     own = island[np.where(free1, first, second)] if nodes else step
-    out: NDArray[np.bool_] = np.isin(own, own[rebounds])
-    return out
+    return np.isin(own, own[rebounds])
 
 
 def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Finding]:
@@ -303,8 +296,7 @@ def _off_surfaces(
         unsure[free] += shift + poses.bounding_radius[geom[free]] * angle
     went = np.diff(gone, axis=0)
     closed, slid = np.abs((went * normal).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
-    out: Array = off - closed - slid - unsure
-    return out
+    return off - closed - slid - unsure
 
 
 def from_surfaces(poses: Poses, geom: Index, x: Array) -> Array:
@@ -338,7 +330,6 @@ def along(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, n: Arr
     if a.kind == "halfspace":
         return along(b, R2, x2, a, R1, x1, -n)
     if b.kind == "halfspace":  # along other normals the depth is infinite: bound by the tilt of the other shape
-        out: Array = separation(a, R1, x1, b, R2, x2) - a.bounding_radius * np.linalg.norm(n + R2 @ b.size, axis=1)
-        return out
+        return separation(a, R1, x1, b, R2, x2) - a.bounding_radius * np.linalg.norm(n + R2 @ b.size, axis=1)
     out = (n * (x2 - x1)).sum(axis=1) - a.support((n[:, None] @ R1)[:, 0]) - b.support(-(n[:, None] @ R2)[:, 0])
     return out

@@ -113,8 +113,7 @@ class Solid:
     @property
     def half(self) -> Array:
         """Half extents along the axes, shape (3,), m."""
-        out: Array = 0.5 * (self.support(np.eye(3)) + self.support(-np.eye(3)))
-        return out
+        return 0.5 * (self.support(np.eye(3)) + self.support(-np.eye(3)))
 
     def support(self, n: Array) -> Array:
         """Largest n·x over the points x of the solid for unit vectors n (..., 3), shape (...), m."""

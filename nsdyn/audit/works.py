@@ -68,8 +68,7 @@ def _falls(poses: Poses) -> Array:
     c = poses.contacts
     size = np.linalg.norm(c["impulse"], axis=1) * (c["restitution"] > 0.0)
     so_far = np.concatenate([[0.0], np.cumsum(size)])[c["offset"]]
-    out: Array = poses.trajectory.dt * poses.weight * np.diff(so_far)
-    return out
+    return poses.trajectory.dt * poses.weight * np.diff(so_far)
 
 
 def _of_contacts(poses: Poses, found: Retraced, flight: Flight) -> Finding:
@@ -168,8 +167,7 @@ def _twice(poses: Poses, flight: Flight) -> Array:
     done = np.abs(c["work_normal"]) + np.abs(c["work_friction"])
     told = (r * np.abs(c["u"])).sum(axis=1) + 2.0 * done
     most = np.where(np.isnan(speed).any(axis=1), told, (r * speed).sum(axis=1))
-    out: Array = np.where(some, np.nan_to_num(most), 0.0)
-    return out
+    return np.where(some, np.nan_to_num(most), 0.0)
 
 
 def _stays(poses: Poses, flight: Flight) -> Bools:

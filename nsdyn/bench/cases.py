@@ -73,8 +73,7 @@ def _slide(speed: float, mu: float, slower: float) -> Callable[[Array], Array]:
 
     def distance(t: Array) -> Array:
         s = np.minimum(t, (speed - slower) / (mu * G))
-        out: Array = speed * s - 0.5 * mu * G * s**2 + slower * (t - s)
-        return out
+        return speed * s - 0.5 * mu * G * s**2 + slower * (t - s)
 
     return distance
 

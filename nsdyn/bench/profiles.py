@@ -119,8 +119,7 @@ class Profile:
 
     def rho(self, factor: float) -> Array:
         """Return the fraction of problems that each solver solves within `factor` times the best time, (solvers,)."""
-        out: Array = (self.ratios <= factor).mean(axis=0)
-        return out
+        return (self.ratios <= factor).mean(axis=0)
 
     def summary(self) -> list[dict[str, Any]]:
         """Return figures of each solver.

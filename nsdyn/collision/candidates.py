@@ -118,8 +118,7 @@ class Candidates:
 
     def of_balls(self, contacts: ContactSet) -> Bools:
         """Mark contacts of balls with balls and half-spaces, shape (nc,)."""
-        out: Bools = self._ball[contacts.geom1] & self._ball[contacts.geom2]
-        return out
+        return self._ball[contacts.geom1] & self._ball[contacts.geom2]
 
     @property
     def pairs(self) -> tuple[Index, Index]:

@@ -231,8 +231,7 @@ class Dynamics(Kinematics):
 
     def shifted(self, before: Position, after: Position) -> Array:
         """Displacements of the free bodies between two positions, (free, 6): m, and rotation vectors, world axes."""
-        out: Array = np.concatenate((after.x - before.x, turns(before.quaternion, after.quaternion)), axis=1)
-        return out
+        return np.concatenate((after.x - before.x, turns(before.quaternion, after.quaternion)), axis=1)
 
     def lift(self, before: Position, after: Position, v: Array) -> tuple[Array, float]:
         """Velocity with unchanged momenta after a position projection, and the change of energy of free bodies, J.

@@ -70,8 +70,7 @@ class JointRows(NamedTuple):
     @property
     def actuated(self) -> NDArray[np.bool_]:
         """True for the rows of actuators."""
-        out: NDArray[np.bool_] = self.clutch[2] > 0.0
-        return out
+        return self.clutch[2] > 0.0
 
 
 class JointLaws:
@@ -167,13 +166,11 @@ class JointLaws:
 
     def gaps(self, slot: Index | slice, angle: Array) -> Array:
         """Distances to the limits of the given slots at the joint coordinates, rad or m; 0 for friction."""
-        out: Array = self.sign[slot] * (angle[self.coordinate[slot]] - self.bound[slot])
-        return out
+        return self.sign[slot] * (angle[self.coordinate[slot]] - self.bound[slot])
 
     def rates(self, slot: Index, v: Array) -> Array:
         """Rates of the gaps of the given slots at the velocity v (n,), rad/s or m/s; 0 for friction."""
-        out: Array = self.sign[slot] * v[self.coordinate[slot]]
-        return out
+        return self.sign[slot] * v[self.coordinate[slot]]
 
     def impulses(self, rows: JointRows | None, r: Array, nv: int) -> tuple[Array, Array]:
         """Impulses r (nj, 3) by slot, (slots, 3); and (8, nv): actuators, limits and friction in rows 0, 1 and 2."""
@@ -255,14 +252,12 @@ class ContactJacobian:
         scales = np.empty(self.full.nc)
         _blocks.delassus_scales(self.full.arrays, least, gap, scales)
         scales[self._pressed] = 1.0
-        out: Bools = scales > 0.0
-        return out
+        return scales > 0.0
 
     def ball_axes(self, x: Array) -> Array:
         """Entries of x (3 nc,) for the three axes of ball joints with dry friction, shape (balls, 3)."""
         first = 3 * self.balls[:, None] + np.array([1, 2, 4])
-        out: Array = x[first]
-        return out
+        return x[first]
 
     @property
     def shares(self) -> Array:

@@ -53,8 +53,7 @@ class Surfaces:
             return np.array([m.twist(t) for m in self._motions])
         begin, h, begun, ended = self._step
         part = (t - begin) / h
-        out: Array = (1.0 - part) * begun + part * ended
-        return out
+        return (1.0 - part) * begun + part * ended
 
     def mean(self, begun: Array, ended: Array, theta: float) -> Array:
         """(1 - θ) begun + θ ended."""

@@ -227,8 +227,7 @@ class Tree(Linkage):
         """Part of the change of velocity by the forces that is due to the velocity v (nv,) before them."""
         h = halfway.h
         k, d, alpha, _, _ = free.loads.laws.swapaxes(0, 1)
-        out: Array = -h * free.minv @ ((d + h * (2.0 * alpha - 1.0) * k).sum(axis=0) * v)
-        return out
+        return -h * free.minv @ ((d + h * (2.0 * alpha - 1.0) * k).sum(axis=0) * v)
 
     def inertia(self, q: Array, v: Array) -> FreeMotion:
         """Motion without loads, for impacts: mass matrix at a configuration, with its loops and driven joints."""

@@ -185,8 +185,7 @@ class FC3D:
         if self.blocks is not None:
             return self.blocks.islands()
         indptr, indices, data = self.csr
-        label: Index = connected_components(sp.csr_array((np.ones(len(data)), indices, indptr)))[1].astype(np.int64)
-        return label
+        return connected_components(sp.csr_array((np.ones(len(data)), indices, indptr)))[1].astype(np.int64)
 
     def velocity(self, r: Any) -> Array:
         """Return u = W r + q, shape (3 nc,), m/s."""

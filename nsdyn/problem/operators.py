@@ -235,8 +235,7 @@ class Local:
         """Return the dy of (I + W A) dy = W P - y."""
         # (I + W A)⁻¹ d = d - W (I + A W)⁻¹ A d
         d = self.product(P) - y
-        out: Array = d - self.factor(A)((A @ d.reshape(-1, 3, 1)).ravel())
-        return out
+        return d - self.factor(A)((A @ d.reshape(-1, 3, 1)).ravel())
 
 
 Operator = Velocity | Local

@@ -169,8 +169,7 @@ def _rounding(problem: FC3D, r: Array, s: Array) -> Array:
         np.add.at(total, block, push[:, None])
         total[-1] = 0.0
         near = total[block].sum(axis=1)
-    out: Array = ROUND_OFF * (scale * near + np.abs(problem.q).reshape(-1, 3).max(axis=1) + s)
-    return out
+    return ROUND_OFF * (scale * near + np.abs(problem.q).reshape(-1, 3).max(axis=1) + s)
 
 
 def _distance(problem: FC3D, r: Array, other: Array) -> float:

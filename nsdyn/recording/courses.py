@@ -134,8 +134,7 @@ def _doubt(apart: Array, speed: float, parts: int) -> Array:
     would turn by more than `TURNED` are made of several.
     """
     z = np.cbrt(6.0 * float(apart[1].max(initial=0.0)) / (parts * max(speed, 1e-300)))
-    out: Array = CONSTANTS * min(z, TURNED) ** 2 * min(1.0, TURNED / max(z, TURNED)) ** 2 * apart
-    return out
+    return CONSTANTS * min(z, TURNED) ** 2 * min(1.0, TURNED / max(z, TURNED)) ** 2 * apart
 
 
 def _in_parts(

@@ -26,8 +26,7 @@ def carriers(scene: Mapping[str, Any]) -> Index:
     """Return for each shape the number of the link that carries it, -1 for shapes on no link."""
     link = {name: k for k, name in enumerate(joints(scene))}
     frames = [link.get(name, -1) if k >= scene["free"] else -1 for k, name in enumerate(scene["frames"])]
-    out: Index = np.array([*frames, -1], dtype=np.int64)[[geom["frame"] for geom in scene["geoms"]]]
-    return out
+    return np.array([*frames, -1], dtype=np.int64)[[geom["frame"] for geom in scene["geoms"]]]
 
 
 def by_contacts(carrier: Index, columns: Mapping[str, NDArray[Any]], step: Index, out: Array) -> None:

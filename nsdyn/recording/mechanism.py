@@ -206,8 +206,7 @@ class Mechanism:
     def mass(self, q: Array) -> Array:
         """Return the mass matrix."""
         upper = np.triu(np.array(pin.crba(self.model, self.data, q)).reshape(self.nv, self.nv))
-        out: Array = upper + np.triu(upper, 1).T
-        return out
+        return upper + np.triu(upper, 1).T
 
     def weight(self, q: Array) -> Array:
         """Return the generalised forces g of gravity, N m or N."""
@@ -227,8 +226,7 @@ class Mechanism:
 
     def push(self, joint: int, point: Array, impulse: Array) -> Array:
         """Return the generalised impulse of an impulse at a point of a link, at the configuration of `place`."""
-        out: Array = self._jacobian(joint).T @ np.concatenate((impulse, np.cross(point, impulse)))
-        return out
+        return self._jacobian(joint).T @ np.concatenate((impulse, np.cross(point, impulse)))
 
     def pushed(self, wrenches: Array) -> Array:
         """Return the generalised impulse of wrenches on the links about the world's origin (links, 6), as in `push`."""
@@ -312,8 +310,7 @@ class Mechanism:
         """Return the components along joint coordinates of the wrenches `passed` about the world's origin, N·m or N."""
         self.place(q)
         J, owner = self.data.J.reshape(6, -1, order="A"), np.repeat(range(len(passed)), self.model.nvs.tolist()[1:])
-        out: Array = (J * passed[owner].T).sum(axis=0)
-        return out
+        return (J * passed[owner].T).sum(axis=0)
 
     def held(self, q: Array, tau: Array) -> list[list[tuple[int, Array]]]:
         """Return loop impulses equivalent to the generalised impulses tau: (joint, wrench) on both frames of each loop.

@@ -85,8 +85,7 @@ def _of_tree(found: Trees, tree: int, steps: Index, outside: Array) -> Array:
 
 def _passive(m: Mechanism, h: float, q: Array, end: Array, middle: Array) -> Array:
     """Return the impulses with which damping and springs of the joints resist in h seconds, N·m·s or N·s."""
-    out: Array = m.damping * np.array(pin.difference(m.model, q, end)) + h * m.stiffness * m.stretch(middle)
-    return out
+    return m.damping * np.array(pin.difference(m.model, q, end)) + h * m.stiffness * m.stretch(middle)
 
 
 def _about(point: Array, wrench: Array) -> Array:

@@ -100,8 +100,7 @@ def column(file: Any, name: str, rows: int | None, kind: str, shape: tuple[int, 
         raise ValueError(f"/{name} has {item.dtype} of shape {item.shape}, {kind} of shape {('n', *shape)} expected")
     if rows is not None and len(item) < rows:
         raise ValueError(f"/{name} has {len(item)} rows, {rows} expected")
-    out: NDArray[Any] = item[:rows].astype(kind, copy=False)
-    return out
+    return item[:rows].astype(kind, copy=False)
 
 
 def check_meta(meta: Mapping[str, Any]) -> None:

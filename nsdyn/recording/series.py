@@ -173,8 +173,7 @@ def rotate(quaternion: Array, vector: Array) -> Array:
     """Return the vector rotated by the quaternion, xyzw in the last axis."""
     axis, w = quaternion[..., :3], quaternion[..., 3:]
     turn = 2.0 * cross(axis, vector)
-    out: Array = vector + w * turn + cross(axis, turn)
-    return out
+    return vector + w * turn + cross(axis, turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,8 +253,7 @@ class ContactTable:
         """Impulse on body 2 in the world frame, shape (nc, 3), N·s."""
         other = np.cross(self.normal, self.tangent)
         r = self.impulse
-        out: Array = r[:, :1] * self.normal + r[:, 1:2] * self.tangent + r[:, 2:] * other
-        return out
+        return r[:, :1] * self.normal + r[:, 1:2] * self.tangent + r[:, 2:] * other
 
     @property
     def status_names(self) -> list[str]:

@@ -167,8 +167,7 @@ class _Pairs(NamedTuple):
         D = np.where(self.slips[:, None, None], along, cone)
         added = damping * self.total((self.H**2).sum(axis=(1, 2)))
         slope = self.total(self.H.transpose(0, 2, 1) @ D @ self.H) + added[:, None, None] * np.eye(6)
-        change: Array = np.linalg.solve(slope, -off[..., None])[..., 0].astype(float)
-        return change
+        return np.linalg.solve(slope, -off[..., None])[..., 0].astype(float)
 
 
 def _least(pairs: _Pairs, r: Array) -> Array:
@@ -197,8 +196,7 @@ def _descended(pairs: _Pairs, wanted: Array, y: Array, off: Array, step: Array) 
 
     def value(some: Bools, y: Array) -> Array:
         own = pairs.some(some)
-        out: Array = 0.5 * own.total((own.impulses(y)[1] ** 2).sum(axis=1)) - (wanted[some] * y).sum(axis=1)
-        return out
+        return 0.5 * own.total((own.impulses(y)[1] ** 2).sum(axis=1)) - (wanted[some] * y).sum(axis=1)
 
     part, short = np.ones((len(y), 1)), np.ones(len(y), np.bool_)
     begin, slope = value(short, y), (off * step).sum(axis=1)

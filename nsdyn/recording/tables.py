@@ -126,8 +126,7 @@ def impulses(trajectory: Trajectory, row: Index) -> Array:
 def impulses_world(columns: Mapping[str, NDArray[Any]]) -> Array:
     """Return the solver's impulses on body 2 of all contacts in world axes, shape (., 3), N·s."""
     c = {name: columns[f"contacts/{name}"] for name in ("impulse", "normal", "tangent")}
-    out: Array = np.einsum("ci,cij->cj", c["impulse"], shares.contact_axes(c))
-    return out
+    return np.einsum("ci,cij->cj", c["impulse"], shares.contact_axes(c))
 
 
 def body_names(trajectory: Trajectory) -> NDArray[Any]:

@@ -108,8 +108,7 @@ def _columns(trajectory: Trajectory, step: int, c: Mapping[str, NDArray[Any]], o
 def _left_free(m: Mechanism, q: Array) -> Array:
     """Return the projection (nv, nv) on the directions that loops, gears and drives leave free at q; place `m` at q."""
     _, B = m.constraints(q)
-    out: Array = np.eye(m.nv) - np.linalg.pinv(B, rcond=NULL) @ B
-    return out
+    return np.eye(m.nv) - np.linalg.pinv(B, rcond=NULL) @ B
 
 
 def _islands(H: Any, own: Index) -> Iterator[Index]:

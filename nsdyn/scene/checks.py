@@ -102,8 +102,7 @@ def pose(value: Any, what: str) -> Any:
 
 def rotation(quaternion: Array) -> Array:
     """Return the rotation matrix of a unit quaternion x y z w, shape (3, 3)."""
-    out: Array = np.array(pin.Quaternion(quaternion).toRotationMatrix())
-    return out
+    return np.array(pin.Quaternion(quaternion).toRotationMatrix())
 
 
 def configuration(model: Any, q: Array, what: str) -> Array:
@@ -150,5 +149,4 @@ def inertia(value: ArrayLike, what: str) -> Array:
         raise ValueError(
             f"{what} is not that of a body: its principal moments {moments.tolist()} break the triangle inequality"
         )
-    out: Array = 0.5 * (matrix + matrix.T)
-    return out
+    return 0.5 * (matrix + matrix.T)

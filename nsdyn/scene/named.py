@@ -162,8 +162,7 @@ def seconds(name: str, what: str) -> float:
 
 def load(name: str) -> Callable[..., Scene]:
     """Return the function ``scene(**parameters) -> Scene`` of a named scene, or of a file."""
-    function: Callable[..., Scene] = module(name).scene
-    return function
+    return module(name).scene
 
 
 def name_of(function: Callable[..., Scene]) -> str | None:
@@ -241,5 +240,4 @@ def setup(name: str, **parameters: Any) -> Setup:
 def _function(what: str, given: Any) -> Callable[..., Any]:
     if not callable(given):
         raise ValueError(f"{what}(scene) must return a function of (t, q, v), got {given!r}")
-    drive: Callable[..., Any] = given
-    return drive
+    return given

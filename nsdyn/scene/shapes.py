@@ -138,8 +138,7 @@ class Shape:
         """
         if self.kind == HALFSPACE:
             raise ValueError("a halfspace has no inertia: it can only be fixed")
-        out: Array = mass / self.volume * self.moment
-        return out
+        return mass / self.volume * self.moment
 
     def describe(self) -> dict[str, Any]:
         """Return name and dimensions as JSON values: ``shape``, ``size``, for a polytope ``vertices`` and ``faces``.
@@ -277,8 +276,7 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
 
 def _area_vector(loop: Array) -> Array:
     """Return area times normal of a polygon (Newell), shape (3,)."""
-    out: Array = 0.5 * np.cross(loop - loop[0], np.roll(loop, -1, axis=0) - loop[0]).sum(axis=0)
-    return out
+    return 0.5 * np.cross(loop - loop[0], np.roll(loop, -1, axis=0) - loop[0]).sum(axis=0)
 
 
 def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:

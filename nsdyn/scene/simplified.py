@@ -87,5 +87,4 @@ def _numbers(rows: NDArray[Any]) -> Index:
     """Return one number for each row of whole numbers, equal for equal rows; columns must span less than 2²¹."""
     low = rows.min(axis=0, initial=0)
     x, y, z = (rows - low).astype(np.int64).T
-    out: Index = (x << 42) + (y << 21) + z
-    return out
+    return (x << 42) + (y << 21) + z

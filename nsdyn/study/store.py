@@ -97,8 +97,7 @@ class Store:
             self._file.write(line)
             self._file.flush()
             os.fsync(self._file.fileno())
-        out: dict[str, Any] = json.loads(line)
-        return out
+        return json.loads(line)
 
     @contextmanager
     def _told(self) -> Iterator[None]:

@@ -43,5 +43,4 @@ NEXT, LAST = [1, 2, 0], [2, 0, 1]
 
 def cross(one: Array, other: Array) -> Array:
     """Return cross products of vectors (..., 3), bit for bit those of `numpy.cross`, for few in a third of its time."""
-    out: Array = one[..., NEXT] * other[..., LAST] - one[..., LAST] * other[..., NEXT]
-    return out
+    return one[..., NEXT] * other[..., LAST] - one[..., LAST] * other[..., NEXT]

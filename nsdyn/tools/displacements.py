@@ -33,8 +33,7 @@ def integrate(model: pin.Model, q: Array, step: Array) -> Array:
     arc's chord, then turn.
     """
     if not (planes := _planes(model)):
-        out: Array = pin.integrate(model, q, step)
-        return out
+        return pin.integrate(model, q, step)
     first, turn = np.array(step), np.zeros(model.nv)
     for j in planes:
         x, y, angle = step[j : j + 3]
@@ -42,8 +41,7 @@ def integrate(model: pin.Model, q: Array, step: Array) -> Array:
         chord = np.sinc(half / np.pi)
         along, across = chord * np.cos(half), chord * np.sin(half)
         first[j : j + 3], turn[j + 2] = (along * x - across * y, across * x + along * y, 0.0), angle
-    out = pin.integrate(model, pin.integrate(model, q, first), turn)
-    return out
+    return pin.integrate(model, pin.integrate(model, q, first), turn)
 
 
 def turns(before: Array, after: Array) -> Array:
@@ -52,10 +50,7 @@ def turns(before: Array, after: Array) -> Array:
     v, w = w0 * v1 - w1 * v0 + np.cross(v0, v1), w0 * w1 + (v0 * v1).sum(axis=1, keepdims=True)
     size = np.linalg.norm(v, axis=1, keepdims=True)
     # Of the two quaternions of a rotation, use the one with the smaller angle.
-    out: Array = (
-        np.copysign(2.0, w) * np.where(size > 0.0, np.arctan2(size, np.abs(w)) / np.maximum(size, 1e-300), 1.0) * v
-    )
-    return out
+    return np.copysign(2.0, w) * np.where(size > 0.0, np.arctan2(size, np.abs(w)) / np.maximum(size, 1e-300), 1.0) * v
 
 
 @lru_cache(maxsize=64)

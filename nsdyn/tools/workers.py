@@ -74,8 +74,7 @@ class Worker:
                 raise EOFError
             self._buffer += got
         line, _, self._buffer = self._buffer.partition(b"\n")
-        out: dict[str, Any] = json.loads(line)
-        return out
+        return json.loads(line)
 
     def close(self) -> None:
         """End the process."""

@@ -128,8 +128,7 @@ class Browser:
             elif "error" in message:
                 raise ValueError(f"the browser refuses {method}: {message['error']['message']}")
             else:
-                result: dict[str, Any] = message["result"]
-                return result
+                return message["result"]
 
     def _message(self, end: float) -> dict[str, Any]:
         """Return the next message; a zero byte ends a message."""
@@ -142,8 +141,7 @@ class Browser:
                 raise ValueError("the browser ended")
             self._rest += data
         message, _, self._rest = self._rest.partition(b"\0")
-        out: dict[str, Any] = json.loads(message)
-        return out
+        return json.loads(message)
 
 
 @contextmanager

@@ -73,8 +73,7 @@ def shaded(colour: Iterable[float], factor: float) -> tuple[float, ...]:
 
 def by_columns(matrix: Array) -> list[float]:
     """Return the entries of a matrix column by column, as three.js stores it."""
-    out: list[float] = matrix.T.ravel().tolist()
-    return out
+    return matrix.T.ravel().tolist()
 
 
 def as_three(vector: Array) -> list[float]:

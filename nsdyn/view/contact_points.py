@@ -22,8 +22,7 @@ def counts(trajectory: Trajectory, rows: Index) -> Index:
     """Return the number of contacts of the steps that end at the states `rows`; no step ends at the first state."""
     need_contacts(trajectory)
     sizes = np.concatenate([[0], np.diff(trajectory.columns["contacts/offset"])])
-    out: Index = sizes[rows]
-    return out
+    return sizes[rows]
 
 
 def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
@@ -88,8 +87,7 @@ def identities(c: dict[str, NDArray[Any]]) -> Index:
     keys, key = np.unique(c["key"], return_inverse=True)
     shapes = int(max(g1.max(initial=0), g2.max(initial=0))) + 1
     code = (g1 * shapes + g2) * max(1, keys.size) + key.ravel()
-    out: Index = np.unique(code, return_inverse=True)[1].ravel()
-    return out
+    return np.unique(code, return_inverse=True)[1].ravel()
 
 
 def _so_far(group: Index, values: Array) -> Array:

@@ -92,8 +92,7 @@ class View:
         up = np.cross(back, right)
         slope = math.tan(math.radians(FIELD_OF_VIEW / 2))
         high, wide = (np.abs(x @ up) + r) / slope, (np.abs(x @ right) + r) / (slope * 4 / 3)
-        out: Array = self.centre + 1.05 * float((x @ back + np.maximum(high, wide)).max()) * back
-        return out
+        return self.centre + 1.05 * float((x @ back + np.maximum(high, wide)).max()) * back
 
 
 def _ball(x: Array, r: Array) -> tuple[Array, float]:
@@ -108,8 +107,7 @@ def _often(x: Array, r: Array, fixed: Bools) -> Bools:
     near = away <= np.quantile(away[~fixed], 1.0 - RARE)
     moving, most = ~fixed, ~fixed & near
     small = _ball(x[most], r[most])[1] < SMALL * _ball(x[moving], r[moving])[1]
-    out: Bools = fixed | near if small else np.ones(len(x), dtype=bool)
-    return out
+    return fixed | near if small else np.ones(len(x), dtype=bool)
 
 
 def _cut(x: Array, r: Array, fixed: Bools) -> tuple[Array, Array]:
@@ -133,8 +131,7 @@ def halfspaces(geoms: Iterable[Json]) -> list[tuple[Array, float]]:
 def _outline(x: Array, r: Array, count: int = OUTLINE) -> Array:
     """Return centres and radii (., 4) of the balls that reach farthest in at least one of `count` directions."""
     farthest = np.unique([int(np.argmax(x @ d + r[:, 0])) for d in _directions(count)])
-    out: Array = np.column_stack([x, r])[farthest]
-    return out
+    return np.column_stack([x, r])[farthest]
 
 
 def _directions(count: int) -> Array:
@@ -232,8 +229,7 @@ def halfspace_object(normal: Array, offset: float, colour: Iterable[float], view
     def faded(points: Array, base: Iterable[float], to: ArrayLike, reach: float) -> Array:
         s = np.clip(np.linalg.norm(points[:, :2], axis=1) / reach, 0.0, 1.0)[:, None]
         s = s * s * (3.0 - 2.0 * s)
-        out: Array = (1.0 - s) * np.array(list(base)[:3]) + s * np.asarray(to)
-        return out
+        return (1.0 - s) * np.array(list(base)[:3]) + s * np.asarray(to)
 
     rings, turns = np.array([0.0, 1.0, 2.5, 4.5, 7.0, 10.0]) * R, np.linspace(0.0, 2.0 * np.pi, 33)
     triangles = []

@@ -89,8 +89,7 @@ def _settings(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def _parameters(trajectory: Trajectory) -> dict[str, Any]:
-    out: dict[str, Any] = json.loads(trajectory.meta.get("parameters", "{}"))
-    return out
+    return json.loads(trajectory.meta.get("parameters", "{}"))
 
 
 def _text(value: Any) -> str:

@@ -16,8 +16,7 @@ def fans(corners: Index, sizes: Index) -> Index:
     ends = np.cumsum(sizes)
     first = np.repeat(ends - sizes, sizes - 2)
     count = np.arange(first.size) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
-    out: Index = corners[np.column_stack((first, first + count + 1, first + count + 2))]
-    return out
+    return corners[np.column_stack((first, first + count + 1, first + count + 2))]
 
 
 def numbers(text: str | bytes | None, what: str) -> Array:

@@ -77,13 +77,11 @@ def along(z: Array) -> Array:
 
 
 def _quaternion(turn: Array) -> Array:
-    out: Array = np.roll(pin.Quaternion(turn).coeffs(), 1)
-    return out
+    return np.roll(pin.Quaternion(turn).coeffs(), 1)
 
 
 def _about(axis: Array, angle: float) -> Array:
-    out: Array = pin.AngleAxis(angle, axis).toRotationMatrix()
-    return out
+    return pin.AngleAxis(angle, axis).toRotationMatrix()
 
 
 def _euler(angles: Array, order: str) -> Array:

@@ -104,8 +104,7 @@ class Frames:
             xyz = joint.pose.rotation.T @ self.pose_of(frame).rotation @ xyz
         if not xyz.any():
             raise ValueError(f"{tag} of joint {joint.name!r} must not be zero")
-        out: Array = xyz / np.linalg.norm(xyz)
-        return out
+        return xyz / np.linalg.norm(xyz)
 
     @staticmethod
     def values_of(joint: Joint, tag: str) -> tuple[float, ...]:
