@@ -15,7 +15,7 @@ This module handles arrays of poses of one pair of shapes. For whole scenes and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -105,13 +105,8 @@ def separation(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, e
     if b.kind == "halfspace":
         n = R @ b.size
         return -np.einsum("mi,mi->m", n, x) - a.support(-n) - b.offset
-    return _in_parts(_smooth_separation if a.smooth or b.smooth else _polytope_separation, a, b, R, x, exact)
-
-
-def _in_parts(
-    separate: Callable[[Solid, Solid, Array, Array, bool], Array], a: Solid, b: Solid, R: Array, x: Array, exact: bool
-) -> Array:
-    """Apply `separate` to blocks of poses that are small enough for its temporary arrays."""
+    separate = _smooth_separation if a.smooth or b.smooth else _polytope_separation
+    # In blocks of poses that are small enough for its temporary arrays.
     axes = max(DIRECTIONS, len(a.edges) * len(b.edges), len(a.normals) + len(b.normals))
     if a.radius or b.radius:
         axes = max(axes, len(a.corners) * len(b.corners), len(a.feet) * len(b.corners) + len(b.feet) * len(a.corners))
@@ -159,12 +154,6 @@ def _along(a: Solid, b: Solid, R: Array, x: Array, n: Array) -> Array:
     return np.where(length > 0.0, np.maximum(up, down) - a.radius - b.radius, -np.inf)
 
 
-def _face_normals(a: Solid, b: Solid, R: Array, x: Array) -> Array:
-    """Normals of the faces of both solids, shape (m, k, 3)."""
-    own = np.broadcast_to(a.normals, (len(x), *a.normals.shape))
-    return np.concatenate([own, b.normals @ np.swapaxes(R, 1, 2)], axis=1)
-
-
 def _edge_axes(edges: Array, b: Solid, R: Array, x: Array) -> Array:
     """Cross products of edges (ne, 3) of one solid with those of b, 0 for parallel ones, shape (m, k, 3)."""
     other = b.edges @ np.swapaxes(R, 1, 2)
@@ -204,7 +193,8 @@ def _smooth_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) -> A
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
     # The line of centres, normals of faces and cross products of edges; kinks meet in the last two.
     centres = np.where(np.linalg.norm(x, axis=1)[:, None] < SAME, AXIS, x)
-    known = np.concatenate([centres[:, None], _face_normals(a, b, R, x), _edge_axes(a.edges, b, R, x)], axis=1)
+    faces = np.broadcast_to(a.normals, (len(x), *a.normals.shape)), b.normals @ np.swapaxes(R, 1, 2)
+    known = np.concatenate([centres[:, None], *faces, _edge_axes(a.edges, b, R, x)], axis=1)
     best, n = _best_along(a, b, R, x, known)
     left = np.flatnonzero(best < enough)
     if not left.size:

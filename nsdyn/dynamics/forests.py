@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import pinocchio as pin
 
@@ -11,27 +11,12 @@ from nsdyn.scene.articulations import Articulation
 from nsdyn.scene.gears import joint_at
 
 
-class Part(NamedTuple):
-    """One tree of an articulation, or several trees that loops or gears connect.
+def parts(a: Articulation) -> list[tuple[Articulation, range]]:
+    """Trees of an articulation, in the order of their coordinates, some joined by loops or gears.
 
-    Attributes
-    ----------
-    articulation : Articulation
-        The part as an articulation of its own; it has the name of the whole.
-    q, v : slice
-        Its coordinates within the coordinates of the whole.
-    joints : range
-        Its joints within the whole: the first of them is joint 1 of the part.
+    Each is an articulation of its own with the name of the whole, beside its joints within the whole: the first of them
+    is joint 1 of the part.
     """
-
-    articulation: Articulation
-    q: slice
-    v: slice
-    joints: range
-
-
-def parts(a: Articulation) -> list[Part]:
-    """Trees of an articulation, in the order of their coordinates."""
     model = a.model
     roots = [joint for joint in range(1, model.njoints) if model.parents[joint] == 0]
     ends = [*roots[1:], model.njoints]
@@ -41,16 +26,17 @@ def parts(a: Articulation) -> list[Part]:
         kept = [k for k, end in enumerate(ends) if not (low and low < end <= high)]
         roots, ends = [roots[0], *(ends[k] for k in kept[:-1])], [ends[k] for k in kept]
     if len(roots) <= 1:
-        return [Part(a, slice(0, model.nq), slice(0, model.nv), range(1, model.njoints))]
-    return [_part(a, range(first, end)) for first, end in zip(roots, ends, strict=True)]
+        return [(a, range(1, model.njoints))]
+    own = (range(first, end) for first, end in zip(roots, ends, strict=True))
+    return [(_part(a, joints), joints) for joints in own]
 
 
-def _part(a: Articulation, joints: range) -> Part:
+def _part(a: Articulation, joints: range) -> Articulation:
     shift, own = joints.start - 1, _alone(a.model, joints)
     q_start, v_start = a.model.idx_qs[joints.start], a.model.idx_vs[joints.start]
     q, v = slice(q_start, q_start + own.nq), slice(v_start, v_start + own.nv)
     own.lowerPositionLimit, own.upperPositionLimit = a.model.lowerPositionLimit[q], a.model.upperPositionLimit[q]
-    moved = replace(
+    return replace(
         a,
         model=own,
         q=a.q[q],
@@ -71,7 +57,6 @@ def _part(a: Articulation, joints: range) -> Part:
         fixed=(),
         excluded=frozenset(),
     )
-    return Part(moved, q, v, joints)
 
 
 def _alone(model: Any, joints: range) -> Any:

@@ -87,15 +87,16 @@ class Layout:
                 for owner, _, joint in [key.partition("/")]
                 if owner == name and m.kind == "joint"
             }
-            forest, planted = parts(a), len(trees)
-            for part in forest:
-                before = part.joints.start - 1
-                joints = [joint - before for joint in carriers if joint in part.joints]
-                motions = {a.model.idx_vs[j] - part.v.start: m for j, m in driven.items() if j in part.joints}
-                trees.append(Tree(part.articulation, self.gravity, joints, motions))
+            planted, coordinates = len(trees), list[slice]()
+            for part, within in parts(a):
+                first = a.model.idx_vs[within.start] if within else 0
+                joints = [joint - within.start + 1 for joint in carriers if joint in within]
+                motions = {a.model.idx_vs[j] - first: m for j, m in driven.items() if j in within}
+                trees.append(Tree(part, self.gravity, joints, motions))
+                coordinates.append(slice(first, first + part.model.nv))
             scalar = np.concatenate([t.scalar for t in trees[planted:]])
             axes = Axes.of(name, a.model, scalar)
-            self._forests[name] = planted, Actuators(axes, a.effort, [part.v for part in forest], a.actuators)
+            self._forests[name] = planted, Actuators(axes, a.effort, coordinates, a.actuators)
         return trees
 
     def only(self, bodies: Index, trees: Index, geoms: Index) -> Self:

@@ -74,29 +74,14 @@ WORKS = (*Works._fields, "defect")
 """Works of a recording; their sum is the change of energy."""
 
 
-class Layer(NamedTuple):
-    """Words and colours with which the ledger shows an energy, or the energy that a work took.
-
-    Attributes
-    ----------
-    words : str
-    colour : str
-    grey : str
-        For styles without colours; neighbours in the stack can be told apart.
-    """
-
-    words: str
-    colour: str
-    grey: str
-
-
 LAYERS = {
-    "kinetic": Layer("kinetic", "#3b75af", "0.15"),
-    "potential": Layer("potential", "#b9cfe4", "0.88"),
-    "friction": Layer("friction took", "#e69f00", "0.65"),
-    "normal": Layer("impacts took", "#b5405e", "0.42"),
-    "damping": Layer("damping took", "#5aa17f", "0.75"),
-    "drives": Layer("drives and loads took", "#8f86b8", "0.55"),
+    "kinetic": ("kinetic", "#3b75af", "0.15"),
+    "potential": ("potential", "#b9cfe4", "0.88"),
+    "friction": ("friction took", "#e69f00", "0.65"),
+    "normal": ("impacts took", "#b5405e", "0.42"),
+    "damping": ("damping took", "#5aa17f", "0.75"),
+    "drives": ("drives and loads took", "#8f86b8", "0.55"),
 }
-"""The stack of the ledger, from the bottom: energies, then works of physics. `external` and `constraint` form one
-layer, `drives`, shown while they take more energy than they put in."""
+"""The stack of the ledger, from the bottom: energies, then works of physics, each with its words, its colour, and a
+grey for styles without colours, unlike that of its neighbours. `external` and `constraint` form one layer, `drives`,
+shown while they take more energy than they put in."""

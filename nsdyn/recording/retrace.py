@@ -173,7 +173,7 @@ class Trees:
         m, (q, v) = self.mechanisms[tree], self.state(tree, k + 1)
         out, pieces = [], list(self.pieces(tree, k))
         for all_along in (True, False):
-            out.append(self._way(m, tree, k, pieces, all_along))
+            out.append(self._way(tree, k, pieces, all_along))
             if not (self.trajectory.meta["controller"] and any(k.mean is not None for k in out[0].kicks)):
                 break
 
@@ -184,15 +184,16 @@ class Trees:
 
         return min(out, key=off)
 
-    def _way(self, m: Mechanism, tree: int, k: int, pieces: list[Piece], all_along: bool) -> Way:
+    def _way(self, tree: int, k: int, pieces: list[Piece], all_along: bool) -> Way:
         """Recompute the motion; `all_along` lets forces that act alone act throughout their piece."""
-        theta, (q, v) = float(self.trajectory.meta["theta"]), self.state(tree, k)
+        m, theta, (q, v) = self.mechanisms[tree], float(self.trajectory.meta["theta"]), self.state(tree, k)
         kicks, flows, told = list[Kick](), list[Course](), [m.speeds[int(j)] for j in m.driven]
-        for h, touches, given in pieces:
+        for piece in pieces:
+            h, _, given = piece
             first = move(m, q, v, (1.0 - theta) * h)
             speeds = v[m.driven] + given[6, m.driven]
             speeds = np.array([x if rate is None else rate for x, rate in zip(speeds, told, strict=True)])
-            kick = self._kick(m, first, h, theta, touches, given, speeds)
+            kick = self._kick(m, first, piece, theta, speeds)
             pushed = kick.pushed.any() or given[1:3].any() or m.loops or m.damping.any() or m.stiffness.any()
             if all_along and h and not pushed:
                 last = move(m, q, v, h, (given[0] + given[3]) / h, (speeds - v[m.driven]) / h)
@@ -204,18 +205,9 @@ class Trees:
             q, v = m.lifted(last.q, last.v, kick.shift)
         return Way(kicks, flows, q, v)
 
-    def _kick(
-        self,
-        m: Mechanism,
-        at: Course,
-        h: float,
-        theta: float,
-        touches: list[tuple[int, int, int]],
-        given: Array,
-        speeds: Array,
-    ) -> Kick:
-        """Apply impulses, and the forces of h seconds, at a configuration."""
-        c, pushed = self.trajectory.columns, np.zeros(m.nv)
+    def _kick(self, m: Mechanism, at: Course, piece: Piece, theta: float, speeds: Array) -> Kick:
+        """Apply the impulses of a piece, and its forces, at a configuration."""
+        (h, touches, given), c, pushed = piece, self.trajectory.columns, np.zeros(m.nv)
         m.place(at.q)
         for row, side, joint in touches:
             pushed += m.push(joint, c["contacts/point"][row], (2 * side - 1) * self.impulses[row])

@@ -24,7 +24,7 @@ from nsdyn.scene.articulations import (
     check_joints,
     check_size,
 )
-from nsdyn.scene.bodies import Body, make_body
+from nsdyn.scene.bodies import Body, BodyOptions, make_body
 from nsdyn.scene.exclusions import FREE
 from nsdyn.scene.gears import joints_of
 from nsdyn.scene.materials import Material
@@ -32,6 +32,7 @@ from nsdyn.scene.shapes import HALFSPACE, Shape, halfspace
 from nsdyn.tools.arrays import Array
 from nsdyn.tools.files import as_path
 from nsdyn.tools.naming import choice
+from nsdyn.tools.options import check_flags
 
 UNBOUNDED = 1.01
 """Value that Pinocchio writes where a cosine, a sine or a component of a quaternion has no limit."""
@@ -61,7 +62,9 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
         raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
 
     of_joints = partial(_of_joints, name, free)
-    _check_choices(name, limits, clip, self_collisions)
+    check_flags(**{f"limits of {name!r}": limits, f"clip of {name!r}": clip})
+    if not isinstance(self_collisions, bool) and self_collisions != "apart":
+        raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
     links = _collisions(name, description, options.get("collisions", True))
     at = checks.placement(options.get("position", (0, 0, 0)), options.get("quaternion", (0, 0, 0, 1)), repr(name))
     q0 = checks.configuration(model, of_joints(options.get("q"), "q", description.q, 7), repr(name))
@@ -135,9 +138,9 @@ def _warn(name: str, notes: Sequence[str]) -> None:
 
 def _fixed(name: str, link: Link) -> Body:
     """Return a shape of the file's world as a fixed body of the scene."""
-    x, quaternion = link.placement.translation, pin.Quaternion(link.placement.rotation).coeffs()
-    label = f"{name}/{link.name}"
-    return make_body(label, link.shape, None, x, quaternion, material=link.material, fixed=True, colour=link.colour)
+    given: BodyOptions = {"material": link.material, "fixed": True, "colour": link.colour}
+    given |= {"position": link.placement.translation, "quaternion": pin.Quaternion(link.placement.rotation).coeffs()}
+    return make_body(f"{name}/{link.name}", link.shape, **given)
 
 
 def _check_model(name: str, model: Any) -> None:
@@ -155,15 +158,6 @@ def _check_model(name: str, model: Any) -> None:
         length = np.where(turning > 0.0, turning, sliding)
         if off := [float(x) for x in length if abs(x - 1.0) > UNIT]:
             raise ValueError(f"axis of joint {model.names[k]!r} of {name!r} must be of length 1, got {off[0]!r}")
-
-
-def _check_choices(name: str, limits: bool, clip: bool, self_collisions: bool | str) -> None:
-    """Raise ValueError for options that are none of the choices."""
-    for what, flag in (("limits", limits), ("clip", clip)):
-        if not isinstance(flag, bool):
-            raise ValueError(f"{what} of {name!r} must be True or False, got {flag!r}")
-    if not isinstance(self_collisions, bool) and self_collisions != "apart":
-        raise ValueError(f"self_collisions of {name!r} must be True, False or 'apart', got {self_collisions!r}")
 
 
 def _check_magnitudes(name: str, in_joints: Mapping[str, Array]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypedDict
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -104,41 +104,14 @@ class BodyOptions(TypedDict, total=False):
     com: ArrayLike
 
 
-def make_body(
-    name: str,
-    shape: Shape,
-    mass: float | None = None,
-    position: Any = (0, 0, 0),
-    quaternion: ArrayLike = (0, 0, 0, 1),
-    linear_velocity: ArrayLike = (0, 0, 0),
-    angular_velocity: ArrayLike = (0, 0, 0),
-    material: Material | None = None,
-    fixed: bool = False,
-    colour: ArrayLike | None = None,
-    inertia: ArrayLike | None = None,
-    com: ArrayLike = (0, 0, 0),
-) -> Body:
-    """Return a body.
-
-    Parameters
-    ----------
-    name : str
-    shape : Shape
-    mass : float, optional
-        kg; None for a fixed body.
-    position, quaternion, linear_velocity, angular_velocity, material, fixed, colour, inertia, com
-        As in `Scene.add_convex`.
-
-    Raises
-    ------
-    ValueError
-        Names the argument, expected and given values.
-    """
+def make_body(name: str, shape: Shape, mass: float | None = None, **given: Unpack[BodyOptions]) -> Body:
+    """Return a body of a mass in kg, None for a fixed one; ValueError naming the argument, expected and given value."""
     if not isinstance(shape, Shape):
         raise ValueError(f"shape of {name!r} must be one of nsdyn.scene.shapes, got {shape!r}")
-    centre = checks.vector(com, 3, f"com of {name!r}")
-    v = checks.vector(linear_velocity, 3, f"linear_velocity of {name!r}")
-    w = checks.vector(angular_velocity, 3, f"angular_velocity of {name!r}")
+    centre = checks.vector(given.get("com", (0, 0, 0)), 3, f"com of {name!r}")
+    v = checks.vector(given.get("linear_velocity", (0, 0, 0)), 3, f"linear_velocity of {name!r}")
+    w = checks.vector(given.get("angular_velocity", (0, 0, 0)), 3, f"angular_velocity of {name!r}")
+    fixed, inertia = given.get("fixed", False), given.get("inertia")
     if not isinstance(fixed, (bool, np.bool_)):
         raise ValueError(f"fixed of {name!r} must be True or False, got {fixed!r}")
     if fixed:
@@ -156,9 +129,11 @@ def make_body(
         if inertia is None and centre.any():
             raise ValueError(f"inertia of {name!r} is needed: with its com at {centre.tolist()} it is not homogeneous")
         J = checks.inertia(shape.inertia(m) if inertia is None else inertia, f"inertia of {name!r}")
+    position: Any = given.get("position", (0, 0, 0))
     x = checks.vector(position, 3, f"position of {name!r}")
-    turn = checks.quaternion(quaternion, f"quaternion of {name!r}")
-    return Body(name, shape, m, J, x, turn, v, w, _material(material, name), _colour(colour, name), centre)
+    turn = checks.quaternion(given.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
+    material, colour = _material(given.get("material"), name), _colour(given.get("colour"), name)
+    return Body(name, shape, m, J, x, turn, v, w, material, colour, centre)
 
 
 def _material(material: Material | None, name: str) -> Material:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
 from nsdyn.scene import checks, exclusions
 from nsdyn.scene.articulations import Articulation, Loop
@@ -13,15 +13,7 @@ from nsdyn.scene.gears import GearGaps, gear
 from nsdyn.tools.naming import choice
 
 
-def close_loop(
-    articulation: Articulation,
-    name: str,
-    frame1: str,
-    frame2: str,
-    position: ArrayLike,
-    quaternion: ArrayLike,
-    kind: str,
-) -> Articulation:
+def close_loop(articulation: Articulation, name: str, frames: tuple[str, str], at: Any, kind: str) -> Articulation:
     """Return the articulation with one more loop, closed in its initial configuration; see `nsdyn.Scene.add_loop`."""
     model = articulation.model
     if kind not in ("point", "frame"):
@@ -30,15 +22,15 @@ def close_loop(
     if any(loop.name == name for loop in articulation.loops):
         raise ValueError(f"name must be unique among the loops of {articulation.name!r}, {name!r} is taken")
     known = {f.name: f for f in model.frames}
-    for what, frame in (("frame1", frame1), ("frame2", frame2)):
+    for what, frame in zip(("frame1", "frame2"), frames, strict=True):
         choice(frame, known, f"{what} of {name!r}, a frame of {articulation.name!r},")
-    first, second = known[frame1], known[frame2]
-    placement1 = first.placement * checks.placement(position, quaternion, repr(name))
+    first, second = (known[frame] for frame in frames)
+    placement1 = first.placement * at
     data = model.createData()
     pin.forwardKinematics(model, data, articulation.q)
     joint1, joint2 = int(first.parentJoint), int(second.parentJoint)
     if joint1 == joint2:
-        raise ValueError(f"frame2 of {name!r} must be on another link than frame1, {frame1!r}, got {frame2!r}")
+        raise ValueError(f"frame2 of {name!r} must be on another link than frame1, {frames[0]!r}, got {frames[1]!r}")
     loop = Loop(name, joint1, placement1, joint2, data.oMi[joint2].actInv(data.oMi[joint1] * placement1), kind)
     return replace(
         articulation,

@@ -84,8 +84,3 @@ def read(path: Path) -> Surface:
     except (ValueError, OverflowError, ElementTree.ParseError) as failure:
         raise ValueError(f"path: {path} could not be read as a mesh of triangles: {failure}") from None
     return Surface(vertices, flat.reshape(-1, 3), *colours)
-
-
-def write_stl(path: Path, surface: Surface) -> None:
-    """Write a surface as a binary STL file, with numbers of seven digits."""
-    path.write_bytes(stl.binary(surface.vertices, surface.triangles))

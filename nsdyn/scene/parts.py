@@ -99,7 +99,7 @@ class Parts:
             Centre of mass relative to the centroid of the shape, body axes, m; 0 by default. If it is not 0, `inertia`
             is required.
         """
-        self._add_hull(name, *shapes.convex(vertices), mass, keywords)
+        self._add_hull(name, shapes.convex(vertices), mass, keywords)
 
     def add_mesh(
         self,
@@ -113,9 +113,10 @@ class Parts:
 
         Keywords as in `add_convex`; `scale` multiplies the lengths in the file.
         """
-        self._add_hull(name, *shapes.mesh(path, scale), mass, keywords)
+        self._add_hull(name, shapes.mesh(path, scale), mass, keywords)
 
-    def _add_hull(self, name: str, shape: Shape, centroid: Array, mass: float | None, keywords: BodyOptions) -> None:
+    def _add_hull(self, name: str, hull: tuple[Shape, Array], mass: float | None, keywords: BodyOptions) -> None:
+        shape, centroid = hull
         if keywords.get("position") is None:
             quaternion = checks.quaternion(keywords.get("quaternion", (0, 0, 0, 1)), f"quaternion of {name!r}")
             com = checks.vector(keywords.get("com", (0, 0, 0)), 3, f"com of {name!r}")
@@ -276,8 +277,9 @@ class Parts:
             Whether the loop holds the origins together, or origins and axes.
         """
         choice(articulation, self.articulations, "articulation")
+        at = checks.placement(position, quaternion, repr(name))
         self.articulations[articulation] = couplings.close_loop(
-            self.articulations[articulation], name, frame1, frame2, position, quaternion, kind
+            self.articulations[articulation], name, (frame1, frame2), at, kind
         )
 
     def add_gear(self, articulation: str, joint1: str, joint2: str, ratio: float, offset: float | None = None) -> None:

@@ -10,12 +10,11 @@ from typing import Any, Unpack
 import numpy as np
 from scipy.optimize import brentq
 
-from nsdyn.recording.trajectory import Trajectory
-from nsdyn.scene import named as scenes
 from nsdyn.scene.scene import Scene
-from nsdyn.stepping.simulation import RunOptions, simulate
+from nsdyn.stepping.simulation import RunOptions
 from nsdyn.stepping.system import check_seconds
 from nsdyn.study.comparison import UNITS, differences
+from nsdyn.study.sweep import simulated
 from nsdyn.tools import notebook
 from nsdyn.tools.arrays import numbers
 from nsdyn.tools.naming import check_known
@@ -167,7 +166,7 @@ def refine(
     for dt in chosen:
         if abs(duration / dt - round(duration / dt)) > 1e-9 * duration / dt or duration < 0.5 * dt:
             raise ValueError(f"duration must be a whole number of every dt, got {duration:g} s and dt = {dt:g} s")
-    runs = [_run(scene, dt, duration, parameters or {}, progress, options) for dt in chosen]
+    runs = [simulated(scene, parameters or {}, duration, {**options, "dt": dt, "progress": progress}) for dt in chosen]
     finest = runs[-1]
     errors = [differences(run, finest).largest for run in runs]
     rows = []
@@ -194,17 +193,3 @@ def order(e1: float, e2: float, h1: float, h2: float, h0: float) -> float:
 
     least, most = off(1e-6), off(LARGEST_ORDER)
     return float(brentq(off, 1e-6, LARGEST_ORDER)) if least < 0.0 < most else math.nan
-
-
-def _run(
-    scene: str | Callable[[], Scene],
-    dt: float,
-    duration: float,
-    parameters: dict[str, Any],
-    progress: bool,
-    options: RunOptions,
-) -> Trajectory:
-    if isinstance(scene, str):
-        setup = scenes.setup(scene, **parameters)
-        return simulate(setup.scene, duration, **setup.options(**options | {"dt": dt, "progress": progress}))
-    return simulate(scenes.made(scene, **parameters), duration, dt=dt, progress=progress, **options)

@@ -198,16 +198,20 @@ def _run(
 ) -> tuple[Any, str, bool]:
     """Run one simulation and return (result, reason if there is none, whether it was refused)."""
     try:
-        if isinstance(scene, str):
-            setup = scenes.setup(scene, **parameters)
-            trajectory = simulate(setup.scene, duration, **setup.options(**options))
-        else:
-            trajectory = simulate(scenes.made(scene, **parameters), duration, **options)
+        trajectory = simulated(scene, parameters, duration, options)
         return trajectory if keep is None else called(keep, "keep", lambda kept: kept, trajectory), "", False
     except NotConverged as failure:
         return None, str(failure), False
     except Exception as failure:  # from the code of the scene or of the user
         return None, text(failure), True
+
+
+def simulated(scene: str | Callable[..., Scene], parameters: Any, duration: float, options: Any) -> Trajectory:
+    """Simulate a scene, given by its name or by a function, with its controller and external forces."""
+    if isinstance(scene, str):
+        setup = scenes.setup(scene, **parameters)
+        return simulate(setup.scene, duration, **setup.options(**options))
+    return simulate(scenes.made(scene, **parameters), duration, **options)
 
 
 UNITS = {

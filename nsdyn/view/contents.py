@@ -171,8 +171,8 @@ def _scene(trajectory: Trajectory, view: View) -> tuple[Json, Arrays]:
         "largest": trajectory.largest_energy,
         "at_rest": trajectory.at_rest,
         "layers": [
-            {"name": name, "label": layer.words, "colour": layer.colour, "sign": 1 if name in ENERGIES else -1}
-            for name, layer in LAYERS.items()
+            {"name": name, "label": words, "colour": colour, "sign": 1 if name in ENERGIES else -1}
+            for name, (words, colour, _) in LAYERS.items()
         ],
         "numerics": NUMERICS,
         "bodies": bodies,

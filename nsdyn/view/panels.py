@@ -19,13 +19,13 @@ from nsdyn.tools.arrays import Array
 from nsdyn.tools.units import with_unit
 from nsdyn.view.solids import PALETTE
 
-LEDGER = {name: layer.colour for name, layer in LAYERS.items()}
+LEDGER = {name: colour for name, (_, colour, _) in LAYERS.items()}
 """Colours of energies and works."""
 
 OTHERS = "#b9c2cb"
 """Colour of curves without their own colour."""
 
-GREYS = {layer.colour: layer.grey for layer in LAYERS.values()} | {OTHERS: "0.8"}
+GREYS = {colour: grey for _, colour, grey in LAYERS.values()} | {OTHERS: "0.8"}
 """Greys in place of colours, for styles of matplotlib without colours."""
 
 DASHES = "-", "--", ":", "-."

@@ -269,12 +269,12 @@ def _energy(trajectory: Trajectory, name: str) -> list[Panel]:
     found = ledger(trajectory, np.arange(t.size))
     areas = [
         Curve(
-            layer.words + (", from its least" if name == "potential" else ""),
+            words + (", from its least" if name == "potential" else ""),
             t,
             found[name] if name in ENERGIES else -found[name],
-            {"color": layer.colour},
+            {"color": colour},
         )
-        for name, layer in LAYERS.items()
+        for name, (words, colour, _) in LAYERS.items()
         if name == "kinetic" or np.abs(found[name]).max() > least
     ]
     total = np.sum([c.y for c in areas], axis=0)

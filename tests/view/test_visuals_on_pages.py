@@ -8,7 +8,7 @@ import pytest
 from pages import RESTED
 
 import nsdyn as nd
-from nsdyn.scene import meshes
+from nsdyn.scene.mesh_files import stl
 from nsdyn.tools.array_text import from_text
 from nsdyn.view import browser, looks, stage
 
@@ -123,7 +123,7 @@ def test_films_show_meshes_as_fine_as_pixels(share, tmp_path, window):
     """With a fraction of the triangles the same picture; what is open is drawn from behind too."""
     from PIL import Image
 
-    meshes.write_stl(tmp_path / "box.stl", meshes.Surface(*ball(share), None))
+    (tmp_path / "box.stl").write_bytes(stl.binary(*ball(share)))
     turned = '<visual><origin rpy="-2 0 0"/>'  # what is open shows its inside
     (tmp_path / "r.urdf").write_text(
         URDF.replace("<visual>", turned, 1).replace(' scale="-1 1 1"', ' scale="1e-3 1e-3 1e-3"')
@@ -180,7 +180,7 @@ def test_films_leave_nothing_out(tmp_path, window):
 @pytest.mark.skipif(browser.chromium() is None, reason="no Chromium on the PATH")
 def test_meshes_are_whole_where_nothing_moves(tmp_path, window):
     """Coarse while pictures are late, whole again with the first of a scene at rest."""
-    meshes.write_stl(tmp_path / "box.stl", meshes.Surface(*ball(1.0), None))
+    (tmp_path / "box.stl").write_bytes(stl.binary(*ball(1.0)))
     (tmp_path / "r.urdf").write_text(URDF)
     scene = nd.Scene()
     scene.add_urdf("r", tmp_path / "r.urdf", base="free")

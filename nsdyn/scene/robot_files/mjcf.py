@@ -20,6 +20,7 @@ import pinocchio as pin
 
 from nsdyn.scene import meshes
 from nsdyn.scene.articulations import WORLD, Description, check_count, check_joints, check_size, describe_model
+from nsdyn.scene.mesh_files import stl
 from nsdyn.scene.robot_files.elements import POSE, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, laid_over
@@ -321,7 +322,7 @@ def _copy_meshes(root: Element, home: Path, scratch: Path) -> None:
         except ValueError as failure:
             raise ValueError(f"geom {users[name]!r}: {failure}") from None
         element.set("file", f"mesh{number}.stl")
-        meshes.write_stl(scratch / f"mesh{number}.stl", surface)
+        (scratch / f"mesh{number}.stl").write_bytes(stl.binary(surface.vertices, surface.triangles))
 
 
 def _flaws(body: Element) -> Iterator[str]:
