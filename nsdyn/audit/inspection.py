@@ -199,17 +199,14 @@ def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
 def inspect_robot(path: str | Path, **options: Any) -> Inspection:
     """Inspect a URDF, SDF or MJCF file, alone, in its initial configuration; see `inspect_scene`.
 
+    ValueError naming a file that cannot be read or simulated at all, or an option that is not for such a file.
+
     Parameters
     ----------
     path : path
     **options
         Of `nsdyn.Scene.add_urdf`, `add_sdf` or `add_mjcf`. Without `q` and `keyframe` a start outside limits, and
         overlaps there, are only notes: no motion can start there, but another start can be given.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read or simulated at all, or if an option is not for such a file; the message names it.
     """
     path, scene = as_path(path), Scene()
     ending = path.suffix.lower()

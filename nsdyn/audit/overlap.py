@@ -49,22 +49,15 @@ NUMBERS = 1_000_000
 def overlap(shape1: Mapping[str, Any], pose1: ArrayLike, shape2: Mapping[str, Any], pose2: ArrayLike) -> Any:
     """Return the penetration of two shapes: the smallest translation that separates them, 0 if they are apart.
 
+    In m, a float or (m,); never below the true value, and above it by round-off or at most 1e-8 of the smaller shape's
+    size. ValueError for an unknown shape or two half-spaces.
+
     Parameters
     ----------
     shape1, shape2 : mapping
         Outputs of `Shape.describe`, or geoms of `Scene.describe`; not both half-spaces.
     pose1, pose2 : array, shape (4, 4) or (m, 4, 4)
         Homogeneous transforms from the shapes' frames to the world. Several poses are paired one by one.
-
-    Returns
-    -------
-    float or ndarray, shape (m,)
-        m; never below the true value, and above it by round-off or at most 1e-8 of the smaller shape's size.
-
-    Raises
-    ------
-    ValueError
-        For an unknown shape or two half-spaces.
     """
     pose1, pose2 = np.asarray(pose1, dtype=float), np.asarray(pose2, dtype=float)
     (a, R1, x1), (b, R2, x2) = (
@@ -78,6 +71,8 @@ def overlap(shape1: Mapping[str, Any], pose1: ArrayLike, shape2: Mapping[str, An
 def separation(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, exact: bool = False) -> Array:
     """Return the signed distance of two solids in m poses, shape (m,), m: minus the overlap if they overlap.
 
+    ValueError for two half-spaces.
+
     Parameters
     ----------
     a, b : Solid
@@ -89,11 +84,6 @@ def separation(a: Solid, R1: Array, x1: Array, b: Solid, R2: Array, x2: Array, e
         Matters if the solids are apart or overlap by less than `RESOLUTION`. False then accepts any lower bound that
         shows this. True gives the distance; for two polytopes apart it gives the largest separation, which their
         distance may exceed between corners.
-
-    Raises
-    ------
-    ValueError
-        For two half-spaces.
     """
     if a.kind == "halfspace":
         if b.kind == "halfspace":

@@ -28,10 +28,6 @@ STEPS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)
 Measure = Callable[[Scene, Array, Array], float]
 
 
-def _starts(scene: Scene) -> Array:
-    return np.array([body.position for body in scene.free_bodies])
-
-
 def _off(distance: Callable[[Array], Array], direction: Sequence[float], free: Sequence[float] = (0, 0, 0)) -> Measure:
     """Return a measure: the largest distance of a body from the point `distance`(t) away from its start, m.
 
@@ -39,7 +35,8 @@ def _off(distance: Callable[[Array], Array], direction: Sequence[float], free: S
     """
 
     def error(scene: Scene, t: Array, poses: Array) -> float:
-        d = poses[..., :3] - _starts(scene) - distance(t)[:, None, None] * np.array(direction)
+        starts = np.array([body.position for body in scene.free_bodies])
+        d = poses[..., :3] - starts - distance(t)[:, None, None] * np.array(direction)
         d -= (d @ free)[..., None] * np.array(free)
         return float(np.linalg.norm(d, axis=-1).max())
 

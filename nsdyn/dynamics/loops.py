@@ -140,12 +140,7 @@ class Closures:
 
         The Newton steps are -N Gᵀ (G N Gᵀ)⁻¹ φ, with N the inverse of M(q) for motions in which `driven` coordinates do
         not move. Levenberg's term, |φ| times the diagonal, keeps the steps finite at redundant loops and near singular
-        configurations.
-
-        Raises
-        ------
-        ValueError
-            When the loops cannot be closed.
+        configurations. ValueError if the loops cannot be closed.
 
         References
         ----------

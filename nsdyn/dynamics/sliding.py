@@ -33,7 +33,8 @@ round-off."""
 def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Array, h: float) -> Flow:
     """Motion by the implicit midpoint rule, in pieces where a longer step cannot be solved or resolved.
 
-    The work of the returned flow is that of the driven joints, which keep their speed.
+    The work of the returned flow is that of the driven joints, which keep their speed. ArithmeticError if no piece is
+    short enough; ValueError if driven joints keep loops from staying closed.
 
     Parameters
     ----------
@@ -44,13 +45,6 @@ def slide(model: pin.Model, data: pin.Data, closures: Closures, q: Array, v: Arr
     q, v : ndarray, shapes (nq,), (nv,)
     h : float
         s.
-
-    Raises
-    ------
-    ArithmeticError
-        If no piece is short enough.
-    ValueError
-        If driven joints keep loops from staying closed.
     """
     left, piece, mean, work = h, h, np.zeros_like(v), 0.0
     while True:

@@ -147,7 +147,7 @@ class Tree(Linkage):
         applied: tuple[Array, Array] | None,
         last: Array | None = None,
     ) -> FreeMotion:
-        """Velocity after the forces of a step without contacts and joint rows.
+        """Velocity after the forces of a step without contacts and joint rows; ValueError if a joint moves no mass.
 
         M̃ (v' - v0) = h (f - g), with the gravity terms g at the midpoint, and the joint forces f for v' = v0. Damping,
         springs and PD control are linear in v'; `nsdyn.PD` defines their α and β. They make the effective mass matrix
@@ -172,11 +172,6 @@ class Tree(Linkage):
             `push` and `wrenches` of `TreeLoads`.
         last : ndarray, shape (nv, 3), optional
             Last impulses of the rows of actuators: an actuator that was at its limit gets its row again.
-
-        Raises
-        ------
-        ValueError
-            If a joint moves no mass.
         """
         (law, limited, implicit), n = control or self._no_control, halfway.v.size
         laws = np.empty((2, 5, n))

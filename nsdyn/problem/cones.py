@@ -13,17 +13,13 @@ from nsdyn.tools.arrays import Array
 
 
 def project(z: Array, mu: Array) -> Array:
-    """Return the projection P_K(z) on the friction cone of each contact.
+    """Return the projection P_K(z) on the friction cone of each contact, shape (nc, 3).
 
     Parameters
     ----------
     z : ndarray, shape (nc, 3)
     mu : ndarray, shape (nc,)
         Friction coefficients; 0 gives the half-line r_N ≥ 0.
-
-    Returns
-    -------
-    ndarray, shape (nc, 3)
 
     References
     ----------

@@ -123,6 +123,8 @@ def certify(
 ) -> tuple[Certificate, SlaterDirection | None]:
     """Return the certificate of the impulse r, and its direction for the certificate of the next step.
 
+    That is the given one, unless it had to be replaced.
+
     Parameters
     ----------
     problem : FC3D
@@ -133,12 +135,6 @@ def certify(
         Relative velocity W r + q, m/s; computed if it is not given, or if r is outside K.
     slater : SlaterDirection, optional
         Result of the last certificate. Any direction gives a valid bound, and the same one the same bound.
-
-    Returns
-    -------
-    certificate : Certificate
-    slater : SlaterDirection or None
-        The given one, unless it had to be replaced.
 
     References
     ----------

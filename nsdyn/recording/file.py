@@ -27,6 +27,8 @@ from nsdyn.tools.files import is_file
 from nsdyn.tools.unfinished import open_to_read
 
 Saved = tuple[int, Columns]
+Contents = tuple[Mapping[str, Any], Mapping[str, Any], Columns]
+"""(meta, scene, columns) of a recording, as in `nsdyn.Trajectory`."""
 
 GROWING, PACKED = 1 << 16, 1 << 18
 """Bytes of a chunk. In a growing file: quick to write, and small, so that small files stay small. In a complete file:
@@ -63,15 +65,9 @@ def until(columns: Columns, row: int) -> Columns:
     return {name: columns[name][:size] for name, size in sizes.items()}
 
 
-def create(
-    path: Path,
-    meta: Mapping[str, Any],
-    scene: Mapping[str, Any],
-    columns: Columns,
-    grow: bool,
-    state: Saved | None = None,
-) -> None:
+def create(path: Path, contents: Contents, grow: bool, state: Saved | None = None) -> None:
     """Write a new file with datasets of fixed size, or ready to grow; `state` is (its row, its arrays)."""
+    meta, scene, columns = contents
     with created(path, libver="latest") as file:
         file.create_group("meta").attrs.update(meta)
         text = json.dumps(scene)

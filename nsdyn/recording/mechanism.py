@@ -66,6 +66,8 @@ WINDING = {f"JointModel{kind}" for kind in ("SphericalZYX", "Universal", "Ellips
 class Mechanism:
     """Equations of motion of a recorded articulation.
 
+    KeyError naming a kind of joint that is not known; ValueError for an invalid model.
+
     Parameters
     ----------
     name : str
@@ -93,13 +95,6 @@ class Mechanism:
     rubbing : list of ndarray of int
         Groups of coordinates on which dry friction acts together: the two in which a planar joint slides, all three of
         a spherical joint, else single coordinates.
-
-    Raises
-    ------
-    KeyError
-        For joints of an unknown kind, naming it.
-    ValueError
-        For an invalid model.
     """
 
     def __init__(self, name: str, joints: Sequence[str], told: Mapping[str, Any], gravity: Sequence[float]) -> None:

@@ -19,11 +19,12 @@ import nsdyn
 from nsdyn.recording import file as recording
 from nsdyn.recording import link_names, rows
 from nsdyn.recording.columns import DEFAULTS, FORMAT_VERSION, ON_LINKS, Columns
-from nsdyn.recording.file import Saved
+from nsdyn.recording.file import Contents, Saved
 from nsdyn.recording.trajectory import Trajectory
 from nsdyn.tools import files
 
 State = Callable[[], Columns]
+Values = Mapping[str, Any]
 
 _FLUSH_SECONDS = 0.5  # a write takes about 10 ms, so recording costs about 2 %
 _HELD, _STEP = 8192, 32
@@ -42,6 +43,8 @@ def _versions() -> dict[str, str]:
 class Recorder:
     """Recorder of the rows of a simulation, in memory or in a file that grows during the run.
 
+    ValueError naming a file that cannot be written.
+
     Parameters
     ----------
     path : path, optional
@@ -57,11 +60,6 @@ class Recorder:
     state : callable, optional
         Returns the arrays, by names, with which the run continues from the initial state. Without it a recording cannot
         be resumed.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be written, naming it.
 
     Notes
     -----
@@ -79,25 +77,14 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        path: str | Path | None,
-        meta: Mapping[str, Any],
-        scene: Mapping[str, Any],
-        first: Any,
-        state: State | None = None,
+        self, path: str | Path | None, meta: Values, scene: Values, first: Any, state: State | None = None
     ) -> None:
         meta = _full(meta, scene)
         columns = rows.begin(first) | rows.none(meta, scene)
-        self._begin(path, meta, scene, columns, None if state is None else (0, state()))
+        self._begin(path, (meta, scene, columns), None if state is None else (0, state()))
 
-    def _begin(
-        self,
-        path: str | Path | None,
-        meta: Mapping[str, Any],
-        scene: Mapping[str, Any],
-        columns: Columns,
-        saved: Saved | None,
-    ) -> None:
+    def _begin(self, path: str | Path | None, contents: Contents, saved: Saved | None) -> None:
+        meta, scene, columns = contents
         self.meta, self.scene = dict(meta), dict(scene)
         if path is not None and files.is_special(path):
             raise ValueError(f"cannot record in {path}: it is no regular file, which rows could be added to")
@@ -115,7 +102,7 @@ class Recorder:
                 files.check_writable(self.path, files.RECORDING)
                 os.close(files.lock(self.path))
             with files.writing(self.path, files.RECORDING) as part:
-                recording.create(part, self.meta, self.scene, columns, grow=True, state=saved)
+                recording.create(part, contents, grow=True, state=saved)
             lock = files.lock(self.path)
             self._file, self._release = os.fstat(lock), weakref.finalize(self, os.close, lock)
             self._blocks = []
@@ -125,15 +112,13 @@ class Recorder:
 
     @classmethod
     def resumed(
-        cls,
-        path: str | Path,
-        meta: Mapping[str, Any],
-        scene: Mapping[str, Any],
-        first: Any,
-        state: Collection[str],
-        duration: float,
+        cls, path: str | Path, meta: Values, scene: Values, first: Any, state: Collection[str], duration: float
     ) -> tuple[Recorder, Columns]:
         """Continue a recording whose run ended or was killed, from the last state in the recording.
+
+        The recorder has the rows until the last state; the file has been replaced by one with only these rows. The
+        arrays of that state, which `state` of `append` returned, are returned too. ValueError for what is not a
+        recording, has no state, has another scene or other options (naming one), or is longer.
 
         Parameters
         ----------
@@ -143,19 +128,6 @@ class Recorder:
             Names of the arrays of a state.
         duration : float
             Duration of the whole run, s.
-
-        Returns
-        -------
-        recorder : Recorder
-            With the rows until the last state; the file has been replaced by one with only these rows.
-        state : dict of str to ndarray
-            Arrays that `state` of `append` returned.
-
-        Raises
-        ------
-        FileNotFoundError
-        ValueError
-            If the file is not a recording, has no state, has another scene or other options (naming one), or is longer.
         """
         found, described, columns, saved = recording.read_state(files.as_path(path))
         if saved is None:
@@ -180,7 +152,7 @@ class Recorder:
                     stacklevel=3,
                 )
         out = cls.__new__(cls)
-        out._begin(path, found, described, recording.until(columns, saved[0]), saved)
+        out._begin(path, (found, described, recording.until(columns, saved[0])), saved)
         return out, saved[1]
 
     @property
@@ -261,14 +233,14 @@ class Recorder:
             self._whole = Trajectory(meta, scene, columns)
             try:
                 with files.writing(self.path, files.RECORDING) as part:
-                    recording.create(part, meta, scene, columns, grow=False, state=state)
+                    recording.create(part, (meta, scene, columns), grow=False, state=state)
             except ValueError as failure:  # for instance because of a full disk
                 warnings.warn(f"{self.path} is complete, but not compressed: {failure}", stacklevel=2)
             finally:
                 self._release()
 
 
-def _full(meta: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
+def _full(meta: Values, scene: Values) -> dict[str, Any]:
     """Return all attributes of a recording."""
     return {
         "format": "nsdyn",

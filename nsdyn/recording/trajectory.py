@@ -232,7 +232,7 @@ class Trajectory:
     def save(self, path: str | Path) -> None:
         """Write an HDF5 file; once complete, it replaces an existing file. ValueError naming the path."""
         with files.writing(path, files.RECORDING) as part:
-            recording.create(part, self.meta, self.scene, self.columns, grow=False)
+            recording.create(part, (self.meta, self.scene, self.columns), grow=False)
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:

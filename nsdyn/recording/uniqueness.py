@@ -42,10 +42,7 @@ too. Columns have norm one, and round-off of points and normals is 1e-16 of thei
 def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
     """Return whether the impulse of each contact of a step, from 1 on, is unique, shape (nc,).
 
-    Raises
-    ------
-    ValueError
-        If the recording describes its articulations too incompletely for the test.
+    ValueError if the recording describes its articulations too incompletely for the test.
     """
     first, last = trajectory.columns["contacts/offset"][step - 1 : step + 1]
     c = {name: x[first:last] for name, x in contact_columns(trajectory).items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,6 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     judged = choice(options.get("inertias", "check"), ("check", "trust"), f"inertias of {name!r}")
     if judged == "check" and description.flaws:
         raise ValueError(f"{description.flaws[0]}; inertias='trust' takes {name!r} as it is")
-
     of_joints = partial(_of_joints, name, free)
     check_flags(**{f"limits of {name!r}": limits, f"clip of {name!r}": clip})
     if not isinstance(self_collisions, bool) and self_collisions != "apart":
@@ -85,7 +85,10 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     n = len(trees) - trees.count(WORLD)
     apart = exclusions.filtered(links, excluded, description.filtered, n)
     apart |= exclusions.joined(links[:n], exclusions.neighbours(model, loops, description.world_touches))
-    more, overlapping = exclusions.among_links(model, q0, links[:n], trees, apart, self_collisions)
+    same = {(i, j) for i, j in combinations(range(n), 2) if trees[i] == trees[j]}  # links of one tree
+    more, overlapping = set[tuple[int, int]]() if self_collisions else same, list[str]()
+    if self_collisions == "apart":
+        more, overlapping = exclusions.overlapping(model, q0, links, same - apart)
     dropped = (*overlapping, *description.dropped, *description.flaws)
     _warn(name, [*description.missing, *dropped])
     return Articulation(

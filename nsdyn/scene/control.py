@@ -39,7 +39,7 @@ class Axes(NamedTuple):
         return cls(owner, tuple(name for name, place in rows if scalar[place]), scalar)
 
     def spread(self, given: Any, rest: float | Array, what: str) -> Array:
-        """Expand values to all coordinates, shape (nv,).
+        """Expand values to all coordinates, shape (nv,); ValueError naming the joints, or how many values are expected.
 
         Parameters
         ----------
@@ -49,11 +49,6 @@ class Axes(NamedTuple):
             Values of coordinates that are not given.
         what : str
             Name of the values in errors.
-
-        Raises
-        ------
-        ValueError
-            Naming `what` and the joints, or how many values are expected.
         """
         nv, count = self.scalar.size, len(self.joints)
         out = np.empty(nv)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,40 +82,23 @@ def neighbours(model: Any, loops: Sequence[Loop], world_touches: bool) -> set[fr
 
 
 def overlapping(
-    model: Any, q: Array, links: Sequence[Link], trees: Sequence[str | None], apart: frozenset[tuple[int, int]]
-) -> dict[tuple[int, int], float]:
-    """Return pairs of links of one tree, by index, that overlap at q and are not `apart` yet, with their depth [m]."""
+    model: Any, q: Array, links: Sequence[Link], pairs: Iterable[tuple[int, int]]
+) -> tuple[set[tuple[int, int]], list[str]]:
+    """Return those of some pairs of links, by index, that overlap at q, and a note of them if there are any."""
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     poses = [data.oMi[link.joint] * link.placement for link in links]
     places = [coal.Transform3s(pose.rotation, pose.translation) for pose in poses]
-    out = {}
-    for i, j in combinations(range(len(links)), 2):
+    out, deep = set(), []
+    for i, j in sorted(pairs):
         a, b = links[i].shape, links[j].shape
         far = np.linalg.norm(poses[i].translation - poses[j].translation) > a.bounding_radius + b.bounding_radius
-        if far or trees[i] != trees[j] or (i, j) in apart or HALFSPACE == a.kind == b.kind:
+        if far or HALFSPACE == a.kind == b.kind:
             continue
         pair = a.geometry, places[i], b.geometry, places[j]
         found = coal.CollisionResult()
         if coal.collide(*pair, coal.CollisionRequest(), found):
-            out[i, j] = -float(found.getContact(0).penetration_depth)
-    return out
-
-
-def among_links(
-    model: Any,
-    q: Array,
-    links: Sequence[Link],
-    trees: Sequence[Any],
-    known: frozenset[tuple[int, int]],
-    self_collisions: bool | str,
-) -> tuple[set[tuple[int, int]], list[str]]:
-    """Return the pairs of links that `self_collisions` excludes besides the `known` ones, and a note of overlaps."""
-    out: set[tuple[int, int]] = set()
-    if not self_collisions:
-        out = {(i, j) for i, j in combinations(range(len(links)), 2) if trees[i] == trees[j]}
-    if self_collisions != "apart":
-        return out, []
-    overlaps = overlapping(model, q, links, trees, known)
-    pairs = [f"{links[i].name!r} and {links[j].name!r} ({d:.3g} m deep)" for (i, j), d in overlaps.items()]
-    return out | overlaps.keys(), [f"contact of {', '.join(pairs)}, which overlap at the start"] if pairs else []
+            out.add((i, j))
+            depth = -float(found.getContact(0).penetration_depth)
+            deep.append(f"{links[i].name!r} and {links[j].name!r} ({depth:.3g} m deep)")
+    return out, [f"contact of {', '.join(deep)}, which overlap at the start"] if deep else []

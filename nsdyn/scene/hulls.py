@@ -13,12 +13,8 @@ COPLANAR = 1e-6
 def faces(vertices: Array) -> list[Index]:
     """Return the faces of the convex hull of points, (n, 3), as loops of indices, anticlockwise seen from outside.
 
-    Coplanar facets of Qhull are merged.
-
-    Raises
-    ------
-    ValueError
-        For points in one plane, or as close to one plane as the corners of one face may be to theirs.
+    Coplanar facets of Qhull are merged. ValueError for points in one plane, or as close to one as the corners of one
+    face may be to theirs.
     """
     from scipy.spatial import ConvexHull, QhullError  # takes 0.1 s; boxes and spheres do not need it
 

@@ -57,11 +57,8 @@ class Surface(NamedTuple):
 def read(path: Path) -> Surface:
     """Read the surface in a file, whose suffix gives its format.
 
-    Raises
-    ------
-    ValueError
-        Naming the file: it does not exist, has another format, is damaged, has no triangles, or has corners that are
-        not finite.
+    ValueError naming a file that does not exist, has another format, is damaged, or has no triangles or corners that
+    are not finite.
     """
     if not is_file(path):
         raise ValueError(f"path must be a mesh file, got {str(path)!r}")

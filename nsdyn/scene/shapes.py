@@ -101,18 +101,7 @@ class Shape:
     def core(self, fraction: float, unit: float = 1.0) -> Any:
         """Return Coal's geometry of the shape shrunk by a fraction of its inscribed radius, with the same normals.
 
-        Half-spaces, spheres and capsules are not shrunk.
-
-        Parameters
-        ----------
-        fraction : float
-            In [0, 1).
-        unit : float
-            Unit of its lengths, m.
-
-        Returns
-        -------
-        coal.ShapeBase
+        The fraction is below 1, and lengths are in a `unit` in m. Half-spaces, spheres and capsules are not shrunk.
         """
         thinner = 0.0 if self.kind in ROUND else fraction * self.inscribed_radius
         if self.kind == HALFSPACE:
@@ -124,17 +113,9 @@ class Shape:
         return coal_convex(self.vertices * (1.0 - fraction) / unit, self.face_loop, self.face_ptr)
 
     def inertia(self, mass: float) -> Array:
-        """Return the inertia of the homogeneous solid about its centre of mass, shape axes, shape (3, 3), in kg m².
+        """Return the inertia of the homogeneous solid of a mass in kg about its centre of mass, shape axes, (3, 3).
 
-        Parameters
-        ----------
-        mass : float
-            kg.
-
-        Raises
-        ------
-        ValueError
-            For a half-space, which has no inertia.
+        In kg m². ValueError for a half-space, which has no inertia.
         """
         if self.kind == HALFSPACE:
             raise ValueError("a halfspace has no inertia: it can only be fixed")

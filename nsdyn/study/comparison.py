@@ -54,14 +54,7 @@ class Differences:
 
 
 def differences(a: Trajectory, b: Trajectory) -> Differences:
-    """Return the differences of two recordings of one scene at their common times.
-
-    Raises
-    ------
-    ValueError
-        If an argument is not a Trajectory, or the recordings share no moving body, have different numbers of
-        coordinates, or share no time but the first.
-    """
+    """Return the differences of two recordings of one scene at their common times; ValueError as in `compare`."""
     for run in (a, b):
         if not isinstance(run, Trajectory):
             raise ValueError(f"two Trajectories must be compared, got {run!r}; nsdyn.Trajectory.load reads one")

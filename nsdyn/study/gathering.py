@@ -31,7 +31,7 @@ Submit = Callable[..., Future[Any]]
 
 
 def gather(function: Callable[..., Any], tasks: Tasks, workers: int | Executor | None) -> Iterator[Outcome]:
-    """Call a function for every task and yield each outcome as it comes.
+    """Call a function for every task and yield each outcome as it comes; in this process, its exceptions are raised.
 
     Parameters
     ----------
@@ -45,11 +45,6 @@ def gather(function: Callable[..., Any], tasks: Tasks, workers: int | Executor |
     ------
     (int, Any, str)
         Number of the task, return value of the function, and reason if there is no return value: its worker died twice.
-
-    Raises
-    ------
-    Exception
-        Exceptions of the function in this process.
     """
     if workers is None:
         for k, task in tasks.items():

@@ -18,20 +18,15 @@ from nsdyn.tools import files
 class Store:
     """JSON lines: the description of the sweep, then a line per point; after a kill the last line may be incomplete.
 
+    ValueError for a file that cannot be written, is written by another process, is not a store, or is the store of
+    another sweep, naming the difference. OSError naming the file, here or when a point is added, if the disk is full.
+
     Parameters
     ----------
     path : path
         A file that does not exist yet, or the store of the same sweep.
     sweep : mapping
         All data on which the results depend, as JSON values.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be written, another process writes it, it is not a store, or is the store of another sweep,
-        naming the difference.
-    OSError
-        If the disk is full, here or when a point is added; it names the file.
     """
 
     def __init__(self, path: str | Path, sweep: Mapping[str, Any]) -> None:

@@ -17,13 +17,8 @@ T = TypeVar("T")
 def called(function: Callable[..., Any], what: str, fit: Callable[[Any], T], *given: Any, **keywords: Any) -> T:
     """Call a function of the user and return its value after conversion by `fit`.
 
-    Raises
-    ------
-    ValueError
-        The error of `fit`, which names the value, or an error for a function with other arguments, each preceded by the
-        place of the function. Also if `function` is not a function.
-    Exception
-        The error of the function, with a note of the line in its file and of its role `what`.
+    ValueError of `fit`, which names the value, or for a function with other arguments, each preceded by the place of
+    the function; and if it is no function. Its own errors get a note of the line in its file and of its role `what`.
     """
     try:
         returned = function(*given, **keywords)

@@ -34,10 +34,7 @@ def created(path: Path, **options: Any) -> Iterator[Any]:
 def dataset(group: Any, name: str, rows: int | None = None) -> Any:
     """Return a dataset after a check that its first rows, or all, are in the file itself.
 
-    Raises
-    ------
-    ValueError
-        Naming the dataset, if it does not exist or the file has fewer bytes than its size needs.
+    ValueError naming a dataset that does not exist, or for which the file has fewer bytes than its size needs.
     """
     where = f"{group.name}/{name}".replace("//", "/")
     item = None
@@ -65,11 +62,6 @@ BLOCK = 1 << 22
 
 def check_heaps(path: Path) -> None:
     """Refuse files on whose texts HDF5 would loop forever: heaps have no checksums, and damaged ones steps of length 0.
-
-    Raises
-    ------
-    ValueError
-        Naming the file.
 
     References
     ----------

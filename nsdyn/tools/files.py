@@ -167,12 +167,8 @@ def writing(path: str | Path, kind: Kind) -> Iterator[Path]:
     """Yield a file of a kind to write, which becomes `path` when the block succeeds; otherwise no file is left.
 
     A regular file is replaced as a whole and keeps its permissions; a link is followed. Data for a path that is not a
-    regular file, and for standard output (``-``), are copied to it, also only when the block succeeds.
-
-    Raises
-    ------
-    ValueError
-        Naming the path, if it cannot be written, or its ending or the existing file is of another kind.
+    regular file, and for standard output (``-``), are copied to it, also only when the block succeeds. ValueError
+    naming a path that cannot be written, or whose ending or existing file is of another kind.
     """
     path = as_path(path)
     check_writable(path, kind)

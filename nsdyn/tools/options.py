@@ -31,14 +31,8 @@ class Options:
 
     The annotation of a field is a Literal, or Annotated with the type of number and `Allowed`, and may include None.
     Only the fields of the class directly below this base are checked, not fields that classes derived from it add.
-    Numbers of NumPy become those of Python, so that a kernel is compiled for one type of them only.
-
-    Raises
-    ------
-    ValueError
-        Naming the option, the requirement and the given value.
-    TypeError
-        For a class with an annotation that does not define the allowed values.
+    Numbers of NumPy become those of Python, so that a kernel is compiled for one type of them only. A ValueError names
+    the option, the requirement and the given value; TypeError for an annotation that does not define allowed values.
     """
 
     def __post_init__(self) -> None:

@@ -36,7 +36,7 @@ class Forces(NamedTuple):
 
 
 def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
-    """Return the contact forces between the recorded states `rows`, ascending.
+    """Return the contact forces between the recorded states `rows`, ascending; ValueError without contacts.
 
     Parameters
     ----------
@@ -47,11 +47,6 @@ def between(trajectory: Trajectory, rows: Index, by: str) -> Forces:
         "pair": one force for each pair of bodies, at its centre of pressure. Force and centre follow from the solver's
         impulses; on flat faces neither depends on how redundant contacts share the impulses. "point": one force for
         each contact point; redundant contacts get the impulses of least norm in each step (`nsdyn.recording.shares`).
-
-    Raises
-    ------
-    ValueError
-        If the recording has no contacts.
     """
     c, step = contact_columns(trajectory), contact_steps(trajectory)
     k = np.flatnonzero((step > rows[0]) & (step <= rows[-1]))

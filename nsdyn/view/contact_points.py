@@ -26,7 +26,7 @@ def counts(trajectory: Trajectory, rows: Index) -> Index:
 
 
 def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
-    """Return the contacts of the steps that end at the states `rows`, ascending.
+    """Return the contacts of the steps that end at the states `rows`, ascending; ValueError without contacts.
 
     Returns
     -------
@@ -36,11 +36,6 @@ def at(trajectory: Trajectory, rows: Index) -> dict[str, NDArray[Any]]:
         `axes`, as in `nsdyn.recording.tables.impulses`; u_N, u_T, m/s, u_T as a magnitude; gap, m; taken, its
         dissipation since the recording began, J. For each identity (the same features of the same pair of shapes):
         geoms (., 2) and mu.
-
-    Raises
-    ------
-    ValueError
-        If the recording has no contacts.
     """
     size = counts(trajectory, rows)
     c = contact_columns(trajectory)

@@ -11,13 +11,7 @@ from nsdyn.tools.arrays import Array, Index
 
 
 def choose(t: Array, fps: float, max_frames: int, wanted: Sequence[int]) -> Index:
-    """Choose rows of the times `t`: about `fps` per second, and the first of `wanted` as far as `max_frames` allows.
-
-    Raises
-    ------
-    ValueError
-        If an option is out of range.
-    """
+    """Choose rows of the times `t`: about `fps` per second, and the first of `wanted` as far as `max_frames` allows."""
     if not (math.isfinite(fps) and fps > 0):
         raise ValueError(f"fps must be positive, got {fps}")
     if max_frames < 2:

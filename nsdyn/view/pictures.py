@@ -18,6 +18,8 @@ FRAME = {"format": "jpeg", "quality": 97}
 def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1280, 720)) -> None:
     """Save a picture of a page as a headless Chromium shows it: the scene, its name, its legend, the clock.
 
+    ValueError if there is no Chromium, or it returned no picture.
+
     Parameters
     ----------
     page : path
@@ -26,11 +28,6 @@ def screenshot(page: str | Path, picture: str | Path, size: tuple[int, int] = (1
         PNG file to write.
     size : (int, int)
         Width and height in pixels.
-
-    Raises
-    ------
-    ValueError
-        If there is no Chromium, or it returned no picture.
     """
     with browsing() as browser, files.writing(picture, files.FRAME) as part:
         browser.open(_as_picture(page), size)
@@ -45,7 +42,7 @@ def check_film() -> None:
 
 @dataclass(frozen=True)
 class FilmLook:
-    """Look of a film.
+    """Look of a film; ValueError for a value out of range.
 
     Attributes
     ----------
@@ -57,11 +54,6 @@ class FilmLook:
         Simulated seconds per second of the film.
     curves : str, optional
         Curves drawn below the bodies: "energy", "power", "motion" or "checks".
-
-    Raises
-    ------
-    ValueError
-        If a value is out of range.
     """
 
     fps: float = 30.0
@@ -78,20 +70,9 @@ class FilmLook:
 
 
 def film(page: str | Path, target: str | Path, look: FilmLook | None = None) -> None:
-    """Save a film of a page as it plays, H.264 in MP4.
+    """Save a film of a page of this package as it plays, H.264 in MP4, in a file.
 
-    Parameters
-    ----------
-    page : path
-        A page of this package.
-    target : path
-        MP4 file to write.
-    look : FilmLook, optional
-
-    Raises
-    ------
-    ValueError
-        If there is no Chromium or no ffmpeg, or one of them fails.
+    ValueError if there is no Chromium or no ffmpeg, or one of them fails.
     """
     check_film()
     look = look or FilmLook()

@@ -51,10 +51,7 @@ SCRIPTS = (
 def write_html(trajectory: Trajectory, path: str | Path, **options: Unpack[PageOptions]) -> None:
     """Write the page of `html` to a file; an existing file is replaced once the new one is complete.
 
-    Raises
-    ------
-    ValueError
-        If an option is out of range or the file cannot be written.
+    ValueError for an option out of range, and for a file that cannot be written.
     """
     check_known(options, PageOptions.__optional_keys__)
     page = html(trajectory, **options).encode()

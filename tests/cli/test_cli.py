@@ -467,7 +467,7 @@ def test_truncated_recording(run, recording, monkeypatch):
 def test_a_recording_without_a_step(run, recording):
     """As of a run that was killed in its first."""
     meta, scene, columns, _ = file.read_state(Path(recording))
-    file.create(Path("begun.h5"), meta, scene, file.until(columns, 0), grow=True)
+    file.create(Path("begun.h5"), (meta, scene, file.until(columns, 0)), grow=True)
     assert run("bodies", "begun.h5") == (2, "", "nsdyn: error: begun.h5 has no steps\n")
     assert run("energy", "begun.h5")[0] == 0
 

@@ -80,7 +80,7 @@ def test_labels_of_little(contacts, tmp_path):
     run.save(tmp_path / "run.h5")
     assert nd.Trajectory.load(tmp_path / "run.h5").t.tolist() == run.t.tolist()
     begin = file.until(run.columns, 1)
-    file.create(tmp_path / "growing.h5", run.meta, run.scene, begin, grow=True)
+    file.create(tmp_path / "growing.h5", (run.meta, run.scene, begin), grow=True)
     with h5py.File(tmp_path / "growing.h5", "r") as growing:
         assert growing["t"].attrs["units"] == "s" and "t_steps" not in growing
     file.extend(tmp_path / "growing.h5", {name: rows[len(begin[name]) :] for name, rows in run.columns.items()})

@@ -102,7 +102,7 @@ def test_a_state_is_in_the_file_before_its_head(tmp_path, monkeypatch):
     path, copy, seen = tmp_path / "run.h5", tmp_path / "copy.h5", []
     nd.simulate(sliding(), 0.05, dt=0.01, record=path)
     meta, scene, columns, (row, arrays) = recording.read_state(path)
-    recording.create(path, meta, scene, columns, grow=True, state=(row - 1, arrays))
+    recording.create(path, (meta, scene, columns), grow=True, state=(row - 1, arrays))
     write = h5py.Dataset.__setitem__
 
     def watched(dataset, where, values):
@@ -136,7 +136,7 @@ def test_a_state_of_an_older_version_is_refused_and_stays(tmp_path):
     nd.simulate(s.scene, 0.1, dt=0.01, record=path)
     meta, scene, columns, (row, arrays) = recording.read_state(path)
     del arrays["state.instant.contacts.names"]
-    recording.create(path, meta, scene, columns, grow=False, state=(row, arrays))
+    recording.create(path, (meta, scene, columns), grow=False, state=(row, arrays))
     before = path.read_bytes()
     with pytest.raises(ValueError, match=r"its state has no state\.instant\.contacts\.names, being of an older nsdyn"):
         nd.simulate(s.scene, 0.2, dt=0.01, resume=path)

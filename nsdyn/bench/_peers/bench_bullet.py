@@ -73,10 +73,5 @@ class Simulation:
         return [[*position, *turn] for position, turn in map(pybullet.getBasePositionAndOrientation, self.bodies)]
 
 
-def variants(scene: dict[str, Any]) -> list[str]:
-    """Return the settings that can simulate the scene."""
-    return ["default", "cone", "dantzig"]
-
-
 pybullet.connect(pybullet.DIRECT)
-serve(variants, Simulation)
+serve(lambda scene: ["default", "cone", "dantzig"], Simulation)

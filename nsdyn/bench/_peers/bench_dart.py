@@ -91,9 +91,4 @@ def turned(normal: Any) -> Any:
     return np.column_stack([x, np.cross(normal, x), normal])
 
 
-def variants(scene: dict[str, Any]) -> list[str]:
-    """Return the settings that can simulate the scene."""
-    return ["default", "dantzig", "nsgs"] if scene["grounds"] else ["default"]
-
-
-serve(variants, Simulation)
+serve(lambda scene: ["default", "dantzig", "nsgs"] if scene["grounds"] else ["default"], Simulation)

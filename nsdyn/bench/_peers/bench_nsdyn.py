@@ -13,7 +13,7 @@ from stepping import serve
 import nsdyn as nd
 from nsdyn.tools.arrays import Array
 
-TOLERANCES = "1e-4", "1e-8"
+TOLERANCES = ["tol 1e-4", "tol 1e-8"]
 WARMING = 10.0  # most s of simulation before a scene is timed
 
 
@@ -33,11 +33,6 @@ class Simulation:
         return self.stepper.start().q.reshape(-1, 7)
 
 
-def variants(scene: dict[str, Any]) -> list[str]:
-    """Return the tolerances, which apply to any scene."""
-    return [f"tol {tol}" for tol in TOLERANCES]
-
-
 @lru_cache(maxsize=1)
 def load(model: str, parameters: str, gravity: tuple[float, float, float]) -> nd.Scene:
     """Return the named scene after a first simulation, so that nothing is compiled later."""
@@ -55,4 +50,4 @@ def build(scene: dict[str, Any], variant: str, dt: float) -> Simulation:
     return Simulation(loaded, dt, float(variant.removeprefix("tol ")))
 
 
-serve(variants, build)
+serve(lambda scene: TOLERANCES, build)

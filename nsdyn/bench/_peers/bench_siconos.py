@@ -100,9 +100,4 @@ class Simulation:
         return np.array([np.array(body.q())[[0, 1, 2, 4, 5, 6, 3]] for body in self.bodies])
 
 
-def variants(scene: dict[str, Any]) -> list[str]:
-    """Return the settings, which apply to any scene."""
-    return ["default", "accurate"]
-
-
-serve(variants, Simulation)
+serve(lambda scene: ["default", "accurate"], Simulation)

@@ -23,17 +23,8 @@ SAME = 1e-12
 def unfolded(name: str, model: Any) -> tuple[Any, tuple[Gear, ...]]:
     """Return a Pinocchio model with mimic joints q2 = ratio q1 + offset as independent joints, and their gears.
 
-    Parameters
-    ----------
-    name : str
-        Name of the articulation, for errors.
-    model : pinocchio.Model
-        Without mimic joints the model itself is returned, and no gears.
-
-    Raises
-    ------
-    ValueError
-        For a mimic joint that is neither revolute nor prismatic, or whose ratio is 0.
+    Without mimic joints it is the model itself. ValueError, with the name of the articulation, for a mimic joint that
+    is neither revolute nor prismatic, or whose ratio is 0.
     """
     kinds = [joint.shortname() for joint in model.joints]
     if MIMIC not in kinds:

@@ -102,23 +102,10 @@ def links_of(model: Any, objects: Iterable[Any], dropped: Notes) -> list[Link]:
 
 
 def from_coal(geometry: Any) -> tuple[Shape, Array]:
-    """Return the Shape of a Coal geometry, as loaders of robot models make it.
+    """Return the Shape of a Coal geometry, as loaders of robot models make it, and its origin in that frame, (3,), m.
 
-    Parameters
-    ----------
-    geometry : coal.CollisionGeometry
-        A primitive, a convex polytope or a triangulated mesh; a mesh is replaced by its hull, as in `shapes.mesh`.
-
-    Returns
-    -------
-    Shape
-    shift : ndarray, shape (3,)
-        Origin of the shape in the frame of `geometry`, m.
-
-    Raises
-    ------
-    ValueError
-        For any other geometry.
+    The geometry is a primitive, a convex polytope or a triangulated mesh, else a ValueError names it; a mesh is
+    replaced by its hull, as in `shapes.mesh`.
     """
     g, origin = geometry, np.zeros(3)
     match type(geometry).__name__:
