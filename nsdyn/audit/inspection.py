@@ -163,13 +163,8 @@ def inspect_scene(scene: Scene, name: str | None = None) -> Inspection:
     """Inspect a scene: masses, joints, overlaps at the start, and content of its files that is not used.
 
     `nsdyn.audit.overlap` measures the overlaps, as in the audit; it shares no code with the detection of contacts.
-    Pairs of shapes that may overlap, for instance links that a joint connects, are not tested.
-
-    Parameters
-    ----------
-    scene : Scene
-    name : str, optional
-        Default: that of the scene.
+    Pairs of shapes that may overlap, for instance links that a joint connects, are not tested. The default name is that
+    of the scene.
     """
     masses = [Mass(body.name, body.mass, _moments(body.inertia)) for body in scene.free_bodies]
     joints: list[Joint] = []

@@ -228,11 +228,10 @@ def _meet(out: Retraced, m: Mechanism, kick: Kick, doubted: Array, begin: tuple[
             met.v[k + 1, row], met.spin[k, row] = m.carried(joint, point[row], v)
         push = m.push(joint, point[row], out.trees.impulses[row])
         out.met_doubt[row] += float(np.abs(push) @ doubted)
-        if doubted.any():
+        if parted or doubted.any():
             rows = np.array([m.push(joint, point[row], axis) for axis in np.eye(3)])
             out.met_unsure[row] += float(np.linalg.norm(np.abs(rows) @ doubted))
         if parted:
-            rows = np.array([m.push(joint, point[row], axis) for axis in np.eye(3)])
             speed, rubs = float(np.linalg.norm(_fastest(m, kick, rows))), 1.0 + c["contacts/mu"][row]
             out.met_parted[row] = True
             out.met_doubt[row] += 2.0 * rubs * speed * float(np.linalg.norm(out.trees.impulses[row]))

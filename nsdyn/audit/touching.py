@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -19,7 +18,7 @@ from nsdyn.audit.true_shapes import Solid
 from nsdyn.problem.solution import Status
 from nsdyn.recording.tables import left_out
 from nsdyn.scene.materials import COMBINATION_RULES
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 STATES = 200_000
 """Largest number of poses of shapes that are processed together."""
@@ -94,7 +93,7 @@ def _squeezed(poses: Poses, depth: Array, pair: Index, state: Index) -> Array:
     return out
 
 
-def tested(poses: Poses) -> NDArray[np.bool_]:
+def tested(poses: Poses) -> Bools:
     """Pairs of shapes that must not overlap, each once, shape (shapes, shapes)."""
     frame, scene = poses.frame, poses.scene
     out = (frame[:, None] != frame) & ((frame[:, None] >= 0) | (frame >= 0))
@@ -103,7 +102,7 @@ def tested(poses: Poses) -> NDArray[np.bool_]:
     return np.triu(out, 1)
 
 
-def _close(poses: Poses, pairs: NDArray[np.bool_], rows: Index) -> tuple[Index, Index, Index]:
+def _close(poses: Poses, pairs: Bools, rows: Index) -> tuple[Index, Index, Index]:
     """Pairs of shapes whose bounding boxes along the world axes meet: (first, second, state)."""
     count = len(poses.names)
     high = np.full((count, rows.size, 3), np.inf)  # of half-spaces
@@ -193,7 +192,7 @@ def _called(geom: Mapping[str, Any]) -> tuple[str, str]:
     return geom["body"], geom["link"]
 
 
-def bouncing(poses: Poses) -> NDArray[np.bool_]:
+def bouncing(poses: Poses) -> Bools:
     """Contacts at instants at which a contact with restitution has an impulse."""
     c = poses.contacts
     _, instant = np.unique(np.stack([poses.step, c["time"]]), axis=1, return_inverse=True)
@@ -201,13 +200,13 @@ def bouncing(poses: Poses) -> NDArray[np.bool_]:
     return np.bincount(instant.ravel(), bounces)[instant.ravel()] > 0.0
 
 
-def by_fremond(poses: Poses) -> NDArray[np.bool_]:
+def by_fremond(poses: Poses) -> Bools:
     """Contacts of impacts by Frémond's law, after which bodies that separate may strike other bodies."""
     fremond = str(poses.trajectory.meta.get("impact", "")).lower().startswith("fremond")
     return fremond & (poses.contacts["duration"] == 0.0)
 
 
-def _slips(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
+def _slips(poses: Poses, flight: Flight | None) -> Bools:
     """Contacts without restitution whose slip, at the end and in the mean, is above the residual of a solve."""
     c = poses.contacts
     slip = np.linalg.norm(c["u"][:, 1:], axis=1)
@@ -228,7 +227,7 @@ def _round_off(poses: Poses) -> Array:
     return 4.0 * np.finfo(float).eps * np.maximum(most, np.append(0.0, most[:-1]))
 
 
-def _struck(poses: Poses, flight: Flight | None) -> NDArray[np.bool_]:
+def _struck(poses: Poses, flight: Flight | None) -> Bools:
     """Contacts of islands of moving bodies in which, in that step, a contact with restitution strikes or rebounds."""
     c, step, count = poses.contacts, poses.step + 1, poses.x.shape[1]
     frames = poses.frame[poses.pair]

@@ -7,16 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from nsdyn.cli.output import (
-    PICTURE_SIZE,
-    add_input,
-    add_output,
-    check_files,
-    header,
-    one_line,
-    picture,
-    report,
-)
+from nsdyn.cli.output import PICTURE_SIZE, add_input, add_output, check_files, header, one_line, picture, report
 from nsdyn.cli.run import add_scene, add_set, add_solver, chosen_solver
 from nsdyn.tools.files import PICTURE, TABLE, write_csv
 

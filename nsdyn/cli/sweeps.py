@@ -10,16 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from nsdyn.cli.output import (
-    PICTURE_SIZE,
-    add_output,
-    check_files,
-    header,
-    one_line,
-    picture,
-    report,
-    table,
-)
+from nsdyn.cli.output import PICTURE_SIZE, add_output, check_files, header, one_line, picture, report, table
 from nsdyn.cli.run import add_scene, add_simulation, chosen_solver, chosen_steps
 from nsdyn.tools.files import PICTURE, STORE, TABLE, write_csv
 

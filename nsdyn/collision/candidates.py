@@ -48,6 +48,13 @@ class Candidates:
         Pairs of geoms that never touch. Pairs of fixed geoms and pairs on one frame are left out anyway.
     max_points : int
         Most contacts of one pair, at least 4. A larger patch is reduced to the contacts that preserve its area.
+
+    Attributes
+    ----------
+    pairs : two ndarrays of int
+        The candidate pairs of geoms, sorted.
+    searches : tuple
+        First arguments of `nsdyn._kernels.collision.search`: geoms, pairs, most points of a pair, tolerance.
     """
 
     def __init__(
@@ -121,19 +128,9 @@ class Candidates:
         return self._ball[contacts.geom1] & self._ball[contacts.geom2]
 
     @property
-    def pairs(self) -> tuple[Index, Index]:
-        """The candidate pairs of geoms, sorted."""
-        return self._first, self._second
-
-    @property
     def asks(self) -> bool:
         """True if the distance of any candidate pair is computed by Coal."""
         return bool(self._batches)
-
-    @property
-    def searches(self) -> tuple[Any, ...]:
-        """First arguments of `nsdyn._kernels.collision.search`: geoms, pairs, most points of a pair, tolerance."""
-        return self._search
 
     def codes(self, contacts: ContactSet) -> Index:
         """Code of the pair of geoms of every contact, one number each, shape (nc,)."""
@@ -161,7 +158,7 @@ class Candidates:
     def _set_pairs(self, codes: Index) -> None:
         """Set up all arrays that depend on the list of candidate pairs alone."""
         self._codes = codes
-        first, second = np.divmod(codes, self.frame.size)
+        self.pairs = first, second = np.divmod(codes, self.frame.size)
         half, both_round = self._half[first] | self._half[second], self._round[first] & self._round[second]
         asked = ~(half | both_round)
         self._first, self._second, self._asked = first, second, asked
@@ -172,7 +169,7 @@ class Candidates:
         room, material = len(codes) * self._max_points, self._pair_material(first, second)
         found, asks = (np.empty((room, 3)), np.empty((room, 3)), np.empty(room)), np.empty((int(asked.sum()), 4))
         floats, integers, f, _ = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
-        self._search = (self._packed, (floats, integers), self._max_points, TOLERANCE)
+        self.searches: tuple[Any, ...] = (self._packed, (floats, integers), self._max_points, TOLERANCE)
         self._coal, self._batches = f[3], []
         of_coal = numbered(first, k)[asked], numbered(second, k)[asked], base[asked]
         for lo, hi in split(*of_coal[:2]):

@@ -51,14 +51,14 @@ class Detector(Candidates):
         poses, placed = (x, R, reach), bool(self._batches)
         if placed:
             self.ask(*poses)
-        count = search.seek(*self._search[:3], placed, poses)
+        count = search.seek(*self.searches[:3], placed, poses)
         if count == search.LEFT:
             self.ask(*poses)
-            count = search.seek(*self._search[:3], True, poses)
+            count = search.seek(*self.searches[:3], True, poses)
         elif not placed:
             self._served += 1
         out = _room(count)
-        return ContactSet(*out, search.gather(*self._search[:2], TOLERANCE, memory[:3], memory.next_key, out))
+        return ContactSet(*out, search.gather(*self.searches[:2], TOLERANCE, memory[:3], memory.next_key, out))
 
     def gaps(self, contacts: ContactSet, found: ContactSet, poses: Poses) -> Array:
         """Gaps of contacts at later poses, shape (nc,), m.

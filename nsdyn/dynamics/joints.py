@@ -21,7 +21,6 @@ from copy import copy
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn._kernels.dynamics import joints as _joints
 from nsdyn._kernels.problem import blocks as _blocks
@@ -59,7 +58,7 @@ class JointRows(NamedTuple):
     mu: Array
     clutch: Array
 
-    def take(self, kept: NDArray[np.bool_]) -> JointRows | None:
+    def take(self, kept: Bools) -> JointRows | None:
         """Return the rows that `kept` selects; None if it selects none."""
         if kept.all():
             return self
@@ -68,7 +67,7 @@ class JointRows(NamedTuple):
         return JointRows._make(x[..., kept] for x in self)
 
     @property
-    def actuated(self) -> NDArray[np.bool_]:
+    def actuated(self) -> Bools:
         """True for the rows of actuators."""
         return self.clutch[2] > 0.0
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from nsdyn._kernels import reductions as _reductions
 from nsdyn._kernels.dynamics import links as _links
@@ -14,7 +13,7 @@ from nsdyn._kernels.dynamics import trees as _trees
 from nsdyn.collision.distances import pose_views
 from nsdyn.scene.articulations import Loop
 from nsdyn.scene.gears import Gear, GearGaps
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.displacements import integrate
 
 RANK = 1e-8
@@ -36,7 +35,7 @@ ROUNDED = 16.0 * np.finfo(float).eps
 """The same as a fraction of the largest coordinate, of a joint or of its place in the world: no gap is known better."""
 
 
-def supports(model: pin.Model) -> NDArray[np.bool_]:
+def supports(model: pin.Model) -> Bools:
     """Boolean table of shape (njoints, nv): entry (k, j) is true if coordinate j moves joint k."""
     out = np.zeros((model.njoints, model.nv), dtype=bool)
     for joint in range(1, model.njoints):

@@ -32,15 +32,8 @@ if TYPE_CHECKING:
 def elimination_order(count: int, rows: Index, columns: Index) -> Index:
     """Return the order of minimum degree for a symmetric pattern: the blocks as they are eliminated, shape (count,).
 
-    Ordering blocks takes a fraction of the time of ordering their coordinates. A pattern is ordered once for many
-    matrices.
-
-    Parameters
-    ----------
-    count : int
-        Blocks.
-    rows, columns : ndarray of int, shape (k,)
-        Blocks that are coupled, in one triangle or both.
+    The k pairs of coupled blocks are in `rows` and `columns`, in one triangle or both. Ordering blocks takes a fraction
+    of the time of ordering their coordinates. A pattern is ordered once for many matrices.
 
     References
     ----------

@@ -23,12 +23,11 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsdyn._kernels.problem import paradox as _kernels
 from nsdyn.problem.fc3d import FC3D
 from nsdyn.problem.solution import Solution
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 Solve = Callable[[FC3D, Array], Solution]
 
@@ -107,7 +106,7 @@ def _apart(problem: FC3D, r: Array, other: Array) -> bool:
     return size(r - other) > APART * max(size(r), size(other))
 
 
-def jams(problem: FC3D, solution: Solution, contacts: int, fall: float, solve: Solve) -> NDArray[np.bool_]:
+def jams(problem: FC3D, solution: Solution, contacts: int, fall: float, solve: Solve) -> Bools:
     """Return which of the first `contacts` contacts stop by an impulse that no force gives, shape (contacts,).
 
     Free accelerations give a velocity `fall` in the step, m/s.
@@ -115,7 +114,7 @@ def jams(problem: FC3D, solution: Solution, contacts: int, fall: float, solve: S
     q, u, r = (x.reshape(-1, 3)[:contacts] for x in (problem.q, solution.u, solution.r))
     pressed = r[:, 0] > 0.0
     load = max(float(np.abs(q[pressed, 0]).max(initial=0.0)), fall)
-    odd: NDArray[np.bool_] = pressed & (np.hypot(u[:, 1] - q[:, 1], u[:, 2] - q[:, 2]) > _kernels.ODD * load)
+    odd: Bools = pressed & (np.hypot(u[:, 1] - q[:, 1], u[:, 2] - q[:, 2]) > _kernels.ODD * load)
     if not odd.any():
         return odd
     less = problem.q.copy()

@@ -199,8 +199,12 @@ def _slide(m: Mechanism, q: Array, v: Array, h: float) -> Course:
     if not m.winding and doubted[1].max() <= CONSTANTS * RESOLVED * np.abs(v).max():
         doubted[:] = 0.0
     doubted[1] += CONSTANTS * _loose(m, end, new)
-    if m.floats:
-        end, new = _with_momenta(m, q, v, h, end, new)
+    if m.floats:  # a shift and a twist of the base alone put its centre of mass and its momenta right
+        way = pin.centerOfMass(m.model, m.data, q, v).copy() + h * m.data.vcom[0]
+        way -= pin.centerOfMass(m.model, m.data, end)
+        end = end.copy()
+        end[:3] += m.model.jointPlacements[1].rotation.T @ way
+        new = m.kept(q, v, end, new)
     return Course(end, new, mean, doubted, work)
 
 
@@ -211,28 +215,6 @@ def _loose(m: Mechanism, q: Array, v: Array) -> Array:
     k = int((s**2 > RANK * s[0] ** 2).sum()) - 1
     away = m.constraints(integrate(m.model, q, CLOSED / s[k] * Vt[k] @ F))[1]
     return np.asarray(np.abs(respond(m.mass(q), m.zero, B, (B - away) @ v)))
-
-
-def _with_momenta(m: Mechanism, q: Array, v: Array, h: float, end: Array, new: Array) -> tuple[Array, Array]:
-    """Return the end of a motion of a floating mechanism with its centre of mass and momenta put right.
-
-    Only the base is moved for that, by a shift and a twist.
-
-    Parameters
-    ----------
-    m : Mechanism
-    q, v : ndarray, shapes (nq,), (nv,)
-        Where the motion begins.
-    h : float
-        s.
-    end, new : ndarray, shapes (nq,), (nv,)
-        Configuration and velocity where it ends, but for its errors.
-    """
-    way = pin.centerOfMass(m.model, m.data, q, v).copy() + h * m.data.vcom[0]
-    way -= pin.centerOfMass(m.model, m.data, end)
-    end = end.copy()
-    end[:3] += m.model.jointPlacements[1].rotation.T @ way
-    return end, m.kept(q, v, end, new)
 
 
 def _midpoint(m: Mechanism, q: Array, v: Array, h: float) -> tuple[Array, Array, Array, float]:

@@ -30,17 +30,10 @@ def carriers(scene: Mapping[str, Any]) -> Index:
 
 
 def by_contacts(carrier: Index, columns: Mapping[str, NDArray[Any]], step: Index, out: Array) -> None:
-    """Add impulses of contacts on links to `out`: force and moment about the world's origin, N·s and N·m·s.
+    """Add impulses of contacts on links to `out` (steps, links, 6), with their moments about the world's origin.
 
-    Parameters
-    ----------
-    carrier : ndarray of int
-        As returned by `carriers`.
-    columns : mapping
-        Columns of the contacts, as in a recording.
-    step : ndarray of int
-        Steps of the contacts, from 0 on.
-    out : ndarray, shape (steps, links, 6)
+    In N·s and N·m·s. The contacts, with their `columns` of a recording, are of the steps `step`, from 0 on; `carrier`
+    is that of `carriers`.
     """
     push = impulses_world(columns)
     wrench = np.concatenate((push, np.cross(columns["contacts/point"], push)), axis=1)

@@ -111,7 +111,8 @@ class Mechanism:
         if sizes != {(self.model.nv,)}:
             raise ValueError(f"its laws are of {sizes}, not of {self.model.nv} coordinates")
         self.restitution = float(told["restitution"])
-        self.speeds = {self._coordinate(j): rate for j, rate in told["driven"].items()}
+        driven = told["driven"].items()
+        self.speeds = {int(self.model.joints[self.model.getJointId(j)].idx_v): rate for j, rate in driven}
         self._loops = [self._loop(loop) for loop in told["loops"]]
         self.loop_names = [str(loop["name"]) for loop in told["loops"]]
         self._gears = [
@@ -168,9 +169,6 @@ class Mechanism:
         body.mass, body.lever = float(told["mass"]), np.array(told["com"], float)
         body.inertia = np.array(told["inertia"], float)
         self.model.appendBodyToJoint(k, body, self.turned[k])
-
-    def _coordinate(self, joint: str) -> int:
-        return int(self.model.joints[self.model.getJointId(joint)].idx_v)
 
     def _loop(self, told: Mapping[str, Any]) -> tuple[int, int, bool]:
         """Return the two frames of a loop, and whether their axes coincide too."""

@@ -24,7 +24,6 @@ import pinocchio as pin
 
 from nsdyn.recording import link_names
 from nsdyn.recording.columns import JOINTS, ON_LINKS
-from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import Trees, trees
 from nsdyn.recording.tables import contact_steps, left_out
 from nsdyn.tools.arrays import Array, Index
@@ -74,18 +73,14 @@ def _of_tree(found: Trees, tree: int, steps: Index, outside: Array) -> Array:
         given = sum(t.columns[name][steps, rows] for name in JOINTS[: SHIFT - 1]) - m.armature * (end_v - v)
         passed = m.passed(needs)
         for k, at in enumerate(middle):
-            explained = given[k] - _passive(m, h, q[k], end[k], at)
+            damped = m.damping * np.array(pin.difference(m.model, q[k], end[k]))
+            explained = given[k] - (damped + h * m.stiffness * m.stretch(at))
             for loop, pushes in enumerate(m.held(at, m.along(at, passed[k]) - explained)):
                 for joint, push in pushes:
                     if joint:
                         needs[k, joint - 1] -= push
                 loops[k, loop] = _about(m.closure(loop), pushes[0][1])
     return np.concatenate((_about(origins, m.passed(needs)), loops), axis=1)
-
-
-def _passive(m: Mechanism, h: float, q: Array, end: Array, middle: Array) -> Array:
-    """Return the impulses with which damping and springs of the joints resist in h seconds, N·m·s or N·s."""
-    return m.damping * np.array(pin.difference(m.model, q, end)) + h * m.stiffness * m.stretch(middle)
 
 
 def _about(point: Array, wrench: Array) -> Array:

@@ -76,18 +76,8 @@ def _none(name: str, sizes: Mapping[str, int]) -> NDArray[Any]:
 def pack(steps: Sequence[Any], every: int, contacts: bool, carriers: Index | None, pushed: bool) -> Columns:
     """Return the columns of steps and of their contacts, without wall times, with counts in place of offsets.
 
-    Parameters
-    ----------
-    steps : sequence
-        Return values of `keep`.
-    every : int
-        Number of steps per row.
-    contacts : bool
-        Whether contacts are recorded.
-    carriers : ndarray of int, optional
-        As returned by `link_names.carriers`, if impulses on links are recorded.
-    pushed : bool
-        Whether wrenches on free bodies are recorded.
+    The `steps` are return values of `keep`, and `every` of them make a row. Recorded are `contacts` or none, wrenches
+    on free bodies if some may be `pushed`, and impulses on links if their `link_names.carriers` are given.
     """
     parts = [_steps(run) for run in _runs(steps)]
     block = {name: _joined(name, [part[name] for part in parts]) for name in parts[0]}

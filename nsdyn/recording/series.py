@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nsdyn.dynamics.ledger import WORKS
 from nsdyn.recording import shares
 from nsdyn.recording.columns import CONTACT_STATES, ENERGIES
-from nsdyn.tools.arrays import Array, cross
+from nsdyn.tools.arrays import Array, Bools, cross
 from nsdyn.tools.naming import counted
 from nsdyn.tools.table import Table
 
@@ -234,10 +234,10 @@ class ContactTable:
     duration: Array
     work_normal: Array
     work_friction: Array
-    _unique: Callable[[], NDArray[np.bool_]]
+    _unique: Callable[[], Bools]
 
     @cached_property
-    def unique(self) -> NDArray[np.bool_]:
+    def unique(self) -> Bools:
         """Whether only one impulse of the contact gives this motion, shape (nc,)."""
         return self._unique()
 

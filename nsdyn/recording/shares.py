@@ -52,16 +52,9 @@ TOGETHER = 1 << 14
 
 
 def shared(bodies: Index, step: Index, c: Mapping[str, NDArray[Any]]) -> Array:
-    """Return impulses of least norm of contacts, shape (n, 3), (N, T1, T2), N·s.
+    """Return impulses of least norm of contacts, shape (n, 3), (N, T1, T2), N·s, from their `COLUMNS` in a recording.
 
-    Parameters
-    ----------
-    bodies : ndarray of int, shape (n, 2)
-        Numbers of the two bodies of each contact.
-    step : ndarray of int, shape (n,)
-        Step of each contact. Contacts of the same two bodies, step and time within the step form a group.
-    c : mapping of str to ndarray
-        `COLUMNS` of the contacts, as in a recording.
+    Contacts of the same two `bodies` (n, 2), the same `step` (n,) and the same time within the step form a group.
     """
     out: Array = c["impulse"].copy()
     push = np.flatnonzero(out[:, 0] > 0.0)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nsdyn.recording import shares
 from nsdyn.recording.columns import CONTACT_STATES
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 from nsdyn.tools.naming import choice, counted
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def body_names(trajectory: Trajectory) -> NDArray[Any]:
     return np.array([geom["link"] for geom in trajectory.scene["geoms"]])
 
 
-def _members(trajectory: Trajectory, name: str) -> NDArray[np.bool_]:
+def _members(trajectory: Trajectory, name: str) -> Bools:
     """Return for every shape whether it belongs to the named body, link or whole articulation."""
     geoms = trajectory.scene["geoms"]
     labels = [(geom["body"], geom["link"]) for geom in geoms]

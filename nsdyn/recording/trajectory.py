@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nsdyn.dynamics.ledger import PHYSICS, WORKS
 from nsdyn.recording import body_motion, breakdown, joint_tables, tables
@@ -19,7 +19,7 @@ from nsdyn.recording.columns import CONTACT, GAUSS, SOLVER, Columns
 from nsdyn.recording.series import BodyMotion, ContactTable, Energy, Gauss, SolverLog
 from nsdyn.recording.tabulated import tabulated
 from nsdyn.tools import files, notebook
-from nsdyn.tools.arrays import Array
+from nsdyn.tools.arrays import Array, Bools
 from nsdyn.tools.naming import counted
 from nsdyn.tools.options import is_number
 from nsdyn.tools.table import Table
@@ -183,7 +183,7 @@ class Trajectory:
         shape1, shape2 = (tuple(geom["name"] for geom in side) for side in sides)
         return ContactTable(body1, body2, shape1, shape2, **part, _unique=partial(self._unique, step))
 
-    def _unique(self, step: int) -> NDArray[np.bool_]:
+    def _unique(self, step: int) -> Bools:
         """Return whether the impulse of each contact of a step is unique, shape (nc,)."""
         from nsdyn.recording.uniqueness import unique  # loads Pinocchio, which is seldom needed
 

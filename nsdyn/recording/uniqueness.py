@@ -21,11 +21,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from nsdyn.recording.columns import OPEN, SLIP
-from nsdyn.recording.mechanism import Mechanism
 from nsdyn.recording.retrace import trees as articulations
 from nsdyn.recording.shares import contact_axes
 from nsdyn.recording.tables import contact_columns
-from nsdyn.tools.arrays import Array, Index
+from nsdyn.tools.arrays import Array, Bools, Index
 
 if TYPE_CHECKING:
     from nsdyn.recording.trajectory import Trajectory
@@ -39,7 +38,7 @@ NULL = 1e-8
 too. Columns have norm one, and round-off of points and normals is 1e-16 of their size."""
 
 
-def unique(trajectory: Trajectory, step: int) -> NDArray[np.bool_]:
+def unique(trajectory: Trajectory, step: int) -> Bools:
     """Return whether the impulse of each contact of a step, from 1 on, is unique, shape (nc,).
 
     ValueError if the recording describes its articulations too incompletely for the test.
@@ -80,7 +79,9 @@ def _columns(trajectory: Trajectory, step: int, c: Mapping[str, NDArray[Any]], o
     built = articulations(trajectory)
     if isinstance(built, str):
         raise ValueError(f"whether impulses are unique is not known: {built}")
-    bases = [_left_free(m, place[q]) for m, (q, _) in zip(built.mechanisms, built.at, strict=True)]
+    # Projections on the directions that loops, gears and drives leave free; `constraints` places a mechanism.
+    rows_of = [m.constraints(place[q])[1] for m, (q, _) in zip(built.mechanisms, built.at, strict=True)]
+    bases = [np.eye(B.shape[1]) - np.linalg.pinv(B, rcond=NULL) @ B for B in rows_of]
     rows, columns, values = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty(0)]
     for k, (contact, push) in enumerate(zip(own.tolist(), direction, strict=True)):
         point = c["point"][contact]
@@ -100,12 +101,6 @@ def _columns(trajectory: Trajectory, step: int, c: Mapping[str, NDArray[Any]], o
             columns.append(np.full(rows[-1].size, k))
     places = np.concatenate(rows), np.concatenate(columns)
     return coo_array((np.concatenate(values), places), shape=(trajectory.v.shape[1], own.size)).tocsc()
-
-
-def _left_free(m: Mechanism, q: Array) -> Array:
-    """Return the projection (nv, nv) on the directions that loops, gears and drives leave free at q; place `m` at q."""
-    _, B = m.constraints(q)
-    return np.eye(m.nv) - np.linalg.pinv(B, rcond=NULL) @ B
 
 
 def _islands(H: Any, own: Index) -> Iterator[Index]:

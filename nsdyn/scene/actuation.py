@@ -116,15 +116,9 @@ class Actuation:
         return dict(zip(names, given, strict=True))
 
     def on(self, owner: str, actuators: Sequence[Actuator], effort: Array) -> Array:
-        """Return kp, kd, target, constant and limit of the joint forces of an articulation, shape (5, nv).
+        """Return kp, kd, target, constant and limit of the joint forces of the articulation `owner`, shape (5, nv).
 
-        Parameters
-        ----------
-        owner : str
-            Name of the articulation.
-        actuators : sequence of Actuator
-        effort : ndarray, shape (nv,)
-            Greatest effort of each joint, N m or N.
+        `effort` (nv,) is the greatest of each joint, N m or N.
         """
         known = {a.name: a for a in actuators}
         out = np.zeros((5, effort.size))

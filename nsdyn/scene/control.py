@@ -158,11 +158,7 @@ class PD:
     def on(self, axes: Axes, effort: Array) -> Array:
         """Return kp, kd, target, target_velocity, feedforward and limit of an articulation, shape (6, nv).
 
-        Parameters
-        ----------
-        axes : Axes
-        effort : ndarray, shape (nv,)
-            Limits that hold if `limit` is not given.
+        The limits are those of `effort` (nv,) if `limit` is not given.
         """
         out = np.empty((6, axes.scalar.size))
         for row, name in zip(out, PARAMETERS, strict=True):

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 def describe(scene: Scene) -> dict[str, Any]:
     """Return everything needed to replay a recording, as nested lists (see `nsdyn.recording.trajectory`)."""
+    trees, frame_of = scene.articulations.values(), _frames(scene)
+    placed = [(f"{a.name}/{v.body}", frame_of[a.name, v.joint], v) for a in trees for v in a.visuals]
     geoms = []
     for g in scene.geoms():
         placement = np.eye(4)
@@ -49,7 +51,7 @@ def describe(scene: Scene) -> dict[str, Any]:
         + [f"{a}/{scene.articulations[a].model.names[j]}" for a, j in scene.link_frames()]
         + [b.name for b in scene.driven_bodies],
         "links": describe_links(scene),
-        **_visuals(scene),
+        **(describe_visuals(placed) if placed else {}),
         "motions": {name: motion.kind for name, motion in scene.motions.items()},
         "free": len(scene.free_bodies),
         "masses": [b.mass for b in scene.free_bodies],
@@ -63,7 +65,7 @@ def describe(scene: Scene) -> dict[str, Any]:
                 "sizes": [[joint.nq, joint.nv] for joint in list(a.model.joints)[1:]],
                 "model": describe_tree(a, scene.motions),
             }
-            for a in scene.articulations.values()
+            for a in trees
         ],
     }
 
@@ -73,14 +75,6 @@ def _frames(scene: Scene) -> dict[tuple[str, int], int]:
     first = len(scene.free_bodies)
     moving = {key: first + k for k, key in enumerate(scene.link_frames())}
     return moving | {(name, 0): -1 for name in scene.articulations}
-
-
-def _visuals(scene: Scene) -> dict[str, list[dict[str, Any]]]:
-    """Return the visual shapes of articulations and their meshes; an empty dict without visual shapes."""
-    frame_of = _frames(scene)
-    trees = scene.articulations.values()
-    placed = [(f"{a.name}/{v.body}", frame_of[a.name, v.joint], v) for a in trees for v in a.visuals]
-    return describe_visuals(placed) if placed else {}
 
 
 def describe_links(scene: Scene) -> list[dict[str, Any]]:

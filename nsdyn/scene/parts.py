@@ -276,11 +276,9 @@ class Parts:
         kind : {"point", "frame"}
             Whether the loop holds the origins together, or origins and axes.
         """
-        choice(articulation, self.articulations, "articulation")
+        a = self.articulations[choice(articulation, self.articulations, "articulation")]
         at = checks.placement(position, quaternion, repr(name))
-        self.articulations[articulation] = couplings.close_loop(
-            self.articulations[articulation], name, (frame1, frame2), at, kind
-        )
+        self.articulations[articulation] = couplings.close_loop(a, name, (frame1, frame2), at, kind)
 
     def add_gear(self, articulation: str, joint1: str, joint2: str, ratio: float, offset: float | None = None) -> None:
         """Couple two revolute or prismatic joints of an articulation by q2 = ratio q1 + offset, as a URDF `mimic` does.
@@ -297,10 +295,8 @@ class Parts:
         offset : float, optional
             In rad or m; by default the offset that the initial configuration has.
         """
-        choice(articulation, self.articulations, "articulation")
-        self.articulations[articulation] = couplings.put_gear(
-            self.articulations[articulation], (joint1, joint2), ratio, offset
-        )
+        a = self.articulations[choice(articulation, self.articulations, "articulation")]
+        self.articulations[articulation] = couplings.put_gear(a, (joint1, joint2), ratio, offset)
 
     def _add_articulation(self, name: str, description: Description, keywords: ArticulationOptions) -> None:
         self._check_name(name)

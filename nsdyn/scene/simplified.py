@@ -28,14 +28,7 @@ WORTH = 0.8
 
 
 def simpler(surfaces: Sequence[tuple[float, Surface]], most: int) -> list[Surface]:
-    """Simplify surfaces to at most `most` triangles in all, with cells of one size.
-
-    Parameters
-    ----------
-    surfaces : sequence of (float, Surface)
-        Each surface after the length of its unit in m.
-    most : int
-    """
+    """Simplify surfaces, each after the length of its unit in m, to at most `most` triangles, in cells of one size."""
     whole = [_welded(surface) for _, surface in surfaces]
     lengths = [length for length, _ in surfaces]
     out, cell = whole, 0.0

@@ -24,18 +24,9 @@ GIVEN = ("axis", "axis1", "axis2", "pitch", "radius_x", "radius_y", "radius_z")
 def describe_tree(a: Articulation, motions: Mapping[str, Motion]) -> dict[str, Any]:
     """Return joints, inertias, loops and joint laws of an articulation as JSON values; SI units, null for no limit.
 
-    Parameters
-    ----------
-    a : Articulation
-    motions : mapping of str to Motion
-        All prescribed motions of the scene.
-
-    Returns
-    -------
-    dict
-        joints, parents before children: kind, parent, pose in the parent's frame, mass, com, inertia about the com;
-        armature, friction, damping, stiffness, rest, effort, lower, upper, each (nv,); restitution of the limits;
-        loops; gears; driven, {joint: its velocity, null if it varies}.
+    They are joints, parents before children: kind, parent, pose in the parent's frame, mass, com, inertia about the
+    com; armature, friction, damping, stiffness, rest, effort, lower, upper, each (nv,); restitution of the limits;
+    loops; gears; and of all `motions` of the scene those driven, {joint: its velocity, null if it varies}.
     """
     m, laws = a.model, ("armature", "friction", "damping", "stiffness", "rest", "effort")
     prefix = f"{a.name}/"

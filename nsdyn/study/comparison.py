@@ -32,9 +32,9 @@ class Differences:
         Moving bodies and links in both recordings.
     by_body, by_turn : ndarray, shape (m, names)
         Distances of positions [m] and angles between orientations [rad].
-    position, rotation, velocity, energy : ndarray, shape (m,)
-        The largest distance and angle of all names [m, rad], the largest difference of the entries of v in Pinocchio's
-        layout [m/s, rad/s], and the difference of kinetic + potential energy [J].
+    largest : dict of str to float
+        The largest of each quantity of `UNITS`: distance and angle of all names [m, rad], difference of the entries of
+        v in Pinocchio's layout [m/s, rad/s], and of kinetic + potential energy [J].
     """
 
     t: Array
@@ -42,15 +42,7 @@ class Differences:
     names: tuple[str, ...]
     by_body: Array
     by_turn: Array
-    position: Array
-    rotation: Array
-    velocity: Array
-    energy: Array
-
-    @property
-    def largest(self) -> dict[str, float]:
-        """The largest of each quantity of `UNITS` at all times."""
-        return {name: float(getattr(self, name).max()) for name in UNITS}
+    largest: dict[str, float]
 
 
 def differences(a: Trajectory, b: Trajectory) -> Differences:
@@ -77,10 +69,10 @@ def differences(a: Trajectory, b: Trajectory) -> Differences:
         # The chord to the nearer of ±q is accurate for small angles, whose cosine would be 1.
         chord = np.minimum(np.linalg.norm(p - q, axis=1), np.linalg.norm(p + q, axis=1))
         by_turn[:, k] = 4.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
-    velocity = np.abs(a.v[rows[0]] - b.v[rows[1]]).max(axis=1, initial=0.0)
-    energy = np.abs(a.energy.total[rows[0]] - b.energy.total[rows[1]])
-    largest = by_body.max(axis=1), by_turn.max(axis=1)
-    return Differences(a.t[first], rows, tuple(names), by_body, by_turn, *largest, velocity, energy)
+    velocity = np.abs(a.v[rows[0]] - b.v[rows[1]]).max(initial=0.0)
+    energy = np.abs(a.energy.total[rows[0]] - b.energy.total[rows[1]]).max()
+    largest = dict(zip(UNITS, map(float, (by_body.max(), by_turn.max(), velocity, energy)), strict=True))
+    return Differences(a.t[first], rows, tuple(names), by_body, by_turn, largest)
 
 
 @dataclass(frozen=True)

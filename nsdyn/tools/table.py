@@ -69,9 +69,7 @@ class Table:
 
     def select(self, *names: str) -> Table:
         """Return a table with only the named columns."""
-        return Table(
-            self.title, {name: self.columns[choice(name, self.columns, "column")] for name in names}, self.units
-        )
+        return Table(self.title, {name: self[name] for name in names}, self.units)
 
     def to_pandas(self) -> Any:
         """Return a pandas.DataFrame with the `headers` as names of columns; ValueError if pandas is not installed."""

@@ -58,10 +58,10 @@ def read(data: bytes) -> tuple[Array, Index]:
                 pass
             case _:
                 raise ValueError(f"its header has a line {' '.join(words)[:80]!r}")
-    order = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
     if form not in order:
         raise ValueError(f"its format must be one of {', '.join(order)}, got {form!r}")
-    source = _Words(body) if order[form] is None else _Bytes(body, str(order[form]))
+    source = _Numbers(body, order[form])
     columns = {name: _columns(source, name, count, properties) for name, (count, properties) in elements.items()}
     vertex, face = columns.get("vertex", {}), columns.get("face", {})
     corners = face.get("vertex_indices", face.get("vertex_index"))
@@ -71,45 +71,29 @@ def read(data: bytes) -> tuple[Array, Index]:
     return vertices, fans(whole(corners[0], "corners of its faces"), corners[1])
 
 
-class _Bytes:
-    """Numbers of a binary file, read one after the other."""
+class _Numbers:
+    """Numbers of a file, one after the other: from the bytes of a binary one in some order, or the words of a text."""
 
     def __init__(self, data: bytes, order: str) -> None:
-        self.data, self.order, self.at = data, order, 0
+        self.order, self.at = order, 0
+        self.data: Any = data if order else data.split()
 
     def left(self) -> int:
-        """Return the number of bytes left."""
+        """Return the number of bytes or words left."""
         return len(self.data) - self.at
 
     def take(self, kind: str, count: int) -> Any:
-        """Return the next `count` numbers of a kind."""
-        size = np.dtype(kind).itemsize * count
+        """Return the next `count` numbers of a kind; of a text, all as floats."""
+        size = count * (np.dtype(kind).itemsize if self.order else 1)
         if size > self.left():
             raise ValueError("it ends before all its elements")
-        out = np.frombuffer(self.data, self.order + kind, count, self.at)
-        self.at += size
-        return out
+        begin, self.at = self.at, self.at + size
+        if self.order:
+            return np.frombuffer(self.data, self.order + kind, count, begin)
+        return numbers(b" ".join(self.data[begin : self.at]), "its elements")
 
 
-class _Words:
-    """Numbers of a text file, read one after the other."""
-
-    def __init__(self, data: bytes) -> None:
-        self.words, self.at = data.split(), 0
-
-    def left(self) -> int:
-        """Return the number of words left."""
-        return len(self.words) - self.at
-
-    def take(self, kind: str, count: int) -> Any:
-        """Return the next `count` numbers, all as floats."""
-        if count > self.left():
-            raise ValueError("it ends before all its elements")
-        self.at += count
-        return numbers(b" ".join(self.words[self.at - count : self.at]), "its elements")
-
-
-def _columns(source: _Bytes | _Words, element: str, count: int, properties: Sequence[_Property]) -> dict[str, Any]:
+def _columns(source: _Numbers, element: str, count: int, properties: Sequence[_Property]) -> dict[str, Any]:
     """Return the values of each property of an element; for a list (all values, lengths)."""
     if count > source.left():  # each element takes at least a byte or a word
         raise ValueError(f"it has {count} of {element} and only {source.left()} bytes or words left")

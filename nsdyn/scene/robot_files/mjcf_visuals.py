@@ -41,17 +41,8 @@ def look_of(geom: Element, label: str, meshes: Mapping[str, Element], materials:
 def visuals_of(geoms: Geoms, links: Sequence[Link], geometry: Any, home: Path, notes: Notes) -> tuple[Visual, ...]:
     """Return the visual shapes of geoms; no shapes if they would equal the collision shapes.
 
-    Parameters
-    ----------
-    geoms : Geoms
-    links : sequence of Link
-        Geoms as shapes.
-    geometry : pinocchio.GeometryModel
-        The same geoms; the placement of a mesh is the pose of the origin of its file.
-    home : Path
-        Folder of the file.
-    notes : Notes
-        Receives notes on geoms that are not shown.
+    `links` are the geoms as shapes, and `geometry` has them as Pinocchio's objects, where the placement of a mesh is
+    the pose of the origin of its file. `home` is the folder of the file; `notes` tell of geoms that are not shown.
     """
     placed, out, more = {g.name: g.placement for g in geometry.geometryObjects}, [], False
     for link in links:
