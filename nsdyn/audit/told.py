@@ -44,7 +44,7 @@ def _gaps(poses: Poses, flight: Flight) -> Array:
     """
     (i, j), step, c, gap = poses.pair, poses.step, poses.contacts, poses.contacts["gap"]
     nearest = apart(poses, i, j, step + 1, exact=True)
-    lengthwise = measured(poses, along, i, j, poses.of(i, step + 1), poses.of(j, step + 1), poses.normal)
+    lengthwise = measured(poses, along, i, j, (poses.of(i, step + 1), poses.of(j, step + 1)), poses.normal)
     out: Array = np.minimum(nearest, lengthwise) - gap
     # If the same shapes meet again later in the step, the gap may be the one at the end of the earlier piece.
     _, pair = np.unique(step * len(poses.names) ** 2 + poses.code, return_inverse=True)
@@ -70,7 +70,7 @@ def _travel(poses: Poses, flight: Flight, rows: Index) -> Array:
     step, point = poses.step[rows], poses.contacts["point"][rows]
     out, gone = np.zeros(rows.size), np.zeros((rows.size, 3))
     for side, geom in enumerate(poses.pair[:, rows]):
-        (R, x), (R1, x1) = pushing(poses, flight, geom, step, rows, side), poses.of(geom, step + 1)
+        (R, x), (R1, x1) = pushing(poses, flight, rows, side), poses.of(geom, step + 1)
         own = np.einsum("mji,mj->mi", R, point - x)
         out += from_surfaces(poses, geom, own)
         gone += (2 * side - 1) * (np.einsum("mij,mj->mi", R1, own) + x1)

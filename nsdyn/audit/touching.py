@@ -56,17 +56,17 @@ def apart(poses: Poses, first: Index, second: Index, row: Index, exact: bool = F
     _, one, all_ = np.unique((first * count + second) * states + row, return_index=True, return_inverse=True)
     first, second, row = first[one], second[one], row[one]
     measure = partial(separation, exact=exact)
-    return measured(poses, measure, first, second, poses.of(first, row), poses.of(second, row))[all_.ravel()]
+    return measured(poses, measure, first, second, (poses.of(first, row), poses.of(second, row)))[all_.ravel()]
 
 
 def measured(
-    poses: Poses, measure: Callable[..., Array], first: Index, second: Index, one: Pose, other: Pose, *more: Array
+    poses: Poses, measure: Callable[..., Array], first: Index, second: Index, moment: Moment, *more: Array
 ) -> Array:
-    """Apply `measure` to pairs of shapes in world poses (R, x), (m,), as `separation`; `more` holds one row a pair."""
+    """Apply `measure` to pairs of shapes in their world poses, (m,), as `separation`; `more` holds one row a pair."""
     out = np.empty(first.size)
     for a, b, some in poses.by_kind(first, second):
-        there = *(part[some] for part in one), b, *(part[some] for part in other)
-        out[some] = measure(a, *there, *(part[some] for part in more))
+        one, other = ([part[some] for part in pose] for pose in moment)
+        out[some] = measure(a, *one, b, *other, *(part[some] for part in more))
     return out
 
 
@@ -252,9 +252,9 @@ def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Finding]:
     i, j, k, n = *poses.pair[:, push], step[push], poses.normal[push]
     states = [(k - 2).clip(0), k - 1, k, (k + 1).clip(None, t.steps)]
     moments = [(poses.of(i, row), poses.of(j, row)) for row in states]
-    moments.insert(2, (pushing(poses, flight, i, k - 1, push, 0), pushing(poses, flight, j, k - 1, push, 1)))
-    lengthwise = np.array([measured(poses, along, i, j, *moment, n) for moment in moments])
-    free = np.array([apart(poses, i, j, k - 1), measured(poses, separation, i, j, *moments[2]), apart(poses, i, j, k)])
+    moments.insert(2, (pushing(poses, flight, push, 0), pushing(poses, flight, push, 1)))
+    lengthwise = np.array([measured(poses, along, i, j, moment, n) for moment in moments])
+    free = np.array([apart(poses, i, j, k - 1), measured(poses, separation, i, j, moments[2]), apart(poses, i, j, k)])
     size = poses.size(i, j)
     shift, turn = poses.uncertain
     unsure = np.zeros(push.size)
@@ -267,24 +267,22 @@ def _where(poses: Poses, flight: Flight, largest: Array) -> Iterator[Finding]:
     away, skew = lengthwise[1:4].min(axis=0), (np.minimum(free, 0.0) - lengthwise[1:4]).min(axis=0)
     for name, off in (("distance", away - travel), ("normal", skew - travel)):
         yield worst_of(name, off / size, off, k, poses.named(i, j))
-    off = _off_surfaces(poses, flight, (i, j, k), moments[1:4], poses.contacts["point"][push], n) - unsure
+    off = _off_surfaces(poses, flight, push, moments[1:4]) - unsure
     yield worst_of("points", off / size, off, k, poses.named(i, j))
 
 
-def _off_surfaces(
-    poses: Poses, flight: Flight, push: tuple[Index, Index, Index], moments: list[Moment], point: Array, normal: Array
-) -> Array:
-    """Distance of contact points from the surfaces of both shapes (shape, shape, step), beyond their motion, m.
+def _off_surfaces(poses: Poses, flight: Flight, push: Index, moments: list[Moment]) -> Array:
+    """Distance of the points of some contacts from the surfaces of both shapes, beyond their motion, m.
 
     The moments are the beginning of the step, the impulse and the end. A gap that remains at the impulse closes within
     the step, and the bodies may turn meanwhile. A captured contact is found at the end, for instance of two crossing
     edges. Its point lies midway between the points of the two bodies, which slip past each other until then.
     """
-    off, gone, step = np.zeros(len(point)), np.zeros((3, len(point), 3)), push[2] - 1
-    astray, unsure = (flight.astray + flight.unknown, flight.turn), np.zeros(len(point))
-    for side, geom in enumerate(push[:2]):
+    off, gone, step, point = np.zeros(push.size), np.zeros((3, push.size, 3)), poses.step[push], poses.contacts["point"]
+    astray, unsure = (flight.astray + flight.unknown, flight.turn), np.zeros(push.size)
+    for side, geom in enumerate(poses.pair[:, push]):
         (R, x), frame = moments[1][side], poses.frame[geom]
-        own = np.einsum("mji,mj->mi", R, point - x)
+        own = np.einsum("mji,mj->mi", R, point[push] - x)
         off = np.maximum(off, from_surfaces(poses, geom, own))
         for row, moment in enumerate(moments):
             R, x = moment[side]
@@ -294,7 +292,7 @@ def _off_surfaces(
         shift, angle = (part[step[free], frame[free]] for part in astray)
         unsure[free] += shift + poses.bounding_radius[geom[free]] * angle
     went = np.diff(gone, axis=0)
-    closed, slid = np.abs((went * normal).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
+    closed, slid = np.abs((went * poses.normal[push]).sum(axis=2)).sum(axis=0), 0.5 * np.linalg.norm(went[1], axis=1)
     return off - closed - slid - unsure
 
 
@@ -315,9 +313,10 @@ def from_surface(a: Solid, x: Array) -> Array:
     return np.abs(separation(POINT, still, x, a, still, np.zeros_like(x), exact=True))
 
 
-def pushing(poses: Poses, flight: Flight, geom: Index, step: Index, push: Index, side: int) -> tuple[Array, Array]:
-    """World poses (R, x) of shapes 0 or 1 of contacts at their impulse."""
-    x, quaternion = poses.during(geom, step, poses.contacts["time"][push])
+def pushing(poses: Poses, flight: Flight, push: Index, side: int) -> Pose:
+    """World poses (R, x) of shapes 0 or 1 of some contacts at their impulse."""
+    geom = poses.pair[side, push]
+    x, quaternion = poses.during(geom, poses.step[push], poses.contacts["time"][push])
     met = flight.met.sides[side].some(push)
     known = ~np.isnan(met.x[:, 0])
     x[known], quaternion[known] = met.x[known], met.quaternion[known]

@@ -171,10 +171,10 @@ class Candidates:
         floats, integers, f, _ = pack([*found, asks, base, *material], [np.empty(room, np.int64), first, second, slot])
         self.searches: tuple[Any, ...] = (self._packed, (floats, integers), self._max_points, TOLERANCE)
         self._coal, self._batches = f[3], []
-        of_coal = numbered(first, k)[asked], numbered(second, k)[asked], base[asked]
-        for lo, hi in split(*of_coal[:2]):
-            one, other, margin = (part[lo:hi] for part in of_coal)
-            self._batches.append(Batch(self._model, self._solids, one, other, margin, self._coal[lo:hi]))
+        solids, margin = np.stack([numbered(side, k)[asked] for side in (first, second)]), base[asked]
+        for lo, hi in split(*solids):
+            given = solids[:, lo:hi], margin[lo:hi], self._coal[lo:hi]
+            self._batches.append(Batch(self._model, self._solids, *given))
 
     def _model(self, solids: int) -> pin.GeometryModel:
         """Return the model of the next batch, that of an earlier one if it has room."""

@@ -169,13 +169,13 @@ class Detector(Candidates):
         close = frozenset() if together is None else frozenset(self.codes(together).tolist())
         found = []
         for p in pairs.tolist():
-            touch = self._first_touch(p, begin, end, turn, least if int(self._codes[p]) in close else None)
+            touch = self._first_touch(p, (begin, end), turn, least if int(self._codes[p]) in close else None)
             if touch is not None:
                 found.append((p, *touch))
         return self._remember(found, end, memory) if found else nothing
 
     def _first_touch(
-        self, p: int, begin: Poses, end: Poses, turn: Array, least: Array | None
+        self, p: int, ends: tuple[Poses, Poses], turn: Array, least: Array | None
     ) -> tuple[float, Array, Array] | None:
         """Time of impact of pair p as a fraction of the way, and poses (R, t) of its geoms then; None if it misses.
 
@@ -185,7 +185,7 @@ class Detector(Candidates):
         geoms, near, s = (int(self._first[p]), int(self._second[p])), TOUCH / MARGIN * self._pair_base[p], 0.0
         parted, stride = least is None, near if least is None else max(near, min(least[g] for g in geoms))
         together = near
-        room, motion, some = (self._R.copy(), self._t.copy()), (begin.x, begin.R, end.x, turn), list(geoms)
+        room, motion, some = (self._R.copy(), self._t.copy()), (ends[0].x, ends[0].R, ends[1].x, turn), list(geoms)
         unit = math.ldexp(1.0, int(self._exponent[p]))
         solids = [self._solids(g, unit, 0.0) for g in geoms]
         for _ in range(ADVANCES):

@@ -122,7 +122,7 @@ class Batch:
         ``model(n)`` returns a model of at least n placeholders, made by `empty_model`.
     solids : Solids
         Of all geoms.
-    first, second : ndarray of int, shape (m,)
+    pairs : ndarray of int, shape (2, m)
         Solids of the pairs, `numbered`; both of a pair are in one unit.
     margin : ndarray, shape (m,)
         m; pairs farther apart than this and the reach of both are of no interest.
@@ -130,22 +130,18 @@ class Batch:
         Room for distance, m, and normal.
     """
 
-    def __init__(
-        self, model: Callable[[int], Any], solids: Solids, first: Index, second: Index, margin: Array, out: Array
-    ) -> None:
-        both = np.concatenate((first, second))
-        pairs = *(both // _EXPONENTS).reshape(2, -1), margin
-        self._pairs, self._near = pairs, np.ones(first.size, np.bool_)
-        self._changed = np.empty(first.size, np.int64)
-        numbers, slots = np.unique(both, return_inverse=True)
+    def __init__(self, model: Callable[[int], Any], solids: Solids, pairs: Index, margin: Array, out: Array) -> None:
+        m = margin.size
+        self._near, self._changed = np.ones(m, np.bool_), np.empty(m, np.int64)
+        self._pairs = *(pairs // _EXPONENTS), margin
+        numbers, slots = np.unique(pairs.ravel(), return_inverse=True)
         self._geoms, exponent = np.divmod(numbers, _EXPONENTS)
         unit = np.ldexp(1.0, exponent - _EXPONENTS // 2)
-        self._of_solids, self._of_pairs = unit[:, None], np.ones((first.size, 4))
-        self._of_pairs[:, 0] = unit[slots[: first.size]]
+        self._of_solids, self._of_pairs = unit[:, None], np.ones((m, 4))
+        self._of_pairs[:, 0] = unit[slots[:m]]
         self._model = model(numbers.size)
         for k, of in enumerate(zip(self._geoms.tolist(), unit.tolist(), strict=True)):
             self._model.geometryObjects[k].geometry = solids(*of)
-        m = len(first)
         del self._model.collisionPairs[:]
         self._model.collisionPairs.extend([_pair(a, b) for a, b in zip(*slots.reshape(2, m).tolist(), strict=True)])
         self._data, self._out = pin.GeometryData(self._model), out

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsdyn._kernels import reductions as _reductions
-from nsdyn.dynamics.values import TreeLoads
+from nsdyn.dynamics.values import FreeMotion, TreeLoads
 from nsdyn.scene.actuation import Actuation, Actuator
 from nsdyn.scene.control import PD, Axes
 from nsdyn.tools.arrays import Array, Bools, floats
@@ -100,10 +100,8 @@ class Actuators:
         )
 
 
-def left_to_rows(
-    h: float, loads: TreeLoads, limit: Array, mobility: Array, v0: Array, v: Array, over: Bools
-) -> TreeLoads:
-    """Return the loads of a step without the control of the actuators `over` (nv,) their limits, which rows replace.
+def left_to_rows(h: float, free: FreeMotion, v0: Array, v: Array, over: Bools) -> TreeLoads:
+    """Return the loads of a motion without the control of the actuators `over` (nv,) their limits, which rows replace.
 
     The law τ = clip(τ₀ - b v', ±L) is the law of a clutch that slips at L, between the joint and a rotor. The rotor has
     the mass h b and turns at τ₀/b without the clutch. The row of the clutch is in `nsdyn.dynamics.joints`. If b is
@@ -111,6 +109,8 @@ def left_to_rows(
     its value at v, the velocity after the forces by which the limits L (nv,), N m or N, are exceeded. v0 is that before
     the forces.
     """
+    loads, mobility = free.loads, np.diag(free.minv)
+    limit = np.full(v.size, np.inf) if loads.limit is None else loads.limit
     kp, kd, alpha, beta, force = loads.laws[1]
     slope = beta * kd + h * alpha**2 * kp
     start = force - ((1.0 - beta) * kd - h * (1.0 - alpha) ** 2 * kp) * v0

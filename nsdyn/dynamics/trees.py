@@ -200,7 +200,7 @@ class Tree(Linkage):
         over, last = np.empty(v.size, np.bool_), self._no_impulses if last is None else last
         if not _trees.strained(free.loads.laws, limit, last, before, v, halfway.h, over):
             return free
-        loads = left_to_rows(halfway.h, free.loads, limit, np.diag(free.minv), before, v, over)
+        loads = left_to_rows(halfway.h, free, before, v, over)
         out = self._respond(halfway, loads)
         return out._replace(foreseen=out.v + halfway.h * (out.minv @ loads.held))
 

@@ -69,7 +69,8 @@ class Table:
 
     def select(self, *names: str) -> Table:
         """Return a table with only the named columns."""
-        return Table(self.title, {name: self[name] for name in names}, self.units)
+        columns = {name: self.columns[choice(name, self.columns, "column")] for name in names}
+        return Table(self.title, columns, self.units)
 
     def to_pandas(self) -> Any:
         """Return a pandas.DataFrame with the `headers` as names of columns; ValueError if pandas is not installed."""
