@@ -141,7 +141,8 @@ class Flight:
         levers = pushes.summed(shape, turns)
         rests = cut | ((1.0 - theta) * h * np.linalg.norm(before, axis=2) <= (closed := _closed(poses)))
         kept = np.where(rests, closed, 0.0)
-        far, lever = h * _fastest(poses, levers) / COARSE[0], unknown + kept
+        fastest = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least(poses)
+        far, lever = h * fastest / COARSE[0], unknown + kept
         return cls(
             impulse,
             pushes.summed(shape, moment),
@@ -260,11 +261,6 @@ def _doubted(
         off = off + np.linalg.norm(way[at], axis=1)
         spun = spun + np.linalg.norm((levers @ way[at][:, :, None])[..., 0], axis=1)
     return np.linalg.norm(turning, axis=2).max(axis=0) * off + length * pushes.around(spun)[1]
-
-
-def _fastest(poses: Poses, levers: Array) -> Array:
-    """Largest angular velocity of free bodies in each step, (n, free), rad/s."""
-    return (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least(poses)
 
 
 def least(poses: Poses) -> Array:

@@ -247,17 +247,13 @@ def convex(vertices: ArrayLike) -> tuple[Shape, Array]:
         geometry = coal_convex(corners, flat, face_ptr)
     except RuntimeError as failure:  # for instance a corner with more neighbours than Coal can count
         raise ValueError(f"vertices must make a simpler hull: {noise.told(failure, [])}") from None
-    normals = np.array([_area_vector(corners[flat[a:b]]) for a, b in pairwise(face_ptr)])
+    sides = [corners[flat[a:b]] - corners[flat[a]] for a, b in pairwise(face_ptr)]
+    normals = np.array([np.cross(side, np.roll(side, -1, axis=0)).sum(axis=0) for side in sides])  # Newell
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = np.array([(corners[flat[face_ptr[f] : face_ptr[f + 1]]] @ n).max() for f, n in enumerate(normals)])
     faces, solid = (corners, normals, offsets, face_ptr, flat), (float(geometry.computeVolume()), _moment(geometry))
     bounding, inscribed = float(np.linalg.norm(corners, axis=1).max()), float(offsets.min())
     return Shape(POLYTOPE, geometry, np.zeros(3), *faces, 0.0, *solid, bounding, inscribed), centroid
-
-
-def _area_vector(loop: Array) -> Array:
-    """Return area times normal of a polygon (Newell), shape (3,)."""
-    return 0.5 * np.cross(loop - loop[0], np.roll(loop, -1, axis=0) - loop[0]).sum(axis=0)
 
 
 def coal_convex(vertices: Array, loop: Index, ptr: Index) -> Any:
