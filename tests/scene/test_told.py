@@ -676,3 +676,16 @@ def test_masses_of_shapes_that_have_none_here(tmp_path):
     ):
         told, _ = loaded(tmp_path, mjcf(top=mesh, **places))
         assert note in told and bool(note) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("mass", "note"),
+    [('mass="0"', ""), ('mass="0.0"', ""), ('density="0"', ""), ('mass="0.1"', "inertia of its meshes")],
+)
+def test_meshes_that_touch_get_no_mass_that_no_file_gives(tmp_path, mass, note):
+    """Pinocchio gives each of them 1 kg and 1 kg m²."""
+    mesh, compiler = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>', 'inertiafromgeom="true"'
+    bare = loaded(tmp_path, mjcf(compiler=compiler))[1]
+    told, a = loaded(tmp_path, mjcf(top=mesh, compiler=compiler, more=f'<geom type="mesh" mesh="m" {mass}/>'))
+    assert note in told and bool(note) == bool(told)
+    assert len(a.links) == len(bare.links) + 1 and a.model.inertias[1] == bare.model.inertias[1]

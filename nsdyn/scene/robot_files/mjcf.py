@@ -26,7 +26,7 @@ from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, laid_over
 from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE, over
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
-from nsdyn.scene.robot_files.mjcf_geoms import Geoms, mesh_name
+from nsdyn.scene.robot_files.mjcf_geoms import Geoms, as_ball, mesh_name
 from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, place_joints, set_joints, single, start_of
 from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
@@ -266,9 +266,9 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
                 if body not in tops:
                     raise ValueError(f"body {where!r} must be at the top of the world to have a free joint")
                 child.attrib.pop("pos", None)  # MuJoCo ignores it
-        solids = [g for g in body.findall("geom") if g.get("type", "sphere") == "mesh" and g.get("mass") != "0"]
+        heavy = [scalar(g.get("mass", g.get("density")), 1.0, where) for g in body.iterfind("geom[@type='mesh']")]
         if where in moving and (by_geoms or body.find("inertial") is None):
-            if solids:
+            if any(heavy):
                 report.missing.append(f"body {where!r}: inertia of its meshes")
             if any(bounds):  # Pinocchio bounds <inertial>, and does not expose the mass that geoms give a body
                 report.missing.append(f"body {where!r}: boundmass where its geoms have less")
@@ -299,11 +299,14 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
     bare.extend(e for e in root if e.tag in ("compiler", "asset", "worldbody"))
     with tempfile.TemporaryDirectory() as scratch:
         _copy_meshes(bare, path.parent, Path(scratch))
-        file = Path(scratch) / path.with_suffix(".xml").name
+        shaped, file = (Path(scratch) / f"{which}.xml" for which in (f"{path.stem}-shapes", path.stem))
+        ElementTree.ElementTree(bare).write(shaped)
+        for geom in bare.iterfind(".//geom[@type='mesh']"):
+            as_ball(geom)
         ElementTree.ElementTree(bare).write(file)
         with noise.caught():
             model = pin.buildModelFromMJCF(str(file))
-            geometry = pin.buildGeomFromMJCF(model, str(file), pin.GeometryType.COLLISION)
+            geometry = pin.buildGeomFromMJCF(model, str(shaped), pin.GeometryType.COLLISION)
     place_joints(model)
     return single(root, model, geometry), geometry
 

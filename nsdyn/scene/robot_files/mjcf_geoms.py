@@ -80,10 +80,9 @@ class Geoms:
             self.masks[label] = masks
             if kind == "mesh" and any(masks):
                 continue
-            if kind == "mesh":  # a massless ball for Pinocchio, at the pose of the mesh
-                geom.attrib |= {"type": "sphere", "size": "1", "mass": "0"}
-                del geom.attrib["mesh"]
-            # Pinocchio ignores the mass of geoms that touch nothing, and always ignores the mass of a mesh.
+            if kind == "mesh":
+                as_ball(geom)
+            # Pinocchio ignores the mass of geoms that touch nothing.
             geom.attrib |= {"contype": "1", "conaffinity": "1"}
 
     def collide(self, a: str, b: str) -> bool:
@@ -97,6 +96,12 @@ class Geoms:
             names = pair.get("geom1", ""), pair.get("geom2", "")
             notes: Notes = report.dropped if self.collide(*names) else report.missing
             notes.append(f"contact: <pair> of {names[0]!r} and {names[1]!r}")
+
+
+def as_ball(geom: Element) -> None:
+    """Make a mesh a massless ball at its pose: to Pinocchio every mesh has 1 kg and 1 kg m², whatever its mass."""
+    geom.attrib |= {"type": "sphere", "size": "1", "mass": "0"}
+    del geom.attrib["mesh"]
 
 
 def mesh_name(mesh: Element) -> str:
