@@ -36,7 +36,7 @@ def momenta(poses: Poses, flight: Flight | None) -> Iterator[Finding]:
     yield worst_among("momentum", np.linalg.norm(left, axis=2), scale, poses.scene["frames"])
     spin = spins(poses)
     rest = np.diff(spin, axis=0) - flight.torque
-    elsewhere = flight.astray + flight.unknown + flight.round_off + flight.kept
+    elsewhere = flight.astray + flight.unknown + poses.rounded + flight.kept
     left = np.maximum(np.linalg.norm(rest, axis=2) - flight.size * elsewhere, 0.0)
     turning = np.linalg.norm(spin, axis=2)
     yield worst_among("spin", left, flight.levers + turning[:-1] + turning[1:], poses.scene["frames"])
@@ -132,11 +132,9 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Finding]:
     free_to = tilt * moved[step, body, None]
     across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - free_to, 0.0)), axis=1)
     off = np.zeros(moved.shape)
-    np.maximum.at(off, (step, body), across - along - flight.round_off[step, body])
+    np.maximum.at(off, (step, body), across - along - poses.rounded)
     yield worst_among("sideways", off, moved, poses.scene["frames"])
-    off = np.maximum(
-        flight.astray - flight.unknown - flight.round_off, (flight.turn - flight.flow) * poses.reach[:free]
-    )
+    off = np.maximum(flight.astray - flight.unknown - poses.rounded, (flight.turn - flight.flow) * poses.reach[:free])
     yield worst_among("lifts", off, np.broadcast_to(poses.smallest, off.shape), poses.scene["frames"])
 
 

@@ -66,8 +66,6 @@ class Flight:
         falling bodies are at the ends of all moves where they would be in one move.
     turn : ndarray, shape (n, free)
         Deviation of the recorded orientation from that by angular momenta, impulses at their times, and lifts, rad.
-    round_off : ndarray, shape (n, free)
-        Uncertainty of the final position by round-off, m.
     kept : ndarray, shape (n, free)
         Largest distance of a body from where its contacts were found, m.
     flow : ndarray, shape (n, free)
@@ -92,7 +90,6 @@ class Flight:
     astray: Array
     unknown: Array
     turn: Array
-    round_off: Array
     kept: Array
     flow: Array
     lifted: Array
@@ -142,7 +139,7 @@ class Flight:
         rests = cut | ((1.0 - theta) * h * np.linalg.norm(before, axis=2) <= (closed := _closed(poses)))
         kept = np.where(rests, closed, 0.0)
         fastest = (np.linalg.norm(spins(poses)[:-1], axis=2) + levers) / least(poses)
-        far, lever = h * fastest / COARSE[0], unknown + kept
+        far, lever = h * fastest / COARSE[0], unknown + kept + poses.rounded
         return cls(
             impulse,
             pushes.summed(shape, moment),
@@ -152,7 +149,6 @@ class Flight:
             astray,
             unknown,
             turn,
-            8.0 * np.finfo(float).eps * np.linalg.norm(poses.x[1:, :free], axis=2),
             kept,
             COARSE[1] * far * np.minimum(far, 1.0) ** 6 + h * pushes.summed(shape, size) * lever / least(poses),
             _lifted(poses, pushes, then, turning),
@@ -231,11 +227,11 @@ def _wander(poses: Poses) -> Array:
 
 
 def sunk(poses: Poses, size: Array) -> Array:
-    """Penetration that the solver's tolerance allows bodies of a size in a step, at most in size / `CREEP`, m."""
+    """Penetration that a step may leave, m: round-off, or what the tolerance of solvers allows in size / `CREEP`."""
     t = poses.trajectory
     told = re.search(r"\btol=(\d+(?:\.\d*)?(?:e[+-]?\d+)?)", str(t.meta.get("solver", "")))
     tol = min(float(told[1]), TOLERANCES["velocities"]) if told else 0.0
-    return tol * np.minimum(t.dt, size / CREEP)
+    return np.maximum(tol * np.minimum(t.dt, size / CREEP), poses.rounded)
 
 
 def _closed(poses: Poses) -> float:

@@ -136,6 +136,11 @@ class Poses:
         return out
 
     @cached_property
+    def rounded(self) -> float:
+        """Round-off of the farthest place of a body, m; no length is known better."""
+        return 16.0 * float(np.finfo(float).eps * np.abs(self.x).max(initial=0.0))
+
+    @cached_property
     def smallest(self) -> Array:
         """Smallest extent of each free body, (free,), m."""
         own, out = np.flatnonzero(self.is_free(self.frame)), np.full(self.free, np.inf)

@@ -26,7 +26,7 @@ def told(poses: Poses, flight: Flight | None) -> Iterator[Finding]:
         yield from (not_audited(name, left_out(t)) for name in ("gaps", "velocities", "partings", "bounces", "states"))
         return
     step, pair = poses.step, poses.pair
-    off = _gaps(poses, flight)
+    off = _gaps(poses, flight) - poses.rounded
     yield worst_of("gaps", off / poses.size(*pair), off, step + 1, poses.named(*pair))
     yield _velocities(poses, flight)
     yield _partings(poses, flight)

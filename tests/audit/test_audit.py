@@ -426,6 +426,20 @@ def test_what_rests_near_its_limit_is_pushed_where_its_contacts_were_found():
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("place", [1e7, 1e8])
+def test_a_box_that_falls_far_away_passes(place):
+    """Its places are rounded to 2e-9 and 1.5e-8 m, and contacts are closed no better; larger overlaps are told."""
+    scene, turn = nd.Scene(), np.array((0.5, 0.2, 0.7, 0.5)) / np.sqrt(1.03)
+    scene.add_halfspace("ground", offset=place)
+    at = (place, -place, place + 0.3)
+    scene.add_box("box", (0.1, 0.2, 0.15), 1.0, position=at, quaternion=turn, linear_velocity=(1, 0, 0))
+    run = nd.simulate(scene, 0.6, dt=5e-3)
+    audit = nd.check(run)
+    assert audit.passed and run.contacts(-1).impulse.any(), audit
+    run.q[-1, 2] -= 1e-6
+    assert not nd.check(run)["overlap"].passed
+
+
 def test_corners_at_any_speed():
     """A box at 20 km/s beside another: its corners have no radius by which the square of that could be divided."""
     scene = nd.Scene(gravity=(0, 0, 0))
