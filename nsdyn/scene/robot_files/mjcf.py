@@ -266,9 +266,9 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
                 if body not in tops:
                     raise ValueError(f"body {where!r} must be at the top of the world to have a free joint")
                 child.attrib.pop("pos", None)  # MuJoCo ignores it
-        heavy = [scalar(g.get("mass", g.get("density")), 1.0, where) for g in body.iterfind("geom[@type='mesh']")]
+        solids = body.iterfind("geom[@type='mesh']")
         if where in moving and (by_geoms or body.find("inertial") is None):
-            if any(heavy):
+            if any(scalar(g.get("mass", g.get("density")), 1.0, f"mass of body {where!r}") for g in solids):
                 report.missing.append(f"body {where!r}: inertia of its meshes")
             if any(bounds):  # Pinocchio bounds <inertial>, and does not expose the mass that geoms give a body
                 report.missing.append(f"body {where!r}: boundmass where its geoms have less")
