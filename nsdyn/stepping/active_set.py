@@ -131,8 +131,7 @@ def surface_normal_velocities(d: Dynamics, contacts: ContactSet, driven_x: Array
     """Return the part of normal velocities due to moving surfaces and driven bodies, shape (nc,), m/s."""
     if not d.surfaces.count:
         return np.zeros(contacts.gap.size)
-    out: Array = (contacts.normal * d.surfaces.velocities(contacts, driven_x, surfaces)).sum(axis=1)
-    return out
+    return (contacts.normal * d.surfaces.velocities(contacts, driven_x, surfaces)).sum(axis=1)
 
 
 def continuous_contacts(

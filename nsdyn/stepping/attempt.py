@@ -60,8 +60,7 @@ class Attempt(NamedTuple):
     def turns_far(self) -> Bools:
         """Contacts (nc,) that touch and turn too far in half the move for the contact law: `Options.turn`."""
         kin = self.kin
-        out: Bools = kin.far & ((self.normal_impulses > 0.0) | (kin.contacts.gap <= self.mid.s.gap_tol))
-        return out
+        return kin.far & ((self.normal_impulses > 0.0) | (kin.contacts.gap <= self.mid.s.gap_tol))
 
     @property
     def normal_impulses(self) -> Array:

@@ -37,8 +37,7 @@ STICKS = 1.0 - 1e-9
 
 def angles(axes: Array) -> Array:
     """Angles α of vectors (balls, 3) with the plane of the first two axes, rad."""
-    out: Array = np.arctan2(np.abs(axes[:, 2]), np.hypot(axes[:, 0], axes[:, 1]))
-    return out
+    return np.arctan2(np.abs(axes[:, 2]), np.hypot(axes[:, 0], axes[:, 1]))
 
 
 def _wanted(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Array:
@@ -50,8 +49,7 @@ def _wanted(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Array:
 
 
 def _now(rows: ContactJacobian) -> Array:
-    out: Array = np.arctan2(rows.shares[:, 1], rows.shares[:, 0])
-    return out
+    return np.arctan2(rows.shares[:, 1], rows.shares[:, 0])
 
 
 def unbalanced(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Bools:
@@ -59,8 +57,7 @@ def unbalanced(rows: ContactJacobian, r: Array, u: Array, scales: Array) -> Bool
 
     At impulses r and velocities u (3 nc,) of all rows, with mobilities `scales` (nc,) as in `FC3D`.
     """
-    out: Bools = np.abs(_wanted(rows, r, u, scales) - _now(rows)) > ALIKE
-    return out
+    return np.abs(_wanted(rows, r, u, scales) - _now(rows)) > ALIKE
 
 
 class Search:

@@ -339,5 +339,4 @@ def reconsidered_joints(kin: ContactKinematics, problem: FC3D, solution: Solutio
     mean, onward, after = (kin.of_joint((x * end).sum(axis=1)) for x in (mid + end, begin, end))
     stops = sliding & (sticks | (mean <= _law.REVERSED * after))
     goes = kin.turning & ~sliding & ~sticks & (onward > _law.NO_SLIP**2) & (not back)
-    out: Bools = stops | goes
-    return out
+    return stops | goes

@@ -73,14 +73,12 @@ class Found(NamedTuple):
     @property
     def frame(self) -> Array:
         """Directions of the contacts, shape (nc, 3, 3)."""
-        out: Array = matrices(self.floats, _col.FRAMES, self.nc)
-        return out
+        return matrices(self.floats, _col.FRAMES, self.nc)
 
     @property
     def scales(self) -> Array:
         """λ_max(W_cc), shape (nc,), 1/kg."""
-        out: Array = column(self.floats, _col.SCALES, self.nc)
-        return out
+        return column(self.floats, _col.SCALES, self.nc)
 
     def blocks(self, d: Dynamics, masses: tuple[Array, Array]) -> DelassusFactors:
         """Factors of W, with M and its inverse."""
@@ -164,8 +162,7 @@ class FlatState(NamedTuple):
 
     def coordinate(self, which: tuple[int, int]) -> Array:
         """The column `which` of the coordinates, (n,)."""
-        out: Array = velocity(self.floats[_col.RESULTS :], which, self.size)
-        return out
+        return velocity(self.floats[_col.RESULTS :], which, self.size)
 
     def contact(self, first: int, width: int = 1) -> Array:
         """`width` columns of the contacts, from column `first` on, as one array."""

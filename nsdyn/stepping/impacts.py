@@ -116,8 +116,7 @@ class Newton:
 
     def takes_part(self, hit: Bools, restitution: Array) -> Bools:
         """Mark contacts that approach, and contacts that cannot rebound."""
-        out: Bools = hit | (restitution == 0.0)
-        return out
+        return hit | (restitution == 0.0)
 
     def __call__(self, impact: Round) -> Given:
         """Solve one problem."""

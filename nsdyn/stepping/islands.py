@@ -223,8 +223,7 @@ class Islands:
 
     def _large(self, contacts: ContactSet, label: Index, count: int) -> Bools:
         """Mark islands (count,) with so many contacts that their impacts and reversals of slip are not located."""
-        out: Bools = OPTIONS.event * np.bincount(label[self.whole.nodes(contacts)], minlength=count) > OPTIONS.work
-        return out
+        return OPTIONS.event * np.bincount(label[self.whole.nodes(contacts)], minlength=count) > OPTIONS.work
 
     def _nodes(self, c: ContactSet, which: Bools | slice = slice(None)) -> Index:
         """Return the nodes of the contacts marked by `which`."""

@@ -138,8 +138,7 @@ class Midpoint:
             return None
         force, torque = load
         turn = np.einsum("bij,bj->bi", self.state.placement.R[: len(torque)], torque)
-        out: Array = self.h * np.concatenate((force, turn), axis=1)
-        return out
+        return self.h * np.concatenate((force, turn), axis=1)
 
 
 def midpoint(s: System, begin: SceneState, t: float, h: float, callbacks: Callbacks) -> Midpoint:

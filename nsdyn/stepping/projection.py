@@ -84,8 +84,7 @@ def _without_squeezed(blocks: DelassusFactors, solution: Solution) -> Array:
     """Return the impulses of a projection, set to 0 in islands where they do not even halve an overlap."""
     label = blocks.islands()
     squeezed = np.isin(label, label[solution.u[0::3] < -0.5])
-    out: Array = np.where(np.repeat(squeezed, 3), 0.0, solution.r)
-    return out
+    return np.where(np.repeat(squeezed, 3), 0.0, solution.r)
 
 
 def _least(at: SceneState) -> float:

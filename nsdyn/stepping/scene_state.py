@@ -127,8 +127,7 @@ class System(NamedTuple):
 
         For joint limits, `Options.joint` takes the place of the inscribed radius.
         """
-        out: Array = self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
-        return out
+        return self.depth * np.minimum(self.inscribed[contacts.geom1], self.inscribed[contacts.geom2])
 
     def nodes(self, contacts: ContactSet) -> Index:
         """Return the node that moves each contact, `Layout.node_of`."""
@@ -185,8 +184,7 @@ class System(NamedTuple):
             weight = np.concatenate((weight, np.abs(d.joints.rates(kin.joints.slot, rate))))
         least_time, least = self.bounces
         parting = least_time * weight * np.maximum(1.0 - e, least)
-        out: Array = self.solver.tol + parting / np.where(e > 0.0, e, 1.0)
-        return out
+        return self.solver.tol + parting / np.where(e > 0.0, e, 1.0)
 
     def sunk(self, contacts: ContactSet) -> bool:
         """Return whether bodies penetrate by more than `Options.unseen` of the smaller shape's inscribed radius."""

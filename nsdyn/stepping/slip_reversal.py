@@ -85,5 +85,4 @@ def _slipping(kin: ContactKinematics, tol: float) -> Bools:
     if not kin.slid.size:
         return kin.slid
     slip = kin.u_begin.reshape(-1, 3)[kin.contacts.gap.size :, 1:]
-    out: Bools = kin.slid & (np.hypot(*slip.T) > tol)
-    return out
+    return kin.slid & (np.hypot(*slip.T) > tol)

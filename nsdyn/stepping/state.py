@@ -320,8 +320,7 @@ class Step:
         """
         on = self.names.members(name)
         sign = 1.0 * on[self.contacts.geom2] - 1.0 * on[self.contacts.geom1]
-        out: Array = np.einsum("c,ci,cij->j", sign, self.r, self.frame) / self.dt
-        return out
+        return np.einsum("c,ci,cij->j", sign, self.r, self.frame) / self.dt
 
     def between(self, a: str, b: str) -> Touch:
         """The contacts of two bodies, `a` as the first; names as in `force`. ValueError naming the known ones."""
