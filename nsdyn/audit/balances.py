@@ -113,7 +113,8 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Finding]:
 
     Contacts lift along their normals. Normals turn as bodies roll, so in the middle of a step the part across them may
     be as large as the part along them. A body squeezed between other bodies moves across almost parallel normals, by
-    their angle times its displacement. A contact that closes only at the end of a step is among those of the next step.
+    their angle times its displacement. It also passes on the lifts of others, across normals that turn as far as lifts
+    turn bodies. A contact that closes only at the end of a step is among those of the next step.
     """
     t, free = poses.trajectory, poses.free
     normal, lines = t.columns["contacts/normal"], np.zeros((t.steps, free, 3, 3))
@@ -127,9 +128,11 @@ def _lifts(poses: Poses, flight: Flight) -> Iterator[Finding]:
     tilt = np.sqrt(np.clip(sizes / np.maximum(sizes[..., -1:], 1.0), 0.0, 1.0))[step, body]
     speed = np.linalg.norm(velocities(poses), axis=2)
     moved = t.dt * (speed[:-1] + speed[1:] + t.dt * poses.weight)
+    size, turn = np.linalg.norm(flight.pushes.shift[lifts].reshape(-1, 2, 3), axis=2).T
+    passed, bent = np.bincount(step, poses.mass[body] * size, t.steps), np.bincount(step, turn, t.steps)
     parts, open_to = np.abs(np.einsum("lij,li->lj", axes[step, body], shift)), tilt**2 > PARALLEL
     along = np.linalg.norm(np.where(open_to, parts, 0.0), axis=1)
-    free_to = tilt * moved[step, body, None]
+    free_to = tilt * moved[step, body, None] + (bent * passed)[step, None] / poses.mass[body, None]
     across = np.linalg.norm(np.where(open_to, 0.0, np.maximum(parts - free_to, 0.0)), axis=1)
     off = np.zeros(moved.shape)
     np.maximum.at(off, (step, body), across - along - poses.rounded)

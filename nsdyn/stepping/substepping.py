@@ -169,14 +169,15 @@ def _refines(s: System, begin: SceneState) -> bool:
 def _gains_energy(s: System, begin: SceneState, m: StepResult, tried: Attempt) -> bool:
     """Return whether a move adds energy, or contacts turn far in it.
 
-    The energy is that of persistent contacts, of the projection, and of contacts that could only take energy.
+    The energy is that of persistent contacts, and of contacts that could only take energy together with the projection:
+    what it lifts fell too deep before its impact, which took that energy, too.
     """
     d, mid, works = s.dynamics, tried.mid, [a.works for a in m.done]
     if tried.turns_far.any():
         return True
-    gained = sum(w.integration + w.projection for w in works)
-    if not any((a.contacts.restitution > 0.0).any() for a in m.done):  # contacts then only take energy
-        gained += sum(max(0.0, w.normal + w.friction) for w in works)
+    # Contacts that rebound may give energy.
+    share = 0.0 if any((a.contacts.restitution > 0.0).any() for a in m.done) else 1.0
+    gained = sum(w.integration + max(0.0, w.projection + share * (w.normal + w.friction)) for w in works)
     if gained <= 0.0:
         return False
     # For bodies at rest, the scale is the energy that gravity gives in a move.
