@@ -15,8 +15,8 @@ from nsdyn._kernels.packing import pack
 from nsdyn.collision.contacts import ContactSet
 from nsdyn.collision.distances import SHRINK, SLOTS, Batch, Solids, empty_model, exponents, numbered, split
 from nsdyn.scene.bodies import Geom
-from nsdyn.scene.shapes import HALFSPACE, ROUND, SPHERE
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.scene.shapes import HALFSPACE, ROUND
+from nsdyn.tools.arrays import Array, Index
 from nsdyn.tools.options import is_number
 
 MARGIN = 1e-3
@@ -90,7 +90,6 @@ class Candidates:
         n, kind, self._geometry, self._solids = geometry.kind.size, geometry.kind, geometry, solids
         self.fields = tuple(geometry)
         self._half, self._round = kind == HALFSPACE, np.isin(kind, ROUND)
-        self._ball = self._half | (kind == SPHERE)
         self._slack = np.where(self._round, 0.0, 2.0 * SHRINK * geometry.radius)
         self.frame = geometry.frame
         self._moving = self.frame >= 0
@@ -122,10 +121,6 @@ class Candidates:
         lower, upper = self._lower.copy(), self._upper.copy()
         broadphase.bounds(self.fields, x, R, lower, upper)
         return lower, upper
-
-    def of_balls(self, contacts: ContactSet) -> Bools:
-        """Mark contacts of balls with balls and half-spaces, shape (nc,)."""
-        return self._ball[contacts.geom1] & self._ball[contacts.geom2]
 
     @property
     def asks(self) -> bool:

@@ -294,11 +294,7 @@ class Islands:
         if not a.status.size:
             return
         island, count = label[s.nodes(a.contacts)], opened.size
-        refines = ~self._large(begin.contacts, label, count)
-        refines[label[s.nodes(begin.contacts)[~s.detector.of_balls(begin.contacts)]]] = True
-        far = np.zeros(count, np.bool_)
-        far[island[tried.turns_far]] = True
-        opened |= far & refines
+        opened[island[tried.turns_far]] = True
         states, works = (a.status, kin.stays, kin.sticks), (a.work_normal, a.work_friction)
         _checks.gained(island, states, works, a.contacts.restitution, both := np.zeros((2, count)))
         gained = both[0]
@@ -310,7 +306,7 @@ class Islands:
                 of_bodies = d.mass * (linear * linear).sum(axis=1) + np.einsum("ki,kij,kj->k", spin, d.J, spin)
                 energies.append(np.bincount(label[: d.free], 0.5 * of_bodies, count))
             of_trees = np.bincount(label[d.free :], tried.mid.at_play(begin.energies), count)
-            opened |= refines & (gained > share * (np.maximum(*energies) + of_trees))
+            opened |= gained > share * (np.maximum(*energies) + of_trees)
 
     def _of_nodes(self, a: Attempt, left: Bools, next_key: int) -> Attempt:
         """Return the part of an attempt that concerns the nodes `left`; new contacts get keys from `next_key` on."""

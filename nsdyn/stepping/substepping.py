@@ -153,31 +153,22 @@ def _substep(
     m = m._replace(done=done + m.done, path=path)
     rejected = s.sunk(moved.contacts) or s.shifted(moved.position, m.end.position) or any(m.strays)
     if length > LEAST * s.dt and not any(_jammed(acted.solved[1]) for acted in m.done):
-        return m, length, rejected or (_refines(s, begin) and _gains_energy(s, begin, m, tried))
+        return m, length, rejected or _gains_energy(s, begin, m, tried)
     return m, length, False
-
-
-def _refines(s: System, begin: SceneState) -> bool:
-    """Return whether an island is moved in halves where it gains energy.
-
-    Many balls, whose impacts are captured, are not: in halves 200 of them err as much in position. With corners a gain
-    also tells of corners that pass each other.
-    """
-    return Budget().affords(begin) or not s.detector.of_balls(begin.contacts).all()
 
 
 def _gains_energy(s: System, begin: SceneState, m: StepResult, tried: Attempt) -> bool:
     """Return whether a move adds energy, or contacts turn far in it.
 
-    The energy is that of persistent contacts, and of contacts that could only take energy together with the projection:
-    what it lifts fell too deep before its impact, which took that energy, too.
+    The energy is that of persistent contacts, and that of the projection and of contacts that could only take energy
+    together: what is lifted fell too deep before its impact, which took that energy, too.
     """
     d, mid, works = s.dynamics, tried.mid, [a.works for a in m.done]
     if tried.turns_far.any():
         return True
-    # Contacts that rebound may give energy.
-    share = 0.0 if any((a.contacts.restitution > 0.0).any() for a in m.done) else 1.0
-    gained = sum(w.integration + max(0.0, w.projection + share * (w.normal + w.friction)) for w in works)
+    # Contacts that rebound may give energy, too.
+    most = 0.0 if any((a.contacts.restitution > 0.0).any() for a in m.done) else math.inf
+    gained = sum(w.integration + max(0.0, w.projection + min(w.normal + w.friction, most)) for w in works)
     if gained <= 0.0:
         return False
     # For bodies at rest, the scale is the energy that gravity gives in a move.
