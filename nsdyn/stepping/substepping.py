@@ -160,15 +160,16 @@ def _substep(
 def _gains_energy(s: System, begin: SceneState, m: StepResult, tried: Attempt) -> bool:
     """Return whether a move adds energy, or contacts turn far in it.
 
-    The energy is that of persistent contacts, and that of the projection and of contacts that could only take energy
-    together: what is lifted fell too deep before its impact, which took that energy, too.
+    The energy is that of persistent contacts, of the projection, and of contacts that could only take energy. What is
+    lifted after a captured impact fell too deep before it: the impact took that energy, too.
     """
     d, mid, works = s.dynamics, tried.mid, [a.works for a in m.done]
     if tried.turns_far.any():
         return True
-    # Contacts that rebound may give energy, too.
-    most = 0.0 if any((a.contacts.restitution > 0.0).any() for a in m.done) else math.inf
-    gained = sum(w.integration + max(0.0, w.projection + min(w.normal + w.friction, most)) for w in works)
+    least = 0.0 if Budget().affords(begin) else -math.inf
+    most = 0.0 if any((a.contacts.restitution > 0.0).any() for a in m.done) else math.inf  # rebounds may give energy
+    contacts = [min(max(w.normal + w.friction, least), most) for w in works]
+    gained = sum(w.integration + max(0.0, w.projection + own) for w, own in zip(works, contacts, strict=True))
     if gained <= 0.0:
         return False
     # For bodies at rest, the scale is the energy that gravity gives in a move.

@@ -46,8 +46,7 @@ class Options:
     or gained energy, since impulses at more configurations err less."""
 
     gain: float = 1e-5
-    """Largest energy that persistent contacts, and projections beyond what contacts took, may add in a move, over the
-    kinetic energy."""
+    """Largest energy that persistent contacts and projections may add in a move, over the kinetic energy."""
 
     stray: float = 3e-3
     """Largest energy, of either sign, that numerics may add to an articulated tree in a move, over the kinetic energy.
