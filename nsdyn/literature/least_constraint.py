@@ -28,7 +28,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -62,27 +61,18 @@ class Existence(IntEnum):
 class JointTerms:
     """Limits and dry friction of joints at the level of accelerations.
 
-    Attributes
-    ----------
-    limits : ndarray, shape (n, nl)
-        Column ±e_j of every limit that is reached and not being left: the acceleration away from it must be ≥ 0.
-    friction : ndarray, shape (n, nf)
-        Column e_j of every joint with dry friction.
-    bound : ndarray, shape (nf,)
-        τ_c, N m or N.
-    slip : ndarray, shape (nf,)
-        Sign of the joint's velocity, 0 for a joint at rest.
+    The acceleration away from a limit that is reached and not being left must be ≥ 0.
     """
 
-    limits: Array
-    friction: Array
-    bound: Array
-    slip: Array
+    limits: Array  # column ±e_j of every such limit, (n, nl)
+    friction: Array  # column e_j of every joint with dry friction, (n, nf)
+    bound: Array  # τ_c, N m or N, (nf,)
+    slip: Array  # sign of the joint's velocity, 0 for a joint at rest, (nf,)
 
     @property
     def turning(self) -> NDArray[np.bool_]:
         """Mask of joints with friction that move, shape (nf,)."""
-        return np.asarray(self.slip != 0.0)
+        return self.slip != 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +132,7 @@ class LeastConstraint:
         """Return the acceleration v̇ (n,) that minimises `functional` for bounds k [N]: the primal program, equation 58.
 
         It is a cone program in y and in bounds s for sticking contacts and resting joints, ‖a_T‖ ≤ s and |v̇_j| ≤ s.
-
-        Raises
-        ------
-        ValueError
-            If no acceleration is admissible: contacts and driven joints contradict each other.
+        ValueError if no acceleration is admissible: contacts and driven joints contradict each other.
         """
         mu, nc, joints, ny = self.contacts.mu, self.p.size // 3, self.joints, self.Z.shape[1]
         stick, still = np.flatnonzero(~self.sliding), np.flatnonzero(~joints.turning)
@@ -177,78 +163,68 @@ class LeastConstraint:
         for i in (1, 2):
             cones[:, i, :ny] = H[:, i::3].T[stick]
         offset = np.column_stack((np.zeros(stick.size), a0.reshape(-1, 3)[stick, 1:]))
-        A = sp.csc_matrix(-np.vstack((inequalities, cones.reshape(-1, n))))
-        y = _cone_program(P, cost, A, np.concatenate((bound, offset.ravel())), bound.size, stick.size)
+        A = -np.vstack((inequalities, cones.reshape(-1, n)))
+        y = _cone_program(P, cost, A, np.concatenate((bound, offset.ravel())), stick.size)
         if y is None:
             raise ValueError(f"scene must have an admissible acceleration: its {nc} contacts contradict its joints")
-        return np.asarray(self.given + self.Z @ y[:ny])
+        return self.given + self.Z @ y[:ny]
 
     def dual(self, k: Array) -> Array:
         """Return the dual program's forces for bounds k [N], shape (3 nc + nl + nf,): contacts, limits, joint friction.
 
         The bounds give the friction of sliding contacts and moving joints.
         """
-        mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
-        nl = joints.limits.shape[1]
-        friction = np.zeros((nc, 3))
-        friction[:, 1:] = -(mu * k)[:, None] * self.slip
-        out = np.concatenate((friction.ravel(), np.zeros(nl), -joints.bound * joints.slip))
-        slides = np.column_stack((np.zeros(nc, bool), self.sliding, self.sliding)).ravel()
-        unknown = ~np.concatenate((slides, np.zeros(nl, bool), joints.turning))
+        B, given, A, b = self._laws(k)
+        if not B.shape[1]:
+            return given
         G, kappa = self._delassus()
-        kappa = (kappa + G @ out)[unknown]
-        G = G[np.ix_(unknown, unknown)]
-        # γ ≥ 0 of contacts and limits, |τ| ≤ τ_c, then (μ k, γ_T) in the second-order cone for each sticking contact.
-        place = np.cumsum(unknown) - 1
-        stick, still = np.flatnonzero(~self.sliding), 3 * nc + nl + np.flatnonzero(~joints.turning)
-        pushes = np.concatenate((place[0 : 3 * nc : 3], place[3 * nc : 3 * nc + nl]))
-        eye = sp.csc_matrix(np.eye(kappa.size))
-        held, limit = place[still], joints.bound[~joints.turning]
-        rows = [-eye[pushes], -eye[held], eye[held]]
-        bound = [np.zeros(nc + nl), limit, limit]
-        for c in stick:
-            tangents = (-np.ones(2), ([1, 2], place[3 * c + 1 : 3 * c + 3]))
-            rows.append(sp.csc_matrix(tangents, shape=(3, kappa.size)))
-            bound.append(np.array([mu[c] * k[c], 0.0, 0.0]))
-        if kappa.size:
-            count = nc + nl + 2 * held.size
-            gamma = _cone_program(G, kappa, sp.vstack(rows, format="csc"), np.concatenate(bound), count, stick.size)
-            assert gamma is not None, "0 is feasible"
-            out[unknown] = gamma
-        return out
+        x = _cone_program(B.T @ G @ B, B.T @ (kappa + G @ given), A, b, int((~self.sliding).sum()))
+        assert x is not None, "0 is feasible"
+        return given + B @ x
 
     def acceleration(self, forces: Array) -> Array:
         """Return v̇ (n,) under the forces of `dual`."""
         pushed = self.f + self._columns() @ forces - self.M @ self.given
-        return np.asarray(self.given + self.Z @ (self.Z.T @ pushed))
+        return self.given + self.Z @ (self.Z.T @ pushed)
 
     def impossible(self) -> bool:
         """Whether no forces of the laws satisfy contacts and limits, with friction opposing any existing slip."""
+        (B, given, A, b), (G, kappa) = self._laws(None), self._delassus()
+        first, nl = self.p.size, self.joints.limits.shape[1]
+        apart = np.r_[0:first:3, first : first + nl]
+        A, b = np.vstack((-(G @ B)[apart], A)), np.concatenate(((kappa + G @ given)[apart], b))
+        nothing = np.zeros(B.shape[1])
+        return _cone_program(np.diag(nothing), nothing, A, b, int((~self.sliding).sum())) is None
+
+    def _laws(self, k: Array | None) -> tuple[Array, Array, Array, Array]:
+        """Return (B, γ_0, A, b): the laws allow forces γ = B x + γ_0, with b - A x ≥ 0 and, last, in cones.
+
+        x has normal forces, friction of sticking contacts, limits, and friction of resting joints. The bounds of
+        friction are μ k; without k they are μ times the normal forces in x.
+        """
         mu, nc, joints = self.contacts.mu, self.p.size // 3, self.joints
-        nl, nf = joints.limits.shape[1], joints.bound.size
-        G, kappa = self._delassus()
-        kappa = kappa + G[:, 3 * nc + nl :] @ (-joints.bound * joints.slip)
-        stick, still = np.flatnonzero(~self.sliding), np.flatnonzero(~joints.turning)
-        # γ of the unknowns: normal forces, friction of sticking contacts, limits, friction of resting joints.
-        cone = np.zeros((3 * nc + nl + nf, nc + 2 * stick.size + nl + still.size))
-        first = nc + 2 * stick.size
-        cone[np.arange(0, 3 * nc, 3), np.arange(nc)] = 1.0
-        for i in (0, 1):
-            cone[np.arange(1 + i, 3 * nc, 3), np.arange(nc)] = -mu * self.slip[:, i]
-            cone[3 * stick + 1 + i, nc + 2 * np.arange(stick.size) + i] = 1.0
-        cone[3 * nc + np.arange(nl), first + np.arange(nl)] = 1.0
-        cone[3 * nc + nl + still, first + nl + np.arange(still.size)] = 1.0
-        distances = np.concatenate((np.arange(0, 3 * nc, 3), 3 * nc + np.arange(nl)))
-        apart, eye = (G @ cone)[distances], np.eye(cone.shape[1])
-        disk = np.zeros((3 * stick.size, cone.shape[1]))
-        disk[0::3] = eye[stick] * mu[stick, None]
-        disk[1::3], disk[2::3] = eye[nc:first:2], eye[nc + 1 : first : 2]
-        held, limit = eye[first + nl :], joints.bound[still]
-        rows = sp.csc_matrix(-np.vstack((apart, eye[:nc], eye[first : first + nl], held, -held, disk)))
-        bound = np.concatenate((kappa[distances], np.zeros(nc + nl), limit, limit, np.zeros(3 * stick.size)))
-        nothing = np.zeros((cone.shape[1], cone.shape[1]))
-        linear = 2 * (nc + nl) + 2 * still.size
-        return _cone_program(nothing, np.zeros(cone.shape[1]), rows, bound, linear, stick.size) is None
+        stick, still, last = np.flatnonzero(~self.sliding), np.flatnonzero(~joints.turning), joints.limits.shape[1]
+        ends = np.cumsum([nc, 2 * stick.size, last, still.size])
+        normal, tangent, limit, rest = np.split(np.eye(ends[-1]), ends[:-1])
+        last += 3 * nc
+        B, given = np.zeros((last + joints.bound.size, ends[-1])), np.zeros(last + joints.bound.size)
+        B[0 : 3 * nc : 3], B[3 * nc : last], B[last + still] = normal, limit, rest
+        given[last:] = -joints.bound * joints.slip
+        cone, b = np.zeros((stick.size, 3, ends[-1])), np.zeros((stick.size, 3))
+        cone[:, 1:] = tangent.reshape(stick.size, 2, ends[-1])
+        for i in (1, 2):
+            B[3 * stick + i] = cone[:, i]
+            if k is None:
+                B[i : 3 * nc : 3] -= (mu * self.slip[:, i - 1])[:, None] * normal
+            else:
+                given[i : 3 * nc : 3] = -mu * k * self.slip[:, i - 1]
+        if k is None:
+            cone[:, 0] = mu[stick, None] * normal[stick]
+        else:
+            b[:, 0] = (mu * k)[stick]
+        bound, held = np.zeros(nc + limit.shape[0]), joints.bound[still]
+        A = -np.vstack((normal, limit, rest, -rest, cone.reshape(3 * stick.size, ends[-1])))
+        return B, given, A, np.concatenate((bound, held, held, b.ravel()))
 
     def _columns(self) -> Array:
         """Directions of all forces, shape (n, 3 nc + nl + nf)."""
@@ -291,8 +267,8 @@ class Acceleration:
     problem: LeastConstraint
 
 
-def _cone_program(P: Array, q: Array, A: Any, b: Array, linear: int, cones: int) -> Array | None:
-    """Minimise ½ xᵀ P x + qᵀ x under b - A x ≥ 0 (`linear` rows, then second-order cones); None if infeasible."""
+def _cone_program(P: Array, q: Array, A: Array, b: Array, cones: int) -> Array | None:
+    """Minimise ½ xᵀ P x + qᵀ x under b - A x ≥ 0, for the last 3 `cones` rows in those cones; None if infeasible."""
     try:
         import clarabel
     except ImportError as error:
@@ -305,9 +281,9 @@ def _cone_program(P: Array, q: Array, A: Any, b: Array, linear: int, cones: int)
     size = np.abs(P).max(initial=0.0) or 1.0
     load = max(np.abs(q).max(initial=0.0), np.abs(b).max(initial=0.0)) or 1.0
     unit = load / size if q.any() else load
-    spaces = [clarabel.NonnegativeConeT(linear)] + [clarabel.SecondOrderConeT(3)] * cones
+    spaces = [clarabel.NonnegativeConeT(b.size - 3 * cones)] + [clarabel.SecondOrderConeT(3)] * cones
     upper = sp.triu(sp.csc_matrix(P / size), format="csc")
-    solution = clarabel.DefaultSolver(upper, q / load, A, b / unit, spaces, settings).solve()
+    solution = clarabel.DefaultSolver(upper, q / load, sp.csc_matrix(A), b / unit, spaces, settings).solve()
     status = clarabel.SolverStatus
     if solution.status in (status.PrimalInfeasible, status.AlmostPrimalInfeasible):
         return None
@@ -320,11 +296,7 @@ def _cone_program(P: Array, q: Array, A: Any, b: Array, linear: int, cones: int)
 def accelerations(problem: LeastConstraint, tol: float = 1e-9) -> Acceleration:
     """Compute accelerations under Coulomb's law: k = γ_N by fixed-point iteration with Aitken's relaxation.
 
-    Parameters
-    ----------
-    problem : LeastConstraint
-    tol : float
-        Relative change of the normal forces at which the iteration ends.
+    It ends at a relative change `tol` of the normal forces.
     """
     nc = problem.p.size // 3
     k, omega = np.zeros(nc), 1.0
