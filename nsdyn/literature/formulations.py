@@ -14,6 +14,7 @@ derivatives are those of its appendix with the misprints corrected (finite diffe
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ Element = tuple[Array, Array, Array]
 def _steps(problem: FC3D, rho: Any) -> Array:
     """Return steps as an array (nc, 2), normal and tangential; ValueError unless they are positive."""
     given = 1.0 / problem.scales if rho is None else np.asarray(rho, dtype=float)
-    out: Array = np.broadcast_to(given[:, None] if given.ndim == 1 else given, (problem.nc, 2))
+    out = np.broadcast_to(given[:, None] if given.ndim == 1 else given, (problem.nc, 2))
     if not (out > 0.0).all():
         raise ValueError("rho must be positive")
     return out
@@ -59,33 +60,11 @@ def _direction(x: Array) -> tuple[Array, Array]:
 
 
 def _element(kind: int, u: Array, r: Array, mu: Array, rho: Array) -> Element:
+    """Map of that kind at u and r (nc, 3), with steps (nc, 1 or 2)."""
     steps = np.array(np.broadcast_to(rho, (mu.size, 2)))
     F, F_u, F_r = np.empty((mu.size, 3)), np.empty((mu.size, 3, 3)), np.empty((mu.size, 3, 3))
     _kernels.elements(kind, np.array(u), np.array(r), mu, steps, F, F_u, F_r)
     return F, F_u, F_r
-
-
-def natural_map(u: Array, r: Array, mu: Array, rho: Array) -> Element:
-    """F = r - P_K(r - ρ û), with F_r = I - J and F_u = ρ J ∂û/∂u, J an element of ∂P_K; ρ has shape (nc, 1 or 2)."""
-    return _element(_kernels.NATURAL, u, r, mu, rho)
-
-
-def jean_moreau(u: Array, r: Array, mu: Array, rho: Array) -> Element:
-    """F_N = r_N - (r_N - ρ_N u_N)₊ and F_T = r_T - P_D(r_T - ρ_T u_T) on the disk of radius μ (r_N)₊."""
-    return _element(_kernels.JEAN_MOREAU, u, r, mu, rho)
-
-
-def alart_curnier(u: Array, r: Array, mu: Array, rho: Array) -> Element:
-    """F_N = r_N - (r_N - ρ_N u_N)₊ and F_T = r_T - P_D(r_T - ρ_T u_T) on the disk of radius μ (r_N - ρ_N u_N)₊."""
-    return _element(_kernels.ALART_CURNIER, u, r, mu, rho)
-
-
-def fischer_burmeister(u: Array, r: Array, mu: Array, rho: Array) -> Element:
-    """F = x + y - (x² + y²)^½ in the Jordan algebra of the cone, with x = (μ r_N, r_T), y = ρ (û_N, μ u_T).
-
-    A contact with μ = 0 uses the scalar function of r_N and ρ u_N, and F_T = r_T.
-    """
-    return _element(_kernels.FISCHER_BURMEISTER, u, r, mu, rho)
 
 
 def xuewen_soh_wanji(u: Array, r: Array, mu: Array, rho: Array) -> Element:
@@ -117,32 +96,42 @@ def xuewen_soh_wanji(u: Array, r: Array, mu: Array, rho: Array) -> Element:
 
 
 ELEMENTS: dict[str, Callable[[Array, Array, Array, Array], Element]] = {
-    "alart-curnier": alart_curnier,
-    "fischer-burmeister": fischer_burmeister,
-    "jean-moreau": jean_moreau,
-    "natural": natural_map,
+    "alart-curnier": partial(_element, _kernels.ALART_CURNIER),
+    "fischer-burmeister": partial(_element, _kernels.FISCHER_BURMEISTER),
+    "jean-moreau": partial(_element, _kernels.JEAN_MOREAU),
+    "natural": partial(_element, _kernels.NATURAL),
 }
 """The maps (u, r, μ, ρ) → (F, ∂F/∂u, ∂F/∂r) by name."""
 
 
+def _at(problem: FC3D, r: Array, function: str, rho: Any) -> Element:
+    """Map of `ELEMENTS` at an impulse."""
+    split = function in ("alart-curnier", "jean-moreau")
+    step = _steps(problem, rho) if split else _uniform(problem, rho)[:, None]
+    return ELEMENTS[function](*_state(problem, r), problem.mu, step)
+
+
 def residual_natural_map(problem: FC3D, r: Array, rho: Any = None) -> Array:
     """Natural map r - P_K(r - ρ û), shape (3 nc,), N·s."""
-    return natural_map(*_state(problem, r), problem.mu, _uniform(problem, rho)[:, None])[0].ravel()
+    return _at(problem, r, "natural", rho)[0].ravel()
 
 
 def residual_jean_moreau(problem: FC3D, r: Array, rho: Any = None) -> Array:
     """(r_N - (r_N - ρ_N u_N)₊, r_T - P_D(r_T - ρ_T u_T)), D of radius μ (r_N)₊, shape (3 nc,), N·s."""
-    return jean_moreau(*_state(problem, r), problem.mu, _steps(problem, rho))[0].ravel()
+    return _at(problem, r, "jean-moreau", rho)[0].ravel()
 
 
 def residual_alart_curnier(problem: FC3D, r: Array, rho: Any = None) -> Array:
     """As Jean–Moreau, but D of radius μ (r_N - ρ_N u_N)₊, shape (3 nc,), N·s."""
-    return alart_curnier(*_state(problem, r), problem.mu, _steps(problem, rho))[0].ravel()
+    return _at(problem, r, "alart-curnier", rho)[0].ravel()
 
 
 def residual_fischer_burmeister(problem: FC3D, r: Array, rho: Any = None) -> Array:
-    """Fischer–Burmeister x + y - (x² + y²)^½ of the Jordan algebra, see `fischer_burmeister`, shape (3 nc,), N·s."""
-    return fischer_burmeister(*_state(problem, r), problem.mu, _uniform(problem, rho)[:, None])[0].ravel()
+    """x + y - (x² + y²)^½ in the Jordan algebra of the cone, x = (μ r_N, r_T), y = ρ (û_N, μ u_T), shape (3 nc,), N·s.
+
+    A contact with μ = 0 uses the scalar function of r_N and ρ u_N, and F_T = r_T.
+    """
+    return _at(problem, r, "fischer-burmeister", rho)[0].ravel()
 
 
 def residual_hueber_stadler_wohlmuth(problem: FC3D, r: Array, rho: Any = None) -> Array:
@@ -216,7 +205,7 @@ def quasi_variational_gap(problem: FC3D, r: Array, rho: Any = None) -> Array:
     """
     u, r = _state(problem, r)
     rho = _steps(problem, rho)
-    s = r - jean_moreau(u, r, problem.mu, rho)[0]  # the projection on the half-line times the disk
+    s = r - ELEMENTS["jean-moreau"](u, r, problem.mu, rho)[0]  # the projection on the half-line times the disk
     away = r - s
     scaled = away / np.column_stack((rho, rho[:, 1]))
     return np.asarray((u * away).sum(axis=1) - 0.5 * (away * scaled).sum(axis=1))
@@ -229,7 +218,8 @@ def residual_quasi_variational_inequality(problem: FC3D, r: Array, rho: Any = No
     u = W r + q is affine and monotone, but the set moves with r. The natural map r - P_C(r - ρ u) of the inequality is
     `residual_jean_moreau`.
     """
-    feasible = jean_moreau(np.zeros((problem.nc, 3)), _state(problem, r)[1], problem.mu, np.ones((problem.nc, 2)))[0]
+    r, ones = np.asarray(r, dtype=float), np.ones((problem.nc, 2))
+    feasible = ELEMENTS["jean-moreau"](np.zeros((problem.nc, 3)), r.reshape(-1, 3), problem.mu, ones)[0]
     return np.concatenate((quasi_variational_gap(problem, r, rho), feasible.ravel()))
 
 
@@ -249,17 +239,8 @@ def residual_bipotential(problem: FC3D, r: Array) -> Array:
 
 
 def jacobian(problem: FC3D, r: Array, function: str, rho: Any = None) -> sp.csr_array:
-    """Element ∂F/∂r + (∂F/∂u) W of the generalised Jacobian of a map of `ELEMENTS`, shape (3 nc, 3 nc).
-
-    Raises
-    ------
-    ValueError
-        For an unknown name; the message lists the known ones.
-    """
-    choice(function, sorted(ELEMENTS), "function")
-    split = function in ("alart-curnier", "jean-moreau")
-    step = _steps(problem, rho) if split else _uniform(problem, rho)[:, None]
-    _, F_u, F_r = ELEMENTS[function](*_state(problem, r), problem.mu, step)
+    """Element ∂F/∂r + (∂F/∂u) W of the generalised Jacobian of a map of `ELEMENTS`, shape (3 nc, 3 nc)."""
+    _, F_u, F_r = _at(problem, r, choice(function, sorted(ELEMENTS), "function"), rho)
     return sp.csr_array(block_diagonal(F_r) + block_diagonal(F_u) @ problem.W)
 
 
