@@ -58,16 +58,14 @@ class Run:
         self.problem, self.tol = problem, tol
         self.best = np.inf
         self.r: Array = np.zeros_like(problem.q) if r0 is None else np.array(r0, dtype=float)
-        self.now = np.inf
         self.done(self.r)
 
     def done(self, r: Array) -> bool:
         """Measure r, keep it if it is the best so far, and return whether the best one meets the tolerance."""
         _, error, residual, _ = self.problem.solved(r, self.tol)
-        self.now = max(error, residual)
-        if self.now < self.best:
-            self.best, self.r = self.now, r.copy()
-        return self.best <= self.tol
+        if (now := max(error, residual)) < self.best:
+            self.best, self.r = now, r.copy()
+        return self.over
 
     @cached_property
     def scaled(self) -> Equilibrated:

@@ -24,7 +24,7 @@ Inner = Callable[[Equilibrated, Array, Array, float], tuple[Array, int]]
 def slip_shift(scaled: Equilibrated, x: Array) -> Array:
     """De Saxcé's shift s = μ‖u_T‖, shape (nc,)."""
     u = (scaled.W @ x + scaled.q).reshape(-1, 3)
-    return np.asarray(scaled.mu * np.hypot(u[:, 1], u[:, 2]))
+    return scaled.mu * np.hypot(u[:, 1], u[:, 2])
 
 
 def normal_impulse(scaled: Equilibrated, x: Array) -> Array:
@@ -34,7 +34,7 @@ def normal_impulse(scaled: Equilibrated, x: Array) -> Array:
 
 def shifted(scaled: Equilibrated, s: Array) -> Array:
     """Free velocity with the shift added, q + s e_N."""
-    out: Array = scaled.q.copy()
+    out = scaled.q.copy()
     out[::3] += np.maximum(s, 0.0)
     return out
 

@@ -45,7 +45,6 @@ def march(run: Run, max_iter: int, rule: Rule, extra: bool) -> Solution:
                 break
             rho *= shrink
         if length == 0.0:
-            run.done(x / scaled.root)
             break
         if extra:
             _kernels.step_on_cones(x, F_trial, rho, scaled.mu, x)
@@ -56,8 +55,7 @@ def march(run: Run, max_iter: int, rule: Rule, extra: bool) -> Solution:
             rho /= shrink
         if count % CHECK == 0 and run.done(x / scaled.root):
             break
-    if count % CHECK:
-        run.done(x / scaled.root)
+    run.done(x / scaled.root)
     return run.finish(count)
 
 

@@ -34,22 +34,16 @@ def steps(problem: FC3D, rule: Rho) -> Array:
         return np.ones((problem.nc, 2))
     if rule == "one":
         return np.tile(problem.scales[:, None], (1, 2))
-    D = _diagonal_blocks(problem.W)
+    row = np.repeat(np.arange(problem.nc), np.diff(problem.W.indptr))
+    on = problem.W.indices == row
+    D = np.zeros((problem.nc, 3, 3))
+    D[row[on]] = problem.W.data[on]
     eigenvalues = np.linalg.eigvalsh(0.5 * (D + D.transpose(0, 2, 1))[:, 1:, 1:])
     # A direction in which the bodies cannot move (2D problems) has eigenvalue zero; its step only must be positive.
     low, high = np.maximum(eigenvalues, 1e-3 * problem.scales[:, None]).T
     normal = 1.0 / np.maximum(D[:, 0, 0], 1e-3 * problem.scales)
     tangent = 1.0 / high if rule == "split" else low / high**2
-    return np.asarray(problem.scales[:, None] * np.column_stack((normal, tangent)))
-
-
-def _diagonal_blocks(W: Any) -> Array:
-    """Return the blocks W_cc of a BSR array, shape (nc, 3, 3)."""
-    row = np.repeat(np.arange(W.indptr.size - 1), np.diff(W.indptr))
-    on = W.indices == row
-    out = np.zeros((W.indptr.size - 1, 3, 3))
-    out[row[on]] = W.data[on]
-    return out
+    return problem.scales[:, None] * np.column_stack((normal, tangent))
 
 
 def _length(merit: Callable[[float], float], start: float, search: Search) -> float:
@@ -84,19 +78,10 @@ def newton(
     done: Callable[[Array, float], bool],
     max_iter: int,
 ) -> tuple[Array, int, bool]:
-    """Apply Newton's method to a map of `ELEMENTS`; return (x, factorisations, whether `done` ended the iteration).
+    """Apply Newton's method to a map from x (3 nc,); return (x, factorisations, whether `done` ended the iteration).
 
-    Parameters
-    ----------
-    given : (W, q, mu)
-        W, sparse if a sparse factorisation is cheaper, free velocity and friction.
-    x : ndarray, shape (3 nc,)
-        Initial x.
-    method : (function, search, rho)
-        Name in `ELEMENTS`, line search of `_length`, and steps of the map, shape (nc, 2).
-    done : callable
-        done(x, ‖F(x)‖) is called at every iterate; True ends the iteration.
-    max_iter : int
+    `given` is (W, q, mu), with W sparse if a sparse factorisation is cheaper; `method` is (name in `ELEMENTS`, line
+    search of `_length`, steps (nc, 2) of the map). done(x, ‖F(x)‖) is called at every iterate; True ends the iteration.
     """
     (W, q, mu), (function, search, rho) = given, method
     element, nc = ELEMENTS[function], mu.size

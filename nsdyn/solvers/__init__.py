@@ -132,8 +132,7 @@ class Known(Mapping[str, type]):
 
     def __getitem__(self, name: str) -> type:
         home, made = HOMES[name]
-        out: type = getattr(import_module(f"nsdyn.{home}"), made)
-        return out
+        return getattr(import_module(f"nsdyn.{home}"), made)
 
     def __iter__(self) -> Iterator[str]:
         there = find_spec("nsdyn.literature") is not None
@@ -157,8 +156,7 @@ def __getattr__(name: str) -> Any:
 def by_name(name: str, tol: float = 1e-8) -> Solver:
     """Return the solver of that name at tolerance `tol`, and no looser; ValueError for a wrong name or tolerance."""
     made = SOLVERS[choice(name, SOLVERS, "solver")]
-    solver: Solver = made(tol=tol, loose=tol) if name == "auto" else made(tol=tol)
-    return solver
+    return made(tol=tol, loose=tol) if name == "auto" else made(tol=tol)
 
 
 def as_solver(given: str | Solver, tol: float = 1e-8) -> Solver:

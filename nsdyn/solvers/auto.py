@@ -95,25 +95,10 @@ CONVERGED = Status.CONVERGED  # a global, since looking up the attribute takes 7
 
 
 class Search:
-    """Search for the impulse of one island. It keeps the best impulse so far and counts the effort.
+    """Search for the impulse of one island, from an impulse r (3 nc,), N·s; tol, loose and effort are as in `Auto`.
 
-    Parameters
-    ----------
-    problem : FC3D
-    r : ndarray, shape (3 nc,)
-        Initial impulse, N·s.
-    tol, loose, effort : float
-        As in `Auto`.
-
-    Attributes
-    ----------
-    r, best : ndarray, float
-        Best impulse, written in place, and its measure.
-    count : int
-        Sweeps and factorisations so far.
-    spent, limit : float
-        Factorisations so far, where sweeps count as fractions, and their limit. The limit is infinite until the loose
-        tolerance is met.
+    The best impulse so far is in r, its measure in `best`. `count` are the sweeps and factorisations so far, `spent`
+    the factorisations, where sweeps count as fractions; their `limit` is infinite until the loose tolerance is met.
     """
 
     def __init__(self, problem: FC3D, r: Array, tol: float, loose: float, effort: float) -> None:

@@ -45,62 +45,32 @@ STEPS = 5
 
 
 class Point(NamedTuple):
-    """Point (z, t) with the impulse and velocity of the smoothed law.
+    """Point (z, t) with the impulse and velocity of the smoothed law; all but x and slip have the shape (3 nc,)."""
 
-    Attributes
-    ----------
-    x : ndarray, shape (3 nc + 1,)
-        z [N·s], the variable of the normal map, and t = log τ, τ in J.
-    r, u : ndarray, shape (3 nc,)
-        Impulse, N·s, and relative velocity, m/s, of the law.
-    slip : ndarray, shape (nc, 2)
-        λ, kg⁻¹, and D, (N·s)², of the law.
-    v : ndarray, shape (3 nc,)
-        W r + q, m/s.
-    defect : ndarray, shape (3 nc,)
-        G, m/s.
-    """
-
-    x: Array
-    r: Array
-    u: Array
-    slip: Array
-    v: Array
-    defect: Array
+    x: Array  # z [N·s], the variable of the normal map, (3 nc,), then t = log τ, τ in J
+    r: Array  # impulse of the law, N·s
+    u: Array  # relative velocity of the law, m/s
+    slip: Array  # λ, kg⁻¹, and D, (N·s)², of the law, (nc, 2)
+    v: Array  # W r + q, m/s
+    defect: Array  # G, m/s
 
 
 class Path:
     """Curve G(z, t) = W r + q - u - (τ / τ_0) G_0 = 0 of the smoothed laws. Any z_0 lies on it at any τ_0.
 
-    The curve begins at z_0 = r, an impulse (3 nc,) in N·s, and a τ_0 in J.
-
-    Attributes
-    ----------
-    W : Operator
-    q, mu, scales, q_norm
-        Of the problem: m/s, -, λ_max(W_cc) in kg⁻¹ and m/s.
-    kappa, k : ndarray, shapes (nc,) and (3 nc,)
-        κ of each contact and of each of its components, kg.
-    obeyed : ndarray of bool, shape (3 nc,)
-        Components that have an equation: all but the tangents of contacts without friction.
-    G0 : ndarray, shape (3 nc,)
-        W r + q - u at z_0 and τ_0, m/s.
-    t0 : float
-        log τ_0.
-    start : Point
-        First point of the curve.
+    The curve begins at `start`: z_0 = r, an impulse (3 nc,) in N·s, and a τ_0 in J.
     """
 
     def __init__(self, p: FC3D, W: Operator, r: Array, tau: float) -> None:
         self.W, self.q, self.mu, self.scales, self.q_norm = W, p.q, p.mu, p.scales, p.q_norm
-        self.kappa = STRETCH / p.scales
-        self.k = np.repeat(self.kappa, 3)
-        self.obeyed = np.repeat(p.mu > 0.0, 3)
+        self.kappa = STRETCH / p.scales  # κ of each contact, kg
+        self.k = np.repeat(self.kappa, 3)  # and of each of its components
+        self.obeyed = np.repeat(p.mu > 0.0, 3)  # components with an equation: not the tangents without friction
         self.obeyed[0::3] = True
         self.G0 = np.zeros_like(p.q)
         self.t0 = float(np.log(tau))
         begin = np.append(r, self.t0)
-        self.G0 = self.at(begin).defect
+        self.G0 = self.at(begin).defect  # W r + q - u at z_0 and τ_0, m/s
         self.start = self.at(begin)
 
     def at(self, x: Array) -> Point:
@@ -117,8 +87,7 @@ class Path:
         tau, part = float(np.exp(point.x[-1])), float(np.exp(point.x[-1] - self.t0))
         dr = np.empty(self.q.size)
         _kernels.rate(point.r, point.u, point.slip, self.mu, self.kappa, tau, dr)
-        out: Array = np.where(self.obeyed, self.W.product(dr) - (dr / self.k + part * self.G0), 0.0)
-        return out
+        return np.where(self.obeyed, self.W.product(dr) - (dr / self.k + part * self.G0), 0.0)
 
     def metric(self, t: float) -> Array:
         """Weights of (dz, dt): the z of a contact is in units of √(κ τ), the length that the smoothing rounds off."""
@@ -158,8 +127,7 @@ class Linear:
 
 def _unit(direction: Array, metric: Array) -> Array:
     """Return the direction scaled to unit length in the metric."""
-    out: Array = direction / np.sqrt(metric * direction @ direction)
-    return out
+    return direction / np.sqrt(metric * direction @ direction)
 
 
 @np.errstate(all="ignore")  # a point out of range is refused
@@ -192,33 +160,16 @@ def _corrected(path: Path, x: Array, plane: Array) -> tuple[Point | None, Array,
 
 
 class Following:
-    """Follow the path of smoothed laws from an impulse, with interruptions; the best impulse so far is in r.
+    """Follow the path of smoothed laws from an impulse r (3 nc,), with interruptions.
+
+    The best impulse so far is in `r`, its measure in `best`, the number of factorisations in `count`. The initial
+    smoothing τ_0 is `wide` times the square of the residual of the given r over λ_max(W_cc).
 
     The smoothed law of `_kernels.smoothing` has a solution for every z. As τ falls from large values to 0, the
     solutions form a path to a solution of Coulomb's law. Where many contacts slide, the path turns back in τ. Methods
     that only lower τ stall at such turning points. Here each step goes along the tangent, in z and t = log τ alike, and
     Newton's method returns to the path in the plane normal to the tangent (pseudo-arclength). On the way, where τ is
     small, Newton's method for Coulomb's law itself is tried.
-
-    Parameters
-    ----------
-    problem : FC3D
-    W : Operator
-    tol : float
-        Measure of r at which the search ends.
-    r : ndarray, shape (3 nc,)
-        Initial impulse, N·s.
-    wide : float
-        τ_0 λ_max(W_cc) over the square of the residual of r.
-
-    Attributes
-    ----------
-    r : ndarray, shape (3 nc,)
-        N·s.
-    count : int
-        Factorisations so far.
-    best : float
-        Measure of r.
 
     References
     ----------

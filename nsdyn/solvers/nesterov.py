@@ -20,16 +20,10 @@ CHECK = 10
 
 
 class Sweeps:
-    """Sweeps with momentum that can be interrupted and continued. The best impulse so far is in r.
+    """Sweeps with momentum that can be interrupted and continued: `count` so far; the measure of r is `best`.
 
-    For free bodies sweeps use the factors of W, else W itself, which need not be symmetric.
-
-    Attributes
-    ----------
-    count : int
-        Sweeps so far.
-    best : float
-        Measure of r.
+    The best impulse so far is in r. For free bodies sweeps use the factors of W, else W itself, which need not be
+    symmetric.
     """
 
     def __init__(self, problem: FC3D, r: Array) -> None:

@@ -33,16 +33,8 @@ MARGIN = 0.99
 class Multipliers:
     """Proximal method of multipliers of `_kernels.newton`, with interruptions. The best impulse so far is in r.
 
-    For an island of few coordinates each run is one kernel call that starts from the best impulse.
-
-    Attributes
-    ----------
-    count : int
-        Factorisations so far.
-    best : float
-        Measure of r.
-    ended : bool
-        Whether no penalty is left to try.
+    Its measure is `best`, after `count` factorisations; the method has `ended` if no penalty is left to try. For an
+    island of few coordinates each run is one kernel call that starts from the best impulse.
     """
 
     def __init__(self, problem: FC3D, W: Operator, r: Array, penalty: float) -> None:
