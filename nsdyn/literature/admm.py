@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from functools import cache
+from typing import Annotated
 
 import numpy as np
 
@@ -56,11 +57,17 @@ class ADMM(Options, Method):
     def _solve(self, run: Run) -> Solution:
         scaled = run.scaled
         W, top = matrix(scaled.W), scaled.largest_eigenvalue()
-        solves: dict[int, Callable[[Array], Array] | None] = {}
+
+        @cache
+        def penalty(power: int) -> tuple[float, Callable[[Array], Array] | None]:
+            """Return (ρ, function that solves with W + (η + ρ) I) for an exponent p in twentieths."""
+            rho = float(np.sqrt(PROXIMAL * top) * (top / PROXIMAL) ** (0.05 * power))
+            return rho, factor(with_blocks(W, (PROXIMAL + rho) * np.eye(3)))
+
         power = 4  # p = 0.2 in twentieths
         x = run.r * scaled.root
         z, y = x.copy(), -(W @ x + scaled.q)
-        rho, solve = _penalty(W, top, power, solves)
+        rho, solve = penalty(power)
         k = 0
         for k in range(1, self.max_iter + 1):
             if solve is None:
@@ -80,15 +87,5 @@ class ADMM(Options, Method):
             move = int(primal > 10.0 * dual) - int(dual > 10.0 * primal)
             if move and -10 <= power + move <= 20:
                 power += move
-                rho, solve = _penalty(W, top, power, solves)
+                rho, solve = penalty(power)
         return run.finish(k)
-
-
-def _penalty(
-    W: Any, top: float, power: int, solves: dict[int, Callable[[Array], Array] | None]
-) -> tuple[float, Callable[[Array], Array] | None]:
-    """Return (ρ, function that solves with W + (η + ρ) I) for an exponent p in twentieths."""
-    rho = float(np.sqrt(PROXIMAL * top) * (top / PROXIMAL) ** (0.05 * power))
-    if power not in solves:
-        solves[power] = factor(with_blocks(W, (PROXIMAL + rho) * np.eye(3)))
-    return rho, solves[power]

@@ -73,10 +73,8 @@ class Proximal(Options, Method):
             def done(y: Array, size: float, target: float = target) -> bool:
                 return run.done(y / scaled.root) or size <= target
 
-            given, method = (
-                (with_blocks(W, alpha * np.eye(3)), scaled.q - alpha * x, scaled.mu),
-                (self.function, self.search, rho),
-            )
+            given = with_blocks(W, alpha * np.eye(3)), scaled.q - alpha * x, scaled.mu
+            method = self.function, self.search, rho
             new, used, ended = newton(given, x, method, done, min(self.inner, self.max_iter - count))
             count += max(used, 1)
             if run.over:

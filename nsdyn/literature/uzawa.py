@@ -63,14 +63,12 @@ class Uzawa(Options, Method):
 
     @np.errstate(over="ignore", invalid="ignore")  # the status reports divergence
     def _solve(self, run: Run) -> Solution:
-        length: list[float] = []  # computed once per problem, not once per pass
+        length = self.step / run.scaled.largest_eigenvalue()
 
         def inner(scaled: Equilibrated, theta: Array, x: Array, goal: float) -> tuple[Array, int]:
-            if not length:
-                length.append(self.step / scaled.largest_eigenvalue())
-            iterates = uzawa_iterates(scaled.csr, scaled.q, scaled.mu * np.maximum(theta, 0.0), length[0], x)
+            iterates = uzawa_iterates(scaled.csr, scaled.q, scaled.mu * np.maximum(theta, 0.0), length, x)
             for k, new in zip(range(1, 20_001), iterates, strict=False):
-                if k % 10 == 0 and np.linalg.norm(new - x) <= goal * length[0]:
+                if k % 10 == 0 and np.linalg.norm(new - x) <= goal * length:
                     break
                 x = new
             return new, k
