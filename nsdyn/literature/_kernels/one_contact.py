@@ -11,51 +11,54 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.cones import coulomb, project, projection_jacobian
 from nsdyn._kernels.problem.given import velocity_of
-from nsdyn._kernels.vectors import adjugate, square
+from nsdyn._kernels.vectors import adjugate, along, dot, minus, row, square, three
 
 PROJECTION, ITERATED, EXACT, ALART_CURNIER, JEAN_MOREAU, NATURAL, FISCHER_BURMEISTER = range(7)
 
 
 @no_alloc
-def _product(W, q, r, u):
+def _velocity(W, q, r):
     """Return u = W r + q."""
-    for i in range(3):
-        u[i] = W[i, 0] * r[0] + W[i, 1] * r[1] + W[i, 2] * r[2] + q[i]
+    return dot(row(W, 0), r) + q[0], dot(row(W, 1), r) + q[1], dot(row(W, 2), r) + q[2]
 
 
 @no_alloc
-def _shifted(u, mu, out):
-    """Compute û = u + mu |u_T| e_N, into out."""
-    out[0] = u[0] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
-    out[1], out[2] = u[1], u[2]
+def _step(r, rho, hat, mu):
+    """Return P_K(r - rho û)."""
+    z0, z1, z2 = along(r, -rho, hat)
+    return project(z0, z1, z2, mu)
 
 
-@kernel
+@no_alloc
+def _shifted(W, q, r, mu):
+    """Return û = u + mu |u_T| e_N at u = W r + q."""
+    u0, u1, u2 = _velocity(W, q, r)
+    return u0 + mu * math.sqrt(u1 * u1 + u2 * u2), u1, u2
+
+
+@no_alloc
 def iterate(W, q, mu, rho, goal, most, r):
     """Fixed point r ← P_K(r - rho û) with Khobotov's step, in place of r; return the number of iterations."""
-    u, F, v, G = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    _product(W, q, r, u)
-    _shifted(u, mu, F)
+    x = three(r, 0)
+    F = _shifted(W, q, x, mu)
     for k in range(1, most + 1):
-        ratio, moved, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0
+        ratio, moved, y, G = 0.0, 0.0, x, F
         for _ in range(50):
-            x0, x1, x2 = project(r[0] - rho * F[0], r[1] - rho * F[1], r[2] - rho * F[2], mu)
-            d0, d1, d2 = r[0] - x0, r[1] - x1, r[2] - x2
-            moved = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+            y = _step(x, rho, F, mu)
+            way = minus(x, y)
+            moved = math.sqrt(dot(way, way))
             if moved <= goal:
                 break
-            v[0], v[1], v[2] = x0, x1, x2
-            _product(W, q, v, u)
-            _shifted(u, mu, G)
-            turn = math.sqrt(square(F[0] - G[0]) + square(F[1] - G[1]) + square(F[2] - G[2]))
-            ratio = rho * turn / moved
+            G = _shifted(W, q, y, mu)
+            turn = minus(F, G)
+            ratio = rho * math.sqrt(dot(turn, turn)) / moved
             if ratio <= 0.9:
                 break
             rho *= 2.0 / 3.0
-        r[0], r[1], r[2] = x0, x1, x2
+        x, F = y, G
+        r[0], r[1], r[2] = x
         if moved <= goal:
             return k
-        F[:] = G
         if ratio < 0.3:
             rho *= 1.5
     return most
@@ -175,7 +178,7 @@ def element(kind, u, r, mu, rho, F, A, B):
     ----------
     kind : int
         ALART_CURNIER, JEAN_MOREAU, NATURAL or FISCHER_BURMEISTER.
-    u, r : ndarray, shape (3,)
+    u, r : (float, float, float)
         Relative velocity, m/s, and impulse, N·s.
     mu : float
     rho : (float, float)
@@ -198,7 +201,7 @@ def element(kind, u, r, mu, rho, F, A, B):
 def elements(kind, u, r, mu, rho, F, A, B):
     """Compute `element` of every contact, with steps rho (nc, 2), into F (nc, 3), A and B (nc, 3, 3)."""
     for c in range(mu.size):
-        element(kind, u[c], r[c], mu[c], (rho[c, 0], rho[c, 1]), F[c], A[c], B[c])
+        element(kind, row(u, c), row(r, c), mu[c], (rho[c, 0], rho[c, 1]), F[c], A[c], B[c])
 
 
 @kernel
@@ -224,14 +227,12 @@ def newton(kind, W, q, mu, rho, goal, most, r):
 
     Takes at least one step. Otherwise contacts that each meet a goal given from outside would never move again.
     """
-    u, F, A, B = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    _product(W, q, r, u)
-    size = element(kind, u, r, mu, (rho, rho), F, A, B)
+    F, A, B = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    size = element(kind, _velocity(W, q, three(r, 0)), three(r, 0), mu, (rho, rho), F, A, B)
     for k in range(most):
         if (k > 0 and not size > goal) or size == 0.0 or not _newton_step(W, A, B, F, r):
             return size, k
-        _product(W, q, r, u)
-        size = element(kind, u, r, mu, (rho, rho), F, A, B)
+        size = element(kind, _velocity(W, q, three(r, 0)), three(r, 0), mu, (rho, rho), F, A, B)
     return size, most
 
 
@@ -246,16 +247,12 @@ def solve(kind, W, q, mu, rho, goal, most, r):
         return 1
     if kind == ITERATED:
         return iterate(W, q, mu, rho, goal, most, r)
-    r0, r1, r2, used = r[0], r[1], r[2], 0
+    start, used = three(r, 0), 0
     if kind != PROJECTION:
         size, used = newton(kind, W, q, mu, rho, goal, most, r)
         if size <= goal:  # false for NaN
             return used
-        r[0], r[1], r[2] = r0, r1, r2
-    u = np.empty(3)
-    _product(W, q, r, u)
-    s = mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
-    r[0], r[1], r[2] = project(r0 - rho * (u[0] + s), r1 - rho * u[1], r2 - rho * u[2], mu)
+    r[0], r[1], r[2] = _step(start, rho, _shifted(W, q, start, mu), mu)
     return used + 1
 
 
