@@ -7,7 +7,8 @@ path. With Nesterov and Todd's matrix T (T z = T⁻¹ x = λ) the Newton step al
 
 So (I + A W) p = g gives du = W p - F, with g = E T⁻¹ d + A F and F the defect u - W r - q. u stays linear in the
 step; its only constraint is u_N > 0. z moves along the cone, because the direction of slip may turn. All quantities
-are in units in which max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has only its normal component.
+are in units in which max |q| = 1 and the mean of λ_max(W_cc) = 1. A contact with μ = 0 has only its normal component:
+the tangents of its x and z are 0, and remain so.
 """
 
 import math
@@ -119,10 +120,6 @@ def scaling(u, z, mu, T, V, C, A, lam):
                 for l in range(3):
                     square = V[c, i, 0] * V[c, 0, l] + V[c, i, 1] * V[c, 1, l] + V[c, i, 2] * V[c, 2, l]
                     A[c, i, j] += e * square * C[c, l, j]
-        if mu[c] == 0.0:
-            for i in range(1, 3):
-                for j in range(3):
-                    A[c, i, j] = A[c, j, i] = 0.0
     return total / mu.size
 
 
@@ -153,8 +150,6 @@ def right_side(mu, V, A, d, F, g):
         for i in range(3):
             e = 1.0 / mu[c] if i == 0 and mu[c] > 0.0 else 1.0
             g[3 * c + i] = e * one[i] + other[i]
-        if mu[c] == 0.0:
-            g[3 * c + 1] = g[3 * c + 2] = 0.0
 
 
 @no_alloc
@@ -175,8 +170,6 @@ def recover(mu, V, C, d, F, Wp, du, dx, dz):
         put(du, c, minus(three(Wp, 3 * c), row(F, c)))
         put(dx, c, product(C, c, row(du, c)))
         put(dz, c, product(V, c, minus(row(d, c), product(V, c, row(dx, c)))))
-        if mu[c] == 0.0:
-            dz[c, 1] = dz[c, 2] = 0.0
 
 
 @no_alloc
