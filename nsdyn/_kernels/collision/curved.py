@@ -2,12 +2,12 @@
 
 import math
 
-from nsdyn._kernels.collision.geometry import smaller
+from nsdyn._kernels.collision.geometry import smaller, write
 from nsdyn._kernels.collision.kinds import curvature, has_rim, opposite
 from nsdyn._kernels.collision.segments import ANGLE
 from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, separation
 from nsdyn._kernels.compiled import no_alloc
-from nsdyn._kernels.vectors import along, axis, cross, dot, minus, perpendicular, put, row, square, times, unit
+from nsdyn._kernels.vectors import along, axis, cross, dot, minus, perpendicular, row, square, times, unit
 
 PROJECTIONS = 60
 """Most projections onto two disks in turns: enough for rims that cross at 0.5 rad."""
@@ -171,6 +171,4 @@ def smooth(geometry, i, j, n, lines, out, at):
         foot = along(along(start, s, d), side * radius, m)
         a, b = (foot, b) if valid1 else (a, foot)
     a, b = meeting(geometry, i, j, m, a, b)
-    put(out.normal, at, m)
-    put(out.point, at, times(0.5, along(a, 1.0, b)))
-    out.gap[at] = value
+    write(out, at, times(0.5, along(a, 1.0, b)), m, value)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsdyn._kernels.compiled import no_alloc
+from nsdyn._kernels.vectors import put, row
 
 
 class Geometry(NamedTuple):
@@ -40,6 +41,20 @@ class Found(NamedTuple):
     point: np.ndarray
     normal: np.ndarray
     gap: np.ndarray
+
+
+@no_alloc(forceinline=True)
+def write(out, at, point, normal, gap):
+    """Write a contact into row `at` of a `Found`."""
+    put(out.point, at, point)
+    put(out.normal, at, normal)
+    out.gap[at] = gap
+
+
+@no_alloc(forceinline=True)
+def move(out, source, at):
+    """Copy the contact of row `source` to row `at` of a `Found`."""
+    write(out, at, row(out.point, source), row(out.normal, source), out.gap[source])
 
 
 @no_alloc(forceinline=True)

@@ -26,7 +26,7 @@ from typing import NamedTuple
 from nsdyn._kernels.collision.clipping import Room, merge, on_border, over_face
 from nsdyn._kernels.collision.curved import smooth
 from nsdyn._kernels.collision.faces import best_normal, reference_face
-from nsdyn._kernels.collision.geometry import Found, Placed, smaller
+from nsdyn._kernels.collision.geometry import Found, Placed, move, smaller, write
 from nsdyn._kernels.collision.keys import CLOSED
 from nsdyn._kernels.collision.kinds import (
     HALFSPACE,
@@ -112,9 +112,7 @@ def closest_features(geometry, i, j, n, face, out, at):
         for rim in range(2):
             smooth(geometry, i, j, n, ((p1, q1, radius1, rim == 1), (p2, q2, radius2, rim == 0)), out, at + 1)
             if out.gap[at + 1] > out.gap[at]:
-                put(out.point, at, row(out.point, at + 1))
-                put(out.normal, at, row(out.normal, at + 1))
-                out.gap[at] = out.gap[at + 1]
+                move(out, at + 1, at)
     return 1
 
 
@@ -219,9 +217,7 @@ def pair_contacts(geometry, i, j, given, room, out, at):
             continue
         elif overlap < 0.0:
             height -= overlap * dot(row(out.normal, at), m)
-        put(out.point, at + total, p)
-        put(out.normal, at + total, n)
-        out.gap[at + total] = height
+        write(out, at + total, p, n, height)
         total += 1
     return total
 
@@ -264,9 +260,8 @@ def ball_contact(geometry, i, j, out, at):
     for h, g, sign in ((i, j, 1.0), (j, i, -1.0)):
         if geometry.kind[h] == HALFSPACE and geometry.kind[g] == SPHERE:
             n, c, radius = to_world(geometry.R, h, row(geometry.size, h)), row(geometry.t, g), geometry.size[g, 0]
-            out.gap[at] = dot(n, minus(c, row(geometry.t, h))) - geometry.offset[h] - radius
-            put(out.point, at, along(c, -radius, n))
-            put(out.normal, at, times(sign, n))
+            gap = dot(n, minus(c, row(geometry.t, h))) - geometry.offset[h] - radius
+            write(out, at, along(c, -radius, n), times(sign, n), gap)
             return True
     return False
 
@@ -275,18 +270,10 @@ def ball_contact(geometry, i, j, out, at):
 def manifolds(geoms, pairs, room, found):
     """Contacts of all candidate pairs; returns their number. The arguments are plain tuples.
 
-    Parameters
-    ----------
-    geoms : tuple
-        Fields of `Geometry`, R, t, reach and slack: the way that a point of a geom may still move, and the distance of
-        its surface from that of its core.
-    pairs : tuple
-        first, second, slot, coal and base: ``coal[slot[p]]`` has the distance and normal of the cores of pair p, where
-        slot[p] ≥ 0; ``base[p]`` plus the reach of both geoms is the largest gap of interest.
-    room : tuple
-        Of `Room`.
-    found : tuple
-        point, normal, gap and pair, with room for `room.limit` contacts per pair.
+    geoms = (fields of `Geometry`, R, t, reach, slack): the way that a point of a geom may still move, and the distance
+    of its surface from that of its core. pairs = (first, second, slot, coal, base): ``coal[slot[p]]`` has the distance
+    and normal of the cores of pair p, where slot[p] ≥ 0; ``base[p]`` plus the reach of both geoms is the largest gap of
+    interest. found = (point, normal, gap, pair) has room for `room.limit` contacts per pair; `room` is that of `Room`.
     """
     fields, R, t, reach, slack = geoms
     first, second, slot, coal, base = pairs
@@ -314,9 +301,7 @@ def manifolds(geoms, pairs, room, found):
         kept = total
         for k in range(total, total + count):
             if gap[k] <= margin:
-                put(point, kept, row(point, k))
-                put(normal, kept, row(normal, k))
-                gap[kept] = gap[k]
+                move(out, k, kept)
                 pair[kept] = p
                 kept += 1
         total = kept

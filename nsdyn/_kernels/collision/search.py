@@ -61,7 +61,7 @@ def seek(geoms, pairs, limit, placed, poses):
 
 @no_alloc
 def gather(geoms, pairs, tolerance, memory, next_key, out):
-    """Write the contacts found by `seek` into out, with data of their pairs and geoms; then `match` them.
+    """Write the contacts found by `seek` into out, with data of their pairs and geoms, and return the key of `match`.
 
     Parameters
     ----------
@@ -76,11 +76,6 @@ def gather(geoms, pairs, tolerance, memory, next_key, out):
     out : tuple
         Arrays of exactly this size: names, shape (5, nc), both geoms, both frames, key; points, shape (4, nc, 3),
         point, normal, the point in the frames of both geoms; scalars, shape (3, nc), gap, mu, restitution.
-
-    Returns
-    -------
-    int
-        The next key.
     """
     (f, i), (p, j), (names, points, scalars) = geoms, pairs, out
     point, normal, gap, pair = triples(p, j, POINT), triples(p, j, NORMAL), numbers(p, j, GAP), indices(j, PAIR, PAIRS)

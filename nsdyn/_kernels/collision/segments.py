@@ -1,6 +1,6 @@
 """Segments with a radius (edges, corners, spheres, capsules, sides of cylinders), and contacts of two of them."""
 
-from nsdyn._kernels.collision.geometry import smaller
+from nsdyn._kernels.collision.geometry import move, smaller, write
 from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_corner, has_rim, is_round, segment, side
 from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, may_meet, separation
 from nsdyn._kernels.compiled import no_alloc
@@ -10,7 +10,6 @@ from nsdyn._kernels.vectors import (
     dot,
     minus,
     perpendicular,
-    put,
     row,
     square,
     times,
@@ -65,9 +64,8 @@ def touch(a, radius1, b, radius2, n, out, at):
     """Write the contact of two balls (or of two points, with the known normal n) at index `at`."""
     if radius1 + radius2 > 0.0:
         n, _ = unit(minus(b, a))
-    out.gap[at] = dot(n, minus(b, a)) - radius1 - radius2
-    put(out.normal, at, n)
-    put(out.point, at, times(0.5, along(along(along(a, radius1, n), 1.0, b), -radius2, n)))
+    point = times(0.5, along(along(along(a, radius1, n), 1.0, b), -radius2, n))
+    write(out, at, point, n, dot(n, minus(b, a)) - radius1 - radius2)
 
 
 @no_alloc(forceinline=True)
@@ -110,9 +108,8 @@ def at_ends(one, two, n, known, tiny, out, at):
             own, line = (b, e, radius2, flat2), (p1, d, length1, radius1, flat1)
             if s == 0.0 or s == length1:
                 sign, own, line = 1.0, (along(p1, s, d), d, radius1, flat1), (p2, e, length2, radius2, flat2)
-            m, middle, out.gap[at + count], distance, _ = end_opposite(own, line)
-            put(out.normal, at + count, times(sign, m))
-            put(out.point, at + count, middle)
+            m, middle, gap, distance, _ = end_opposite(own, line)
+            write(out, at + count, middle, times(sign, m), gap)
             apart = distance > tiny
         else:  # edges that touch lie one above the other, not side by side in almost parallel faces
             a = along(p1, s, d)
@@ -150,9 +147,7 @@ def segments(geometry, i, j, lines, n, out, at):
         if count == 2 and rounded and crosses and distance > tiny:
             # Round segments that cross are closer there than at the ends, by half of (tilt · way)² over the radii.
             if distance - radius1 - radius2 < min(out.gap[at], out.gap[at + 1]) - INSIDE * size:
-                put(out.point, at + 2, row(out.point, at))
-                put(out.normal, at + 2, row(out.normal, at))
-                out.gap[at + 2] = out.gap[at]
+                move(out, at, at + 2)
                 touch(a, radius1, b, radius2, n, out, at)
                 count = 3
         if count >= 2:
@@ -162,9 +157,7 @@ def segments(geometry, i, j, lines, n, out, at):
         if known:
             return 0
         m = common if sine >= PARALLEL else perpendicular(d if length1 > 0.0 else e)
-        put(out.normal, at, m)
-        put(out.point, at, a)
-        out.gap[at] = -radius1 - radius2
+        write(out, at, a, m, -radius1 - radius2)
         return 1
     m = n
     if crosses:
@@ -258,8 +251,6 @@ def ends(geometry, i, j, n, margin, out, at, count):
             away = minus(middle, row(out.point, at + q))
             new = new and dot(away, away) > near * near
         if new:
-            put(out.point, at + count, middle)
-            put(out.normal, at + count, times(sign, m))
-            out.gap[at + count] = height
+            write(out, at + count, middle, times(sign, m), height)
             count += 1
     return count
