@@ -7,7 +7,7 @@ import numpy as np
 from nsdyn._kernels.compiled import kernel, no_alloc
 from nsdyn._kernels.problem.blocks import relative_velocity
 from nsdyn._kernels.reductions import copy
-from nsdyn._kernels.stepping.law import NO_SLIP, OPEN, SLIP, STICK
+from nsdyn._kernels.stepping.law import NO_SLIP, OPEN, SLIP, STICK, state
 from nsdyn._kernels.stepping.touching import last_status, places
 from nsdyn._kernels.vectors import along, dot, put, row, square, times, to_local
 
@@ -19,13 +19,6 @@ fraction of the gap tolerance."""
 LEFT = 1e-8
 """Fraction of a relative velocity, and of the drift of its rows, that the solver's tolerance leaves as an error: bodies
 that fall together, where forces change the relative velocity by no more than that, have no contact impulse."""
-
-JOLT = 1.0
-"""Largest approach speed that counts as an error of the motion, in units of the drift of the rows over half a move: the
-drift is of first order, errors are of second. Where no body turns there are no such errors: an approach is stopped."""
-
-ARM = 1.0
-"""Largest distance by which a couple shifts a contact force, in units of h ω R, the way of body points in the move."""
 
 NO_ARM, NO_WORK, NOISE = 1e-10, 1e-13, 1e-10
 """Shifts of the force, as a fraction of R, below which bodies may be at rest and get no couple; works, as fractions of
@@ -39,8 +32,9 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
 
     A contact stays if it had an impulse in the last move. It also stays if it was closed where this move begins and did
     not approach. The same holds for joint limits, but open ones never stay. A contact does not stay if it overlaps (is
-    squeezed), strikes or separates: an approach in h s faster than `JOLT` drifts of the rows is a motion of the bodies
-    and no error. Rows of a contact that strikes lose the drift of the bodies, which turn otherwise after the impact.
+    squeezed), strikes or separates: an approach in h s faster than the drift of the rows is a motion of the bodies and
+    no error. The drift is of first order, errors are of second; where no body turns there are none. Rows of a contact
+    that strikes lose the drift of the bodies, which turn otherwise after the impact.
 
     A contact that stuck sticks however it approaches, because its slip is an error. A contact that stays and did not
     slip at the beginning sticks too. Gaps within the gap tolerance of rows that do not turn are set to 0. Returns
@@ -90,7 +84,7 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
         speed = math.sqrt(square(u_begin[i]) + square(u_begin[i + 1]) + square(u_begin[i + 2]))
         bent = math.sqrt(square(jacobian_drift[i]) + square(jacobian_drift[i + 1]) + square(jacobian_drift[i + 2]))
         still = STILL * (abs(u_free[i] - u[i]) + max(0.0, -jacobian_drift[i])) - LEFT * (speed + bent)
-        if c < nc and u_begin[i] < -(JOLT * bent + closed / h):
+        if c < nc and u_begin[i] < -(bent + closed / h):
             for j in range(i, i + 3):
                 rest = quicker[j] if quicker.size > 0 else 0.0
                 if j == i:
@@ -100,7 +94,7 @@ def persists(names, geoms, warm, begin, limits, local, end_gap, struck, out):
             continue
         if old == OPEN and (not known or abs(u_begin[i]) >= still):
             continue
-        stays[c] = abs(u_begin[i]) <= JOLT * bent + closed / h
+        stays[c] = abs(u_begin[i]) <= bent + closed / h
         if c < nc:
             slip = math.sqrt(square(u_begin[i + 1]) + square(u_begin[i + 2]))
             sticks[c] = old == STICK or (stays[c] and old == OPEN and slip <= still)
@@ -135,7 +129,7 @@ def add_couple(f, sign, couple, R, inverse_J, dv):
 @no_alloc
 def holds(i, r, y, mu):
     """Whether the contact with the rows from i on does not slip, at r and y = W r + b."""
-    if math.sqrt(square(r[i + 1]) + square(r[i + 2])) < mu * r[i] * (1.0 - 1e-9):
+    if state(r, mu, i) == STICK:
         return True
     # Of redundant contacts that share an impulse some may be at the friction limit without slip.
     return math.sqrt(square(y[i + 1]) + square(y[i + 2])) <= LEFT
@@ -147,9 +141,10 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
 
     w = Σ r·ū is the work of the contacts of a pair of shapes: normal work, and tangential work of those that stick. ω̄
     is the angular velocity of body 2 relative to body 1. The couple on body 2 is -w ω̄/‖ω̄‖², on body 1 the opposite,
-    as if the contact forces acted at shifted points, by at most `ARM` h ‖ω̄‖ R. If no contact sticks, ω̄ is taken
-    perpendicular to the normal, because a normal force has no moment about it. Contacts share the couple in proportion
-    to their normal impulses. Velocities are relative to moving surfaces, whose own work is booked separately.
+    as if the contact forces acted at shifted points, by at most h ‖ω̄‖ R, the way of body points. If no contact sticks,
+    ω̄ is taken perpendicular to the normal, because a normal force has no moment about it. Contacts share the couple in
+    proportion to their normal impulses. Velocities are relative to moving surfaces, whose own work is booked
+    separately.
 
     Parameters
     ----------
@@ -170,12 +165,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
         couple, shape (nc, 3), on body 2, world axes, N·m·s: the couples so far, replaced where the work is not 0; dv,
         shape (n,), the change of v by the couples; left, shape (nc,), the work that the couples of the pair leave, J,
         on entry that of the pass before, infinite if there was none or its gaps were different; other, shape (nc,),
-        whether the new couples differ from those so far by more than round-off.
-
-    Returns
-    -------
-    bool
-        Whether any couple differs.
+        whether the new couples differ from those so far by more than round-off: the result is whether any does.
     """
     names, normal = contacts[0], contacts[1][1]
     geom1, geom2, frame1, frame2 = names[0], names[1], names[2], names[3]
@@ -207,7 +197,7 @@ def couples(blocks, contacts, mean, bodies, pressed, flags, found):
             turning = along(spin_of(b, free, R, mean), -1.0, spin_of(a, free, R, mean))
             if not held:
                 turning = along(turning, -dot(row(normal, first), turning), row(normal, first))
-            most = ARM * joint_load * h * math.sqrt(dot(turning, turning)) * size
+            most = joint_load * h * math.sqrt(dot(turning, turning)) * size
         if most > NO_ARM * joint_load * size:
             speed = math.sqrt(dot(turning, turning))
             amount = min(max(-work / speed, -most), most)
