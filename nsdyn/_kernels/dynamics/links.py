@@ -37,18 +37,10 @@ def quaternions(R, out):
 def rows(trees, contacts, frame, start, H):
     """Add the rows of Hᵀ on links of trees to H; a contact between two links of one tree adds both to side 0.
 
-    Parameters
-    ----------
-    trees : tuple
-        (table, support, J). The table has four numbers per tree: its first frame, its number of frames, its first
-        coordinate, its number of coordinates. `support` tells, tree after tree, which coordinates move a link. J has
-        the velocity fields of the coordinates, (nv, 6), world axes: linear at the world's origin, then angular.
-    contacts : (names, points, scalars)
-    frame : ndarray, shape (nc, 3, 3)
-        World; rows (n, t1, t2).
-    start : ndarray of int, shape (nc, 2)
-        Index in H where the rows of each contact and side begin.
-    H : ndarray
+    trees = (table, support, J). The table has four numbers per tree: its first frame, its number of frames, its first
+    coordinate, its number of coordinates. `support` tells, tree after tree, which coordinates move a link. J has the
+    velocity fields of the coordinates, (nv, 6), world axes: linear at the world's origin, then angular. The contacts,
+    `frame` and `start` are as in `motion.free_rows`.
     """
     (table, support, fields), (names, points, _) = trees, contacts
     at, field = 0, 0

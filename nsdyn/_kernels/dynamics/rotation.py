@@ -32,20 +32,10 @@ _EPS = float(np.finfo(float).eps)
 
 
 def principal(J):
-    """Principal moments and axes of inertias.
+    """Principal moments (n, 3) and axes (n, 3, 3) of inertias J (n, 3, 3), kg m²: J = axes diag(moments) axesᵀ.
 
-    Parameters
-    ----------
-    J : ndarray, shape (n, 3, 3)
-        Symmetric, positive definite, no principal moment larger than the sum of the others, kg m².
-
-    Returns
-    -------
-    moments : ndarray, shape (n, 3)
-        kg m².
-    axes : ndarray, shape (n, 3, 3)
-        Rotations with the principal axes as columns, in body axes: J = axes diag(moments) axesᵀ. A diagonal inertia
-        keeps its axes and its moments to the last bit.
+    The axes are the columns of rotations, in body axes. A diagonal inertia keeps its axes and its moments to the last
+    bit.
     """
     moments, axes = np.linalg.eigh(J)
     axes *= np.sign(np.linalg.det(axes))[:, None, None]

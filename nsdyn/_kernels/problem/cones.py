@@ -178,7 +178,7 @@ def slide(W, q0, q1, q2, mu):
             s = mu * rn / t
             return rn, s * r1, s * r2
     tau = 0.5 * (W[1, 1] + W[2, 2])
-    rn, r1, r2 = _slip(W, q0, q1, q2, 1e-14 * tau if _singular(W) else 0.0)
+    rn, r1, r2 = _slip(W, q0, q1, q2, _least(W))
     t = math.sqrt(r1 * r1 + r2 * r2)
     # f = (|r_T| - mu r_N) / (|r_T| + mu |r_N|) falls from f_lo in (0, 1] at lo to -1 at hi.
     lo, f_lo, hi, f_hi = 0.0, (t - mu * rn) / (t + mu * abs(rn)), 1.0, -1.0
@@ -211,10 +211,11 @@ def slide(W, q0, q1, q2, mu):
 
 
 @no_alloc
-def _singular(W):
-    """Whether W_TT is singular: the point cannot move in a tangential direction."""
+def _least(W):
+    """Return the least alpha of `_slip`: 0, or round-off if W_TT is singular, so that a tangent cannot move."""
     tau = 0.5 * (W[1, 1] + W[2, 2])
-    return W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1] <= 1e-14 * tau * tau
+    alpha = 1e-14 * tau
+    return alpha if W[1, 1] * W[2, 2] - W[1, 2] * W[2, 1] <= alpha * tau else 0.0
 
 
 @no_alloc
@@ -226,10 +227,10 @@ def coulomb(W, q0, q1, q2, mu):
     """
     if q0 >= 0.0:
         return 0.0, 0.0, 0.0
-    tau, rn, singular = 0.5 * (W[1, 1] + W[2, 2]), -q0 / W[0, 0], _singular(W)
-    if mu == 0.0 or tau == 0.0 or (singular and _stops(W, q0, q1, q2, rn)):
+    rn, alpha = -q0 / W[0, 0], _least(W)
+    if mu == 0.0 or W[1, 1] + W[2, 2] == 0.0 or (alpha > 0.0 and _stops(W, q0, q1, q2, rn)):
         return rn, 0.0, 0.0
-    rn, r1, r2 = _slip(W, q0, q1, q2, 1e-14 * tau if singular else 0.0)
+    rn, r1, r2 = _slip(W, q0, q1, q2, alpha)
     if math.sqrt(r1 * r1 + r2 * r2) <= mu * rn:
         return rn, r1, r2
     return slide(W, q0, q1, q2, mu)

@@ -1,20 +1,18 @@
 """Products with a W given in 3 x 3 blocks: (rows `indptr`, columns `indices`, blocks `data` (nnz, 3, 3))."""
 
 from nsdyn._kernels.compiled import no_alloc
+from nsdyn._kernels.vectors import along, three
+from nsdyn._kernels.vectors import to_world as product
 
 
 @no_alloc
 def velocity_of(W, q, r, c):
     """Return u_c = (W r + q)_c of contact c: three scalars."""
     indptr, indices, data = W
-    u0, u1, u2 = q[3 * c], q[3 * c + 1], q[3 * c + 2]
+    u = three(q, 3 * c)
     for p in range(indptr[c], indptr[c + 1]):
-        d = 3 * indices[p]
-        A = data[p]
-        u0 += A[0, 0] * r[d] + A[0, 1] * r[d + 1] + A[0, 2] * r[d + 2]
-        u1 += A[1, 0] * r[d] + A[1, 1] * r[d + 1] + A[1, 2] * r[d + 2]
-        u2 += A[2, 0] * r[d] + A[2, 1] * r[d + 1] + A[2, 2] * r[d + 2]
-    return u0, u1, u2
+        u = along(u, 1.0, product(data, p, three(r, 3 * indices[p])))
+    return u
 
 
 @no_alloc

@@ -28,7 +28,7 @@ from nsdyn._kernels.vectors import square
 PATIENCE, DIVERGED = 5, 10.0  # a penalty is too large beyond these steps without settling, or this growth of defect²
 SHRINKAGE, LEAST = 0.1, 1e-3  # factor on a penalty that is too large, and penalty below which the search ends
 GROWTH, LARGEST = 2.0, 1e10  # factor on a penalty that settles in two steps, and its limit: large ones cost digits
-HALF, IDLE = 0.5, 4  # a measure that is near is round-off if it is not halved in this number of Newton steps
+IDLE = 4  # a measure that is near is round-off if it is not halved in this number of Newton steps
 PART = 1e-2  # F has settled if its squared defect is at most this part of the squared multiplier step
 
 GOES_ON, SETTLED, FAILED = range(3)
@@ -193,7 +193,7 @@ def dense(problem, r, enough, near, penalty, most):
         so_far = penalty, inner + 1, before, best
         verdict, so_far = judge((mu, scales, q_norm), (u, shown, own, P, estimate, r), so_far)
         penalty, inner, before, best = so_far
-        if best <= HALF * reached:
+        if 2.0 * best <= reached:
             reached, since = best, count
         if verdict == SETTLED:
             respond(blocks, step, work, dy)

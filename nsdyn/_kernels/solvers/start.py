@@ -129,6 +129,9 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
     good as the worst island. A larger island keeps its r if r is good and balanced (`change`): changes of the
     velocities of contacts that hold add up from step to step.
 
+    Returns the number of islands, whether one is left unsolved, the factorisations, and, where none is left, the defect
+    of the literature and the residual of r; then its velocity is in u.
+
     Parameters
     ----------
     blocks : tuple
@@ -145,12 +148,6 @@ def by_factors(blocks, q, mu, scales, r, u, before, label, islands, enough, good
         Measures of an island: the aim, and the one required.
     limits : tuple
         Most coordinates, penalty, most steps.
-
-    Returns
-    -------
-    tuple
-        Number of islands, whether one is left unsolved, factorisations, and, where none is left, the defect of the
-        literature and the residual of r; then its velocity is in u.
     """
     offset, block = blocks[:2]
     found = _blocks.islands(block, offset.size - 1, label)

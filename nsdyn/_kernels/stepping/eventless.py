@@ -290,11 +290,6 @@ def eventless_step(system, detection, old, begun, new, rooms, next_key, directio
         An int and bools: `DONE` in the first call, then the code of the last call; whether Python has placed the geoms
         and computed Coal's pairs; whether any pair needs Coal; and whether this is a step, whose works and certificate
         are stored. After a move the caller checks for missed contacts.
-
-    Returns
-    -------
-    int
-        `DONE`, `OTHERWISE`, `DETECT`, `SOLVE`, `DETECT_AHEAD`, `MORE`, `MOVE` or `EVENT`.
     """
     s, (out, keys_of, states), (f_old, acted_old, status_old), (w, whole, flags) = col.opened(system), new, old, work
     stage, ready, asks, step = call
