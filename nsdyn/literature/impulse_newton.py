@@ -72,11 +72,7 @@ def _length(merit: Callable[[float], float], start: float, search: Search) -> fl
 
 
 def newton(
-    given: tuple[Any, Array, Array],
-    x: Array,
-    method: Equation,
-    done: Callable[[Array, float], bool],
-    max_iter: int,
+    given: tuple[Any, Array, Array], x: Array, method: Equation, done: Callable[[Array, float], bool], max_iter: int
 ) -> tuple[Array, int, bool]:
     """Apply Newton's method to a map from x (3 nc,); return (x, factorisations, whether `done` ended the iteration).
 

@@ -151,8 +151,9 @@ def smooth(geometry, i, j, n, lines, out, at):
         best, _, _ = separation(geometry, i, j, m)
         turn = newton(geometry, i, j, m, (e1, e2), start, (valid1, valid2))
         step, settled = math.sqrt(dot(turn, turn)), True
-        scale = min(1.0, 0.2 / max(step, 1e-15))
-        for _ in range(10 if step >= 1e-15 else 0):
+        tries = 10 if step >= 1e-15 else 0
+        scale = min(1.0, 0.2 / step) if tries > 0 else 0.0
+        for _ in range(tries):
             trial, _ = unit(along(m, scale, turn))
             value, _, _ = separation(geometry, i, j, trial)
             # Close to the maximum, round-off determines which value is larger.

@@ -4,19 +4,7 @@ from nsdyn._kernels.collision.geometry import move, smaller, write
 from nsdyn._kernels.collision.kinds import POLYTOPE, deepest_vertex, has_corner, has_rim, is_round, segment, side
 from nsdyn._kernels.collision.separation import INSIDE, SAME, SHARP, may_meet, separation
 from nsdyn._kernels.compiled import no_alloc
-from nsdyn._kernels.vectors import (
-    along,
-    cross,
-    dot,
-    minus,
-    perpendicular,
-    row,
-    square,
-    times,
-    to_local,
-    to_world,
-    unit,
-)
+from nsdyn._kernels.vectors import along, cross, dot, minus, perpendicular, row, square, times, to_local, to_world, unit
 
 PARALLEL = 1e-3  # sine of the angle below which two segments count as parallel
 ANGLE = 2e-4  # rad; a face whose normal is this close to Coal's (accurate to 1e-5) is the feature that Coal found

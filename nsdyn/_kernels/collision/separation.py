@@ -24,19 +24,10 @@ def separation(geometry, i, j, n):
 
 @no_alloc
 def may_meet(geometry, i, j, n, gap, margin):
-    """True if two geoms, now at the signed distance `gap`, may touch along n after a motion that closes the margin.
+    """True if geoms i and j, now at the signed distance `gap`, may touch along n after a motion that closes the margin.
 
     In the motion n turns with one of them. The margin, m, bounds how far its points move; those of the other geom, seen
     from it, move farther if that is larger.
-
-    Parameters
-    ----------
-    geometry : Placed
-    i, j : int
-        Indices of the geoms.
-    n : tuple
-        From i to j.
-    gap, margin : float
     """
     one, other = geometry.radius[i], geometry.radius[j]
     return separation(geometry, i, j, n)[0] >= min(gap, 0.0) - margin * max(one, other) / min(one, other)
