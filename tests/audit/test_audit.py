@@ -668,6 +668,19 @@ def test_dominoes_that_lie_on_each_other_pass():
 
 
 @pytest.mark.slow
+def test_a_heap_whose_lifts_pass_through_bodies_passes():
+    """In step 83 the lift of the boxes above moves one by 5e-8 m across normals that are parallel to 1e-8."""
+    rng, heap = np.random.default_rng(1), nd.Scene()
+    heap.add_halfspace("ground", material=nd.Material(mu=0.5))
+    for k in range(100):
+        turn = rng.normal(size=4)
+        pose = {"position": (0.22 * (k % 5), 0.22 * (k // 5 % 5), 0.2 + 0.25 * (k // 25))}
+        pose |= {"quaternion": turn / np.linalg.norm(turn)}
+        heap.add_box(f"b{k}", (0.1, 0.12, 0.15), 1.0, **pose, material=nd.Material(mu=0.5))
+    assert nd.check(nd.simulate(heap, 0.42, dt=5e-3, on_fail="ignore")).passed
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_pile_passes(seed):
     """More impacts fall into a step than it is cut at: bodies are lifted, slip turns round, edges meet beside faces."""
