@@ -68,9 +68,8 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
     links = _collisions(name, description, options.get("collisions", True))
     at = checks.placement(options.get("position", (0, 0, 0)), options.get("quaternion", (0, 0, 0, 1)), repr(name))
     q0 = checks.configuration(model, of_joints(options.get("q"), "q", description.q, 7), repr(name))
-    for joint in joints_of(model) if clip else ():
-        if joint.plain:
-            q0[joint.q] = np.clip(q0[joint.q], model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q])
+    if clip:
+        _clip(model, q0)
     links, loops = _moved(model, q0, links, description.loops, at)
     excluded, unused = set(description.excluded), list(description.unused)
     if (srdf := options.get("srdf")) is not None:
@@ -113,6 +112,13 @@ def assemble(name: str, description: Description, options: ArticulationOptions) 
         dropped=dropped,
         unused=tuple(unused),
     )
+
+
+def _clip(model: Any, q: Array) -> None:
+    """Move the joint coordinates in q into their limits."""
+    for joint in joints_of(model):
+        if joint.plain:
+            q[joint.q] = np.clip(q[joint.q], model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q])
 
 
 def _in_joints(
