@@ -121,7 +121,7 @@ def recordings(folder: Path) -> list[bytes]:
         nd.simulate(setup.scene, steps * setup.dt, **setup.options(), record=path)
         out.append(path.read_bytes())
         meta, scene, columns, state = recording.read_state(path)
-        recording.create(path, meta, scene, columns, grow=True, state=state)
+        recording.create(path, (meta, scene, columns), grow=True, state=state)
         out.append(path.read_bytes())
     return out
 
