@@ -13,10 +13,14 @@ from nsdyn.audit.touching import SLOW, along, apart, bouncing, from_surfaces, me
 from nsdyn.problem.solution import Status
 from nsdyn.recording.columns import OPEN, SLIP, STICK
 from nsdyn.recording.tables import left_out
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import Array, Bools, Index, cross
 
 LAWS = "dissipative", "newton", "fremond"
 """Laws of impact by which a contact that strikes alone rebounds with its restitution."""
+
+LEVEL = 0.1
+"""Sine of the angle to the plane of contact below which edges may lie in it: detection sees bodies before they have
+turned into contact."""
 
 
 def told(poses: Poses, flight: Flight | None) -> Iterator[Finding]:
@@ -99,14 +103,31 @@ def _velocities(poses: Poses, flight: Flight) -> Finding:
         left = np.linalg.norm(u - (met.after + met.before - begin), axis=1)
         off = np.where(flight.instant, off, np.minimum(off, left))
     bent = max(poses.theta, 1.0 - poses.theta) * t.dt * met.bent
-    # The normal of crossing edges turns faster than the edges; the change up to the impulse shows how fast.
-    edges = poses.rounding[poses.pair].sum(axis=0) == 0.0
-    crossed = np.linalg.norm(met.before - met.begin, axis=2).max(axis=0)
-    bent = np.where(edges, np.maximum(bent, crossed), bent)
     off = off - 2.0 * flight.unsure - np.where(flight.instant, 0.0, bent)
     speed = np.maximum(np.linalg.norm(met.before, axis=1), np.linalg.norm(met.after, axis=1))
+    edges = poses.rounding[poses.pair].sum(axis=0) == 0.0
+    late = known[(edges & ~flight.instant & (off > 0.0))[known]]
+    # Where edges cross, bodies that turn change the velocity as the crossing slides, and as its normal turns.
+    off[late] -= 2.0 * np.linalg.norm(met.spin[late], axis=1) * _slides(poses, flight, late, speed[late])
     figure = off / np.maximum(speed, CREEP)
     return worst_of("velocities", figure[known], off[known], step[known] + 1, poses.named(*poses.pair[:, known]))
+
+
+def _slides(poses: Poses, flight: Flight, rows: Index, speed: Array) -> Array:
+    """Upper bound of how far crossings of edges slide in half a move of bodies with relative speeds, (rows,), m.
+
+    Two edges at an angle φ that move past each other at a speed u cross at a point that moves at most at u / sin φ.
+    Their normal turns at most at ω / sin φ if they turn at ω.
+    """
+    i, j = pair = poses.pair[:, rows]
+    axes = [pushing(poses, flight, rows, side)[0] for side in (0, 1)]
+    sine = np.empty(rows.size)
+    for k, normal in enumerate(poses.normal[rows]):
+        one, other = (poses.solids[poses.kind[g[k]]].edges @ R[k].T for g, R in zip(pair, axes, strict=True))
+        one, other = (e[np.abs(e @ normal) < LEVEL] for e in (one, other))
+        sine[k] = np.linalg.norm(cross(one[:, None], other), axis=2).min(initial=1.0)
+    way = max(poses.theta, 1.0 - poses.theta) * poses.trajectory.dt * speed / np.maximum(sine, np.finfo(float).tiny)
+    return np.minimum(way, 2.0 * np.minimum(poses.bounding_radius[i], poses.bounding_radius[j]))
 
 
 def _partings(poses: Poses, flight: Flight) -> Finding:
