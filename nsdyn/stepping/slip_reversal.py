@@ -34,15 +34,7 @@ def reversal(
     if not solution.converged or (end := endings(kin, problem, solution, solver.tol)) is None:
         return 1.0
     begin, _, free, jacobian_drift, _ = local.reshape(5, -1, 3)[..., 1:]
-    free, turned = free + jacobian_drift, end == 2
-    b = problem.q.reshape(-1, 3).copy()
-    if (stops := end == 1).any():
-        # Solve again: would contacts that stop slide back from rest?
-        rest = b.copy()
-        rest[stops, 1:] = (free - begin)[stops]
-        again = solver(problem.with_velocity(rest.ravel()), solution.r)
-        back = -(again.u.reshape(-1, 3)[:, 1:] * begin).sum(axis=1)
-        turned |= stops & (back > _slip_reversal.STANDS * (begin * begin).sum(axis=1))
+    free, turned, b = free + jacobian_drift, end > 0, problem.q.reshape(-1, 3)
     now = (solution.u - problem.q).reshape(-1, 3)[:, 1:] + free
     if cut:
         turned &= (solution.r.reshape(-1, 3)[:, 1:] * (begin + now)).sum(axis=1) > 0.0
@@ -54,7 +46,11 @@ def reversal(
         u = begin[some]
         speed = np.linalg.norm(u, axis=1)
         # A slip so fast that in the law it goes on whatever friction does.
+        drag = np.zeros_like(b)
+        drag[some, 1:] = (kin.mu[some] * solution.r[::3][some] / speed)[:, None] * u
+        slowed = problem.product(drag.ravel()).reshape(-1, 3)[some, 1:]
         fast = 2.0 * (2.0 * np.linalg.norm(free[some], axis=1) + np.linalg.norm(now[some], axis=1) + speed)
+        fast += 2.0 * np.linalg.norm(slowed, axis=1)
         on = (fast / speed)[:, None] * u
         onward = b.copy()
         onward[some, 1:] = free[some] + on
