@@ -9,7 +9,7 @@ import numpy as np
 
 from nsdyn._kernels import sorting as _sorting
 from nsdyn._kernels.collision import advancement
-from nsdyn.tools.arrays import Array, Bools, Index
+from nsdyn.tools.arrays import NONE, NOTHING, Array, Bools, Index
 from nsdyn.tools.naming import counted
 
 
@@ -128,25 +128,29 @@ class DetectionPose(NamedTuple):
 
 
 class Touches(NamedTuple):
-    """Contacts of the pairs that touch on the way from one configuration to another.
+    """Pairs of geoms that touch on the way from one configuration to another.
 
     Attributes
     ----------
-    contacts : ContactSet
-        The contacts at the time of impact of their pair, carried to the end of the way by `carry`.
-    fraction : ndarray, shape (nc,)
+    codes : ndarray of int, shape (k,)
+        Codes of the pairs.
+    fraction : ndarray, shape (k,)
         Part of the way in [0, 1] at which the pair touches.
-    memory : ContactSet
-        The given contacts and the new ones, at the end of the way.
+    R, t : ndarray, shapes (k, 2, 3, 3), (k, 2, 3)
+        Poses of both geoms then, m.
     far : ndarray of int
         Codes of pairs that may touch and of which one body turns so far that its rotation is ambiguous. If there are
         any, no pair is followed.
     """
 
-    contacts: ContactSet
+    codes: Index
     fraction: Array
-    memory: ContactSet
+    R: Array
+    t: Array
     far: Index
+
+
+NO_TOUCHES = Touches(NONE, NOTHING, np.empty((0, 2, 3, 3)), np.empty((0, 2, 3)), NONE)
 
 
 def take(contacts: ContactSet, kept: Bools) -> ContactSet:

@@ -8,6 +8,7 @@ points and gaps from the faces, edges and curved surfaces that this normal selec
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import coal
@@ -15,9 +16,9 @@ import numpy as np
 
 from nsdyn._kernels.collision import advancement, faces, geometry, keys, manifold, search
 from nsdyn.collision.candidates import MARGIN, TOLERANCE, Candidates
-from nsdyn.collision.contacts import ContactSet, Poses, Touches, among, carry, take, united
+from nsdyn.collision.contacts import NO_TOUCHES, ContactSet, Poses, Touches, among, carry, take, united
 from nsdyn.collision.distances import distance_request
-from nsdyn.tools.arrays import NONE, NOTHING, Array, Index
+from nsdyn.tools.arrays import NONE, Array, Index
 
 TOUCH = 1e-4
 """Approaching bodies closer than this fraction of the smaller bounding radius touch on their way."""
@@ -25,8 +26,6 @@ TOUCH = 1e-4
 ADVANCES = 200
 """Most advances of a pair along its motion. A pair that is still close then, and has not reached the end of the motion,
 counts as touching."""
-
-_NO_CONTACTS = ContactSet.empty()
 
 
 class Detector(Candidates):
@@ -107,12 +106,12 @@ class Detector(Candidates):
         begin: Poses,
         end: Poses,
         memory: ContactSet,
-        known: ContactSet | None = None,
+        known: Callable[[], ContactSet] | None = None,
         least: Array | None = None,
         together: ContactSet | None = None,
         foreseen: Array | None = None,
     ) -> Touches:
-        """Contacts of the pairs that touch between two configurations, translation and rotation at constant rates.
+        """Pairs that touch between two configurations, translation and rotation at constant rates.
 
         A pair is followed by conservative advancement [1]_: it cannot touch within its distance divided by a bound on
         its approach speed. A pair that is together at the beginning is found only after it has separated further, or if
@@ -123,8 +122,8 @@ class Detector(Candidates):
         begin, end : Poses
         memory : ContactSet
             Contacts of the previous configuration, as for `find`.
-        known : ContactSet, optional
-            Pairs with a contact in this set, sorted as `find` returns it, are left out.
+        known : callable, optional
+            Returns contacts whose pairs are left out; called only if a pair may touch.
         least : ndarray, shape (geoms,), optional
             A length per geom, m; default 0. Pairs that move past each other by no more than the smaller of their two
             lengths are left out.
@@ -144,35 +143,30 @@ class Detector(Candidates):
         ends = (begin.x, begin.R), (end.x, end.R)
         far = advancement.motions(self.frame, self._arm, *ends, foreseen, turn, reach)
         self._renew(begin.x, begin.R, reach)
-        nothing = Touches(_NO_CONTACTS, NOTHING, memory, NONE)
-        if not self._first.size:
-            return nothing
+        candidates, pairs = (self._first, self._second), np.empty(len(self._first), dtype=np.int64)
         motion, placed = (begin.x, end.x, turn), (self._R, self._t, self._lower, self._upper)
         least = np.zeros(len(self._arm)) if least is None else least
-        before = memory[:2]
-
-        def may_touch(known: Index) -> Index:
-            pairs = np.empty(len(self._first), dtype=np.int64)
-            candidates = self._first, self._second, known
-            count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, before, pairs)
-            return pairs[:count]
-
+        count = advancement.may_touch(self.fields, self._arm, least, candidates, motion, placed, memory[:2], pairs)
+        if not count:
+            return NO_TOUCHES
+        pairs = pairs[:count]
         if far:
             # Do not leave out known pairs: contacts at both ends say nothing about whole turns between.
-            pairs, whirls = may_touch(NONE), np.linalg.norm(foreseen, axis=1) > advancement.HALF_TURN
-            turning = np.append(whirls, False)[self.frame]
-            if (of := turning[self._first[pairs]] | turning[self._second[pairs]]).any():
-                return nothing._replace(far=self._codes[pairs[of]])
-        pairs = may_touch(NONE if known is None else self.codes(known))
-        if not pairs.size:
-            return nothing
+            whirls = np.append(np.linalg.norm(foreseen, axis=1) > advancement.HALF_TURN, False)[self.frame]
+            if (of := whirls[self._first[pairs]] | whirls[self._second[pairs]]).any():
+                return NO_TOUCHES._replace(far=self._codes[pairs[of]])
+        if known is not None:
+            pairs = pairs[~among(self._codes[pairs], self.codes(known()))]
         close = frozenset() if together is None else frozenset(self.codes(together).tolist())
         found = []
         for p in pairs.tolist():
             touch = self._first_touch(p, (begin, end), turn, least if int(self._codes[p]) in close else None)
             if touch is not None:
                 found.append((p, *touch))
-        return self._remember(found, end, memory) if found else nothing
+        if not found:
+            return NO_TOUCHES
+        pairs, fraction, R, t = (np.array(values) for values in zip(*found, strict=True))
+        return Touches(self._codes[pairs], fraction, R, t, NONE)
 
     def _first_touch(
         self, p: int, ends: tuple[Poses, Poses], turn: Array, least: Array | None
@@ -205,8 +199,38 @@ class Detector(Candidates):
             s = later
         return (s, R, t) if parted else None
 
-    def _manifold(self, p: int, R: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Points, normals and gaps of pair p at these poses of its geoms, at rest."""
+    def carried(self, touches: Touches, end: Poses, memory: ContactSet) -> tuple[ContactSet, ContactSet]:
+        """Contacts of pairs that touch on the way to poses `end`, carried there; and `memory` with them.
+
+        The normal of a contact turns as in `carry`.
+        """
+        if not touches.codes.size:
+            return ContactSet.empty(), memory
+        found = [self._manifold(k, touches) for k in range(touches.fraction.size)]
+        sizes = [gap.size for _, _, gap in found]
+        point, normal, gap = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        both = np.stack(np.divmod(touches.codes, self.frame.size))
+        names, points, scalars = out = _room(gap.size)
+        names[:2] = np.repeat(both, sizes, axis=1)
+        names[2:4] = self.frame[names[:2]]
+        R, t = self._R.copy(), self._t.copy()
+        geometry.place(self.fields, end.x, end.R, R, t)
+        # Move them from the poses at which the geoms of each pair touch to the end. Fixed geoms belong to the world.
+        geoms = both.T.ravel()
+        begin = touches.t.reshape(-1, 3), touches.R.reshape(-1, 3, 3)
+        where = np.repeat(np.arange(geoms.size).reshape(-1, 2), sizes, axis=0).T
+        points[:2], scalars[0], scalars[1:] = (point, normal), gap, self._pair_material(names[0], names[1])
+        bodies = names.copy()
+        bodies[2:4] = np.where(names[2:4] >= 0, where, -1)
+        advancement.carry((bodies, points, scalars), begin, (t[geoms], R[geoms]), normal)
+        placed = self._geometry.radius, R, t, np.zeros(len(R))
+        contacts = ContactSet(*out, keys.match(placed, TOLERANCE, memory[:3], memory.next_key, names, points))
+        others = ~among(self.codes(memory), self.codes(contacts))
+        return contacts, united((take(memory, others), contacts))
+
+    def _manifold(self, k: int, touches: Touches) -> tuple[Array, Array, Array]:
+        """Points, normals and gaps of the k-th pair where it touches, at rest."""
+        p, R, t = int(np.searchsorted(self._codes, touches.codes[k])), touches.R[k], touches.t[k]
         one, geoms = slice(p, p + 1), [int(self._first[p]), int(self._second[p])]
         all_R, all_t, asked = self._R.copy(), self._t.copy(), np.empty((1, 4))
         all_R[geoms], all_t[geoms] = R, t
@@ -220,31 +244,6 @@ class Detector(Candidates):
         room = self._max_points, *self._scratch
         count = manifold.manifolds(placed, pairs, room, (*found, pair))
         return found[0][:count], found[1][:count], found[2][:count]
-
-    def _remember(self, touching: list[tuple[int, float, Array, Array]], end: Poses, memory: ContactSet) -> Touches:
-        """Contacts of pairs that touch, (pair, fraction, R, t) of `_first_touch`, moved to the end, with keys."""
-        found = [self._manifold(p, R, t) for p, _, R, t in touching]
-        sizes = [gap.size for _, _, gap in found]
-        point, normal, gap = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        pair = np.repeat([p for p, *_ in touching], sizes)
-        names, points, scalars = out = _room(gap.size)
-        names[0], names[1] = self._first[pair], self._second[pair]
-        names[2:4] = self.frame[names[:2]]
-        R, t = self._R.copy(), self._t.copy()
-        geometry.place(self.fields, end.x, end.R, R, t)
-        # Move them from the poses at which the geoms of each pair touch to the end. Fixed geoms belong to the world.
-        both = np.column_stack((self._first, self._second))[[p for p, *_ in touching]].ravel()
-        begin = np.concatenate([part[3] for part in touching]), np.concatenate([part[2] for part in touching])
-        where = np.repeat(np.arange(both.size).reshape(-1, 2), sizes, axis=0).T
-        points[:2], scalars[0], scalars[1:] = (point, normal), gap, self._pair_material(names[0], names[1])
-        bodies = names.copy()
-        bodies[2:4] = np.where(names[2:4] >= 0, where, -1)
-        advancement.carry((bodies, points, scalars), begin, (t[both], R[both]), normal)
-        geoms = self._geometry.radius, R, t, np.zeros(len(R))
-        contacts = ContactSet(*out, keys.match(geoms, TOLERANCE, memory[:3], memory.next_key, names, points))
-        others = ~among(self.codes(memory), self._codes[pair])
-        remembered = united((take(memory, others), contacts))
-        return Touches(contacts, np.repeat([s for _, s, *_ in touching], sizes), remembered, NONE)
 
 
 def _distance(solids: Any, R: Array, t: Array, unit: float) -> tuple[float, Array, Array, Array]:

@@ -10,6 +10,7 @@ pairs that would pass through each other, and those that end deep.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -139,15 +140,12 @@ def continuous_contacts(
 ) -> tuple[ContactSet, ContactSet]:
     """Return the contacts at the midpoint, for deeply penetrating pairs those of their first touch, and the memory."""
     closed = take(begin.contacts, begin.contacts.gap <= s.gap_tol)
-    touches = s.touches(begin.placement, there, memory, None, closed)
-    c = touches.contacts
+    c, joined = s.detector.carried(s.touches(begin.placement, there, memory, None, closed), there, memory)
     deep = c.gap < -OPTIONS.unseen * np.minimum(s.inscribed[c.geom1], s.inscribed[c.geom2])
     if not deep.any():
         return contacts, memory
-    first = take(c, deep)
-    codes = s.detector.codes
-    others = take(contacts, ~among(codes(contacts), codes(first)))
-    return united((others, first)), touches.memory
+    first, codes = take(c, deep), s.detector.codes
+    return united((take(contacts, ~among(codes(contacts), codes(first))), first)), joined
 
 
 def tracked(s: System, begin: ContactSet, end: ContactSet) -> ContactSet:
@@ -181,24 +179,23 @@ def time_of_impact(
     at the end. Pairs that touch at the beginning, and pairs that press, which the second half brings together, are
     found where they touch once more.
     """
-    (begin, pressed, end), (first, second, third) = contacts, places
-    known, closed = tracked(s, begin, end), take(begin, begin.gap <= s.gap_tol)
-    before, length = 0.0, (1.0 - s.theta) * h
-    touches = s.touches(first, second, memory, known, closed, turns[0])
-    turn = turns[0]
-    if not touches.fraction.size and not touches.far.size:
-        before, length = length, s.theta * h
-        touches = s.touches(second, third, memory, known, pressed, turns[1])
-        turn = turns[1]
+    (begin, pressed, end), closed = contacts, take(contacts[0], contacts[0].gap <= s.gap_tol)
+    length, before = (1.0 - s.theta) * h, 0.0
+    for one, other, together, turn in zip(places, places[1:], (closed, pressed), turns, strict=False):
+        touches = s.touches(one, other, memory, partial(tracked, s, begin, end), together, turn)
+        if touches.fraction.size or touches.far.size:
+            break
+        length, before = s.theta * h, length
     if touches.far.size:
         frames = s.detector.frame[np.unique(np.divmod(touches.far, s.detector.frame.size))]
         most = float(np.linalg.norm(turn[frames[frames >= 0]], axis=1).max())
         return h / math.ceil(most / TURN)
     if not touches.fraction.size:
         return h
-    k, c = int(touches.fraction.argmin()), touches.contacts
-    fast = sum(float(speed[f]) for f in (c.frame1[k], c.frame2[k]) if f >= 0)
-    size = float(min(s.inscribed[c.geom1[k]], s.inscribed[c.geom2[k]]))
+    k = int(touches.fraction.argmin())
+    geoms = list(divmod(int(touches.codes[k]), s.inscribed.size))
+    fast = sum(float(speed[f]) for f in s.detector.frame[geoms] if f >= 0)
+    size = float(s.inscribed[geoms].min())
     at, past = before + length * float(touches.fraction[k]), PAST * size / fast
     return at + past if at + 2.0 * past < h else h
 
@@ -229,7 +226,8 @@ def update_active_set(
     if missed.gap.size:
         missed, memory = _separating(s, missed, c, end, begin), memory.joined(moved.memory, missed.key)
     if mid.fast:
-        (passed, _, memory, _), codes = s.touches(begin, end, memory, c), s.detector.codes
+        touches, codes = s.touches(begin, end, memory, lambda: c), s.detector.codes
+        passed, memory = s.detector.carried(touches, end, memory)
         passed = carry(passed, end, begin)
         missed = united((take(missed, ~among(codes(missed), codes(passed))), passed))
     if not missed.gap.size:

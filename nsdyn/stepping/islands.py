@@ -9,6 +9,7 @@ whether the island came near another one after all. Such islands are moved once 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -277,12 +278,12 @@ class Islands:
         fast = d.node[:-1][a.mid.reach > OPTIONS.unseen * s.smallest] if a.mid.fast else d.node[:0]
         if (fast < 0).any() or not opened[label[fast]].all():
             poses = begin.placement, mid.state.placement, a.moved.placement
-            known = tracked(s, begin.contacts, found)
+            known = partial(tracked, s, begin.contacts, found)
             closed, pressed = take(begin.contacts, begin.contacts.gap <= s.gap_tol), take(c, a.normal_impulses > 0.0)
             turns = mid.turns(begin, a.moved)
             for (one, other), together, turn in zip(pairwise(poses), (closed, pressed), turns, strict=True):
                 touches = s.touches(one, other, a.moved.memory, known, together, turn)
-                opened[label[self._of_codes(touches.far)]] = opened[label[self._nodes(touches.contacts)]] = True
+                opened[label[self._of_codes(np.concatenate((touches.codes, touches.far)))]] = True
 
     def _open_gaining(self, begin: SceneState, made: StepResult, tried: Attempt, label: Index, opened: Bools) -> None:
         """Mark in `opened` the islands that gain energy in the move `made`, or whose bodies turn far.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -105,7 +106,7 @@ class System(NamedTuple):
         begin: Poses,
         end: Poses,
         memory: ContactSet,
-        known: ContactSet | None,
+        known: Callable[[], ContactSet] | None,
         together: ContactSet | None = None,
         foreseen: Array | None = None,
     ) -> Touches:

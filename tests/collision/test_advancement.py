@@ -62,7 +62,7 @@ def test_against_dense_sampling(seed):
         d = detector(A, B)
         found = d.touches(begin, end, EMPTY)
         if samples.min() > 5e-3:  # between two of them it may come closer
-            assert found.contacts.gap.size == 0
+            assert found.codes.size == 0
             outcomes[0] += 1
         if samples.min() < 0.0:
             outcomes[1] += 1
@@ -71,8 +71,8 @@ def test_against_dense_sampling(seed):
             assert first - 0.2 < s <= first  # no later than the first sample inside
             assert -1e-7 < distance(A, B, between(begin, end, s)) < 1.001e-4 * size
             there = between(begin, end, s)
-            manifold = d.find(*there[:2], np.zeros(2), EMPTY)
-            np.testing.assert_allclose(found.contacts.gap, carry(manifold, there, end).gap, rtol=0, atol=1e-6)
+            manifold, hit = d.find(*there[:2], np.zeros(2), EMPTY), d.carried(found, end, EMPTY)[0]
+            np.testing.assert_allclose(hit.gap, carry(manifold, there, end).gap, rtol=0, atol=1e-6)
     assert min(outcomes) > 5
 
 
@@ -82,13 +82,14 @@ def test_the_tip_of_a_blade_hits_what_is_in_its_way(angle):
     blade, ball = shapes.box((1.0, 0.05, 0.01)), shapes.sphere(0.01)
     begin = poses(((0, 0, 0), np.eye(3)), (0.49 * np.array([np.cos(angle), np.sin(angle), 0]), np.eye(3)))
     end = begin._replace(R=np.array([about((0, 0, 1), 1.0), np.eye(3)]))
-    hit = detector(blade, ball).touches(begin, end, EMPTY)
-    assert hit.contacts.gap.size == 1
+    d = detector(blade, ball)
+    hit = d.touches(begin, end, EMPTY)
+    (gap,) = d.carried(hit, end, EMPTY)[0].gap
     # The front edge is 0.025 before the middle, the ball 0.01 before its own.
     assert hit.fraction[0] == pytest.approx(angle - 0.035 / 0.49, abs=2e-3)
-    assert hit.contacts.gap[0] < -0.4 * (1.0 - hit.fraction[0]) * 0.49  # how far the tip went on, along the normal
+    assert gap < -0.4 * (1.0 - hit.fraction[0]) * 0.49  # how far the tip went on, along the normal
     begin.x[1] *= 0.525 / 0.49
-    assert detector(blade, ball).touches(begin, end, EMPTY).contacts.gap.size == 0
+    assert detector(blade, ball).touches(begin, end, EMPTY).codes.size == 0
 
 
 @pytest.mark.parametrize("shape", KINDS)
@@ -102,10 +103,11 @@ def test_nothing_goes_through_a_thin_wall(shape, rng):
         end = poses((np.zeros(3), Q), (Q @ (x * [1, 1, -1]), R))
         wall = detector(shapes.box((3.0, 3.0, 0.01)), B)
         found = wall.touches(begin, end, EMPTY)
-        assert found.contacts.gap.size >= 1
-        np.testing.assert_allclose(found.contacts.normal, np.tile(Q[:, 2], (len(found.fraction), 1)), rtol=0, atol=1e-4)
+        normal = wall.carried(found, end, EMPTY)[0].normal
+        assert normal.size
+        np.testing.assert_allclose(normal, np.broadcast_to(Q[:, 2], normal.shape), rtol=0, atol=1e-4)
         away = poses((np.zeros(3), Q), (Q @ (x + np.array([0, 0, 1])), R))
-        assert wall.touches(begin, away, EMPTY).contacts.gap.size == 0
+        assert wall.touches(begin, away, EMPTY).codes.size == 0
 
 
 def test_what_passes_clear_is_not_reported(rng):
@@ -119,7 +121,7 @@ def test_what_passes_clear_is_not_reported(rng):
                 begin = poses((np.zeros(3), np.eye(3)), (x, np.eye(3)))
                 end = poses((np.zeros(3), np.eye(3)), (x + np.array([0.1, 0, 0]), about((0, 0, 1), rng.uniform(-1, 1))))
                 found = detector(obstacle, ball).touches(begin, end, EMPTY)
-                hits += found.contacts.gap.size > 0
+                hits += found.codes.size > 0
             assert (hits > 0) == bool(count)
 
 
@@ -127,8 +129,9 @@ def test_halfspace_and_fast_corner():
     """A cube that turns by 1 rad a hair above the ground: an edge hits it."""
     cube = shapes.box((1.0, 1.0, 1.0))
     begin, end = poses(((0, 0, 0.6), np.eye(3))), poses(((0, 0, 0.6), about((1, 0, 0), 1.0)))
-    found = detector(GROUND, cube).touches(begin, end, EMPTY)
-    assert found.contacts.gap.size == 2
+    d = detector(GROUND, cube)
+    found = d.touches(begin, end, EMPTY)
+    assert d.carried(found, end, EMPTY)[0].gap.size == 2
     # Where the edge is below: sin(angle + π/4) √½ = 0.6.
     assert found.fraction[0] == pytest.approx(np.arcsin(0.6 * np.sqrt(2)) - np.pi / 4, abs=1e-3)
 
@@ -142,7 +145,7 @@ def test_a_slanted_halfspace_is_followed(rng):
         begin = Placement((x + 0.5 * n)[None], random_rotation(rng)[None], ())
         for down, expected in ((0.1, False), (2.0, True)):
             end = begin._replace(x=begin.x - down * n)
-            assert (d.touches(begin, end, EMPTY).contacts.gap.size > 0) == expected
+            assert (d.touches(begin, end, EMPTY).codes.size > 0) == expected
 
 
 def test_gaps_at_the_end_pose(rng):
@@ -183,13 +186,13 @@ def test_pairs_left_out_and_keys_go_on():
     resting = d.find(*begin[:2], np.zeros(2), EMPTY)
     assert resting.key.tolist() == [0, 1]
     end = poses(((0.9, 0, 0.05), np.eye(3)), ((0.5, 0, 0.05), np.eye(3)))
-    found = d.touches(begin, end, resting, resting)
-    assert (found.contacts.geom1.tolist(), found.contacts.geom2.tolist()) == ([1], [2])
-    assert found.contacts.key.tolist() == [2]
-    assert found.contacts.gap[0] == pytest.approx(-0.6, abs=1e-3)
-    again = d.find(*end[:2], np.full(2, 1.0), found.memory)
+    contacts, memory = d.carried(d.touches(begin, end, resting, lambda: resting), end, resting)
+    assert (contacts.geom1.tolist(), contacts.geom2.tolist()) == ([1], [2])
+    assert contacts.key.tolist() == [2]
+    assert contacts.gap[0] == pytest.approx(-0.6, abs=1e-3)
+    again = d.find(*end[:2], np.full(2, 1.0), memory)
     assert again.key.tolist() == [0, 1, 2]
-    assert set(zip(*d.touches(begin, end, resting).contacts.names[:2].tolist(), strict=True)) >= {(1, 2), (0, 1)}
+    assert set(d.touches(begin, end, resting).codes.tolist()) >= {3 * 1 + 2, 3 * 0 + 1}
 
 
 def test_bodies_that_move_together_are_not_followed(monkeypatch, rng):
@@ -201,7 +204,7 @@ def test_bodies_that_move_together_are_not_followed(monkeypatch, rng):
     monkeypatch.setattr(d, "_first_touch", lambda *a: pytest.fail("followed"))
     # The chord of the upper one's way is off its arc by 1/8 turn² of the distance, and so is the lower one's.
     end = poses(*((turn @ p + [5, 6, 7], turn) for p in x))
-    assert d.touches(begin, end, EMPTY).contacts.gap.size == 0
+    assert d.touches(begin, end, EMPTY).codes.size == 0
 
 
 def test_any_rotation_is_found_again(rng):
@@ -279,7 +282,7 @@ def test_what_leaves_what_it_is_in_is_not_hit():
     box, ball = shapes.box((1.0, 1.0, 0.1)), shapes.sphere(0.1)
     begin = poses(((0, 0, 0), np.eye(3)), ((0.0, 0.0, 0.149), np.eye(3)))
     end = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, 0, 0.5]]))
-    assert detector(box, ball).touches(begin, end, EMPTY).contacts.gap.size == 0
+    assert detector(box, ball).touches(begin, end, EMPTY).codes.size == 0
 
 
 def test_what_touches_is_found_where_it_touches_again():
@@ -294,14 +297,14 @@ def test_what_touches_is_found_where_it_touches_again():
     # What is nearer than 1e-4 of the ball's radius touches: at 0.5 m/rad, 7e-6 of the way.
     assert touches.fraction[0] == pytest.approx((np.pi - 2.0 * np.arctan2(0.11, 0.5)) / 3.0, abs=1e-5)
     short = begin._replace(R=np.array([about((0, 0, 1), -2.5), np.eye(3)]))
-    assert d.touches(begin, short, resting, together=resting).contacts.gap.size == 0
+    assert d.touches(begin, short, resting, together=resting).codes.size == 0
     # What does not part is not found, but where it gets deep: it touches all the way, or closes the gap that it has.
     least = np.full(2, 1e-3)
     along = begin._replace(x=begin.x + np.array([[0, 0, 0], [-0.9, -1e-4, 0]]))
-    assert d.touches(begin, along, resting, together=resting, least=least).contacts.gap.size == 0
+    assert d.touches(begin, along, resting, together=resting, least=least).codes.size == 0
     above = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, 1e-3, 0]]))
-    assert d.touches(above, along, resting, together=resting, least=least).contacts.gap.size == 0
-    assert d.touches(above, along, resting).contacts.gap.size == 1
+    assert d.touches(above, along, resting, together=resting, least=least).codes.size == 0
+    assert d.touches(above, along, resting).codes.size == 1
     through = begin._replace(x=begin.x + np.array([[0, 0, 0], [0, -0.25, 0]]))
     assert d.touches(begin, through, resting).fraction.tolist() == [0.0]
     # It moves on by as much as it may be deep: 1/250 of the way.

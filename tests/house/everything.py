@@ -71,9 +71,10 @@ def shapes() -> None:
     near = x - np.outer(np.arange(len(x)) % 2, (0.0, 0.0, 0.25))
     none = ContactSet.empty()
     memory = detector.find(near, R, np.full(len(x), 0.1), none)
-    touches = detector.touches(Placement(x, R, ()), Placement(near, R, ()), memory)
-    detector.gaps(touches.contacts, detector.find(near, R, np.zeros(len(x)), none), Placement(near, R, ()))
-    detector.carry(touches.contacts, Placement(near, R, ()), Placement(x, R, ()))
+    there = Placement(near, R, ())
+    touching = detector.carried(detector.touches(Placement(x, R, ()), there, memory), there, memory)[0]
+    detector.gaps(touching, detector.find(near, R, np.zeros(len(x)), none), there)
+    detector.carry(touching, there, Placement(x, R, ()))
     detector.ways(memory, Placement(near, R, ()), 1e-3)
     # A ball beside the border of a face of a box, deep in that.
     k = next(b for b, g in enumerate(geoms) if g.name == "1-0")

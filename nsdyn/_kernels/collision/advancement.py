@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nsdyn._kernels.collision.broadphase import at_least_apart, contains
+from nsdyn._kernels.collision.broadphase import at_least_apart
 from nsdyn._kernels.collision.geometry import Placed, place
 from nsdyn._kernels.collision.separation import gap_along
 from nsdyn._kernels.compiled import kernel, no_alloc
@@ -303,20 +303,18 @@ def stays_apart(geometry, arm, i, j, motion, codes, points):
 def may_touch(fields, arm, least, pairs, motion, placed, memory, out):
     """Write the indices of candidate pairs that move farther than their distance into out; return their number.
 
-    Left out are pairs of the sorted codes `known`, pairs whose relative motion is no longer than the smaller of their
-    two `least`, and pairs that cannot touch by `flies_past` or, with the contacts in `memory`, by `stays_apart`.
-    `fields` are those of `Geometry`, `pairs` is (first, second, known), `motion` is (x0, x1, turn) as in `motions`,
+    Left out are pairs whose relative motion is no longer than the smaller of their two `least`, and pairs that cannot
+    touch by `flies_past` or, with the contacts in `memory`, by `stays_apart`.
+    `fields` are those of `Geometry`, `pairs` is (first, second), `motion` is (x0, x1, turn) as in `motions`,
     `placed` is (R, t, lower, upper), poses and bounds of the geoms at the beginning.
     """
-    (first, second, known), (x0, x1, turn), (R, t, lower, upper) = pairs, motion, placed
+    (first, second), (x0, x1, turn), (R, t, lower, upper) = pairs, motion, placed
     geometry, (names, points), count = Placed(*fields, R, t), memory, 0
     codes = np.empty(names.shape[1], np.int64)
     for c in range(codes.size):
         codes[c] = names[0, c] * geometry.kind.size + names[1, c]
     for p in range(first.size):
         i, j = first[p], second[p]
-        if contains(known, i * geometry.kind.size + j):
-            continue
         way = relative_motion(geometry.frame[i], geometry.frame[j], arm[i], arm[j], x0, x1, turn)
         if way > min(least[i], least[j]) and way > at_least_apart(geometry, i, j, lower, upper):
             if flies_past(geometry.frame, arm, i, j, (x0, x1), (lower, upper)):
