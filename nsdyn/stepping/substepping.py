@@ -146,7 +146,7 @@ def _substep(
     meets = meets or (not locates and s.striking_speed(begin) < -s.least_penetration / h)
     if (struck := collide(s if locates else s.capturing, begin, t, h, rate)) is not None:
         now, begun, done = struck[0], None, [struck[1]]
-    soon = h * (AGAIN if cut and struck is None else SOON)
+    soon = AGAIN * s.dt if cut and struck is None else SOON * h
     length, tried = _to_event(s, loads, now, t, h, soon, budget, begun, meets or struck is not None)
     m, moved = finish(s, now, tried), tried.moved
     path = [tried.mid.state.placement, moved.placement, m.end.placement]

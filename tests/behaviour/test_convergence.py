@@ -527,16 +527,17 @@ def test_a_can_without_friction_rolls_on_its_rim(dt, error):
 
 
 @pytest.mark.parametrize(
-    ("radii", "lost"), [((0.1, 0.1, 0.01), 0.06), ((0.1, 0.05, 0.01), 0.06), ((0.1, 0.1, 2e-3), 0.04)]
+    ("radii", "dt", "lost"),
+    [((0.1, 0.1, 0.01), 1e-2, 0.062), ((0.1, 0.05, 0.01), 5e-3, 0.03), ((0.1, 0.1, 2e-3), 1e-2, 0.04)],
 )
-def test_a_lens_that_falls_flat_keeps_its_energy(radii, lost):
+def test_a_lens_that_falls_flat_keeps_its_energy(radii, dt, lost):
     """Its contact crosses it in a few steps. Half a move extrapolates the lever of that, which took up to 0.9 of it."""
     scene, tilt, material = nd.Scene(), math.radians(20.0), nd.Material(mu=0.5)
     scene.add_halfspace("table", material=material)
     place = {"position": (0, 0, math.hypot(radii[0] * math.sin(tilt), radii[2] * math.cos(tilt)))}
     turned = {"quaternion": (0, math.sin(tilt / 2), 0, math.cos(tilt / 2))}
     scene.add_ellipsoid("lens", radii, 1.0, **place, **turned, material=material)
-    run = nd.simulate(scene, 0.6, dt=1e-2)
+    run = nd.simulate(scene, 0.6, dt=dt)
     energy, works = run.energy.total - g * radii[2], run.energy
     assert energy[-1] + abs(works.friction.sum()) >= (1.0 - lost) * energy[0]
     assert np.abs(works.integration).sum() <= 0.04 * energy[0]

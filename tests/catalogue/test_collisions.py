@@ -323,8 +323,9 @@ def test_painleve_impulse_has_a_limit():
         assert abs(step.u[0, 0]) <= 0.25 * h and abs(step.gap[0]) <= 0.5 * stepper.gap_tol
         assert step.energy["normal"] + step.energy["friction"] < 0
         errors.append(abs(step.r[0, 0] - 0.3))
-    assert errors[0] <= 0.1
-    np.testing.assert_allclose(errors, errors[0] * 10.0 ** -np.arange(4), rtol=1e-2)
+    assert errors[0] <= 7e-3
+    # From 1 ms on the end of the slip is located, at a tenth of the step.
+    np.testing.assert_allclose(errors[1:], 0.75 * 10.0 ** -np.arange(3, 6), rtol=5e-2)
 
 
 @pytest.mark.case(20)

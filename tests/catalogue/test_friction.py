@@ -90,9 +90,9 @@ def test_threshold_is_the_same_in_every_direction():
 
 @pytest.mark.case(4)
 @pytest.mark.parametrize("v0", [2.0, 2.05])
-@pytest.mark.parametrize("dt", [1e-2, 3e-3, 1e-3])
+@pytest.mark.parametrize("dt", [1e-1, 1e-2, 3e-3, 1e-3])
 def test_block_stops(dt, v0):
-    """Case 4: friction is mu m g in every sliding step, the block stops within a step of v0/(mu g), for good."""
+    """Case 4: friction is mu m g in every sliding step, the block stops at v0²/(2 mu g) whatever the dt, for good."""
     mu = 0.5
     trajectory = nd.simulate(nd.scenes.load("slide")(mu=mu, speed=v0), 0.6, dt=dt, solver=EXACT)
     v = trajectory.body("box").linear_velocity[:, 0]
@@ -104,7 +104,8 @@ def test_block_stops(dt, v0):
     # At rest in the next step, never backwards.
     assert np.abs(v[sliding + 1 :]).max() <= 1e-14 and v.min() >= -1e-14
     x = trajectory.body("box").position[-1, 0]
-    assert abs(x - v0**2 / (2 * mu * g)) <= mu * g * dt**2 / 8 * (1 + 1e-6)
+    # The time of the stop is found from velocities solved to 1e-12, and the place is flat there.
+    assert abs(x - v0**2 / (2 * mu * g)) <= 1e-11
 
 
 def invariant_error(dt):
@@ -172,12 +173,12 @@ def test_bowling(mu, spin):
     assert abs(ball.angular_velocity[-1, 1] - v / r) <= 1e-11
     kinetic = trajectory.energy.kinetic
     assert abs(kinetic[0] - kinetic[-1] - (v0 - r * spin) ** 2 / 7) <= 1e-12
-    # It grips in the step in which 2 |v0 - r w0|/(7 mu g) falls; that step costs a path of O(h²).
+    # It grips in the step in which 2 |v0 - r w0|/(7 mu g) falls.
     onset = 2 * abs(v0 - r * spin) / (7 * mu * g)
     slip = np.abs(ball.linear_velocity[:, 0] - r * ball.angular_velocity[:, 1])
     assert np.flatnonzero(slip > 1e-12)[-1] == math.floor(onset / 1e-2)
     x = 0.5 * (v0 + v) * onset + v * (3.0 - onset)
-    assert abs(ball.position[-1, 0] - x) <= mu * g * 1e-2**2 / 4
+    assert abs(ball.position[-1, 0] - x) <= 1e-10  # in 3 s at speeds solved to 1e-12 and better
 
 
 def swing(t, x0, mu, stiffness):
@@ -210,31 +211,20 @@ def oscillation(dt, x0=0.35, mu=0.3, stiffness=100.0):
 
 @pytest.mark.slow
 @pytest.mark.case(21)
-def test_coulomb_oscillator():
+@pytest.mark.parametrize("h", [2e-3, 1e-3, 2.5e-4])
+def test_coulomb_oscillator(h):
     """Case 21: the amplitude falls by 4 mu m g/k per cycle, and the block stays where |x| <= mu m g/k.
 
-    Asked is the exact piecewise motion to 1e-4 m. Turning points keep it, to 5e-6 m; all times do only for h = 1e-4, as
-    below, with 5.5e-4 m at h = 1e-3.
+    The exact piecewise motion at every time, to second order: 6.7 m/s² h². The spring is a callback.
     """
     fall = 2 * 0.3 * g / 100.0  # per half cycle
-    x, exact, turns = oscillation(1e-3)
+    x, exact, turns = oscillation(h)
     # 0.35 m is six half cycles, the last of which ends where friction wins.
     amplitudes = [(-1) ** k * (0.35 - k * fall) for k in range(1, 7)]
     assert 0.35 - 5 * fall > fall / 2 >= abs(amplitudes[-1])
+    assert np.abs(x - exact).max() <= 7.0 * h * h
     np.testing.assert_allclose(turns, amplitudes, rtol=0, atol=5e-6)
     assert np.ptp(x[-100:]) <= 1e-12
-    # Friction is that of the end of the step all through the step in which the block turns: v errs by up to
-    # 2 mu g h, which the turning points do not feel and the phase does, first order.
-    assert np.abs(x - exact).max() <= 6e-4
-
-
-@pytest.mark.case(21)
-@pytest.mark.slow
-@pytest.mark.parametrize(("h", "bar"), [(2.5e-4, 1.5e-4), (1e-4, 1e-4)])
-def test_coulomb_oscillator_all_the_way(h, bar):
-    """Case 21: at h = 1e-4 the exact piecewise motion to 1e-4 m at every time."""
-    x, exact, _ = oscillation(h)
-    assert np.abs(x - exact).max() <= bar
 
 
 @pytest.mark.slow

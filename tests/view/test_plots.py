@@ -198,7 +198,10 @@ def test_plots_draw_what_is_recorded(slide, arm):
     deepest = [max(0.0, -arm.contacts(k).gap.min(initial=0.0)) for k in range(1, arm.steps + 1)]
     assert "deepest contact" in depth or max(deepest) < 1e-11
     (cones,) = curves(slide, "friction")
-    assert sum(len(cones[name]) for name in cones if name.startswith(("stick", "slip"))) == 4 * slide.steps
+    assert (
+        sum(len(cones[name]) for name in cones if name.startswith(("stick", "slip")))
+        == slide.columns["contacts/offset"][-1]
+    )
     with pytest.raises(ValueError, match=r"did you mean 'speed'\? kind must be one of position, .*; got 'sped'"):
         plots.draw(slide, "sped")
     with pytest.raises(ValueError, match=r"no joints to draw phase of; what can be drawn: position, .*, penetration$"):
