@@ -137,7 +137,7 @@ class Poses:
 
     @cached_property
     def rounded(self) -> float:
-        """Round-off of the farthest place of a body, m: in the step, and in what measures it; no length is known better."""
+        """Round-off of the farthest place of a body, m, of the step and of the audit; no length is known better."""
         return 32.0 * float(np.finfo(float).eps * np.abs(self.x).max(initial=0.0))
 
     @cached_property
