@@ -15,7 +15,9 @@ This module handles arrays of poses of one pair of shapes. For whole scenes and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -112,14 +114,23 @@ def _polytope_separation(a: Solid, b: Solid, R: Array, x: Array, exact: bool) ->
     enough = np.inf if exact else -RESOLUTION * min(a.extent, b.extent)
     some = max(1, NUMBERS // (max(1, len(b.edges)) * len(x) * max(3, len(a.corners), len(b.corners))))
     edges = [partial(_edge_axes, a.edges[k : k + some]) for k in range(0, len(a.edges), some)]
+    outer = _outermost(a), _outermost(b)
     for axes in [partial(_corner_axes, a), *edges] if a.radius or b.radius else edges:
         left = np.flatnonzero(best < enough)
         if not left.size:
             break
         n = axes(b, R[left], x[left])
+        # Some of the corners bound a separation from above: few axes can beat the best and need all corners.
+        n = n[:, (_along(*outer, R[left], x[left], n) > best[left, None]).any(axis=0)]
         if n.shape[1]:
             best[left] = np.maximum(best[left], _along(a, b, R[left], x[left], n).max(axis=1))
     return best
+
+
+def _outermost(a: Solid) -> Solid:
+    """The hull of those corners that reach farthest along few directions: about the root of their number."""
+    reach = a.corners @ _sphere(math.isqrt(len(a.corners))).T
+    return replace(a, corners=a.corners[np.union1d(reach.argmin(axis=0), reach.argmax(axis=0))])
 
 
 def _over_faces(a: Solid, b: Solid, R: Array, x: Array) -> Array:

@@ -1,5 +1,7 @@
 """True overlaps of described shapes: closed forms, an independent search, translations that part the shapes."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.optimize import elementwise
@@ -176,6 +178,39 @@ def test_poses_in_one_call():
     found = overlap(box, np.eye(4), ball, poses)
     assert found.shape == (20,)
     assert found.tolist() == [overlap(box, np.eye(4), ball, one) for one in poses]
+
+
+def test_hulls_of_many_faces_take_less_than_all_axes():
+    """As exact as all corners along all cross products of edges, in less than the time of a plain loop over these."""
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(2, 300, 3))
+    points *= 0.1 / np.linalg.norm(points, axis=2, keepdims=True)
+    a, b = (Solid.described(shapes.convex(corners)[0].describe()) for corners in points)
+    turn, x = Rotation.random(random_state=1).as_matrix(), np.array((0.15, 0.1, 0.07))
+    here, there = a.corners, b.corners @ turn.T + x
+
+    def brute():
+        edges = b.edges @ turn.T
+        best = -np.inf
+        axes = [a.normals, b.normals @ turn.T, *(np.cross(edge, edges) for edge in a.edges)]
+        for n in axes:
+            length = np.linalg.norm(n, axis=1)
+            n = n[length > 1e-12] / length[length > 1e-12, None]
+            first, second = here @ n.T, there @ n.T
+            apart = second.min(axis=0) - first.max(axis=0), first.min(axis=0) - second.max(axis=0)
+            best = max(best, np.max(apart))
+        return best
+
+    def seconds(function):
+        begin = time.process_time()
+        return function(), time.process_time() - begin
+
+    def pruned():
+        return separation(a, I[None], np.zeros((1, 3)), b, turn[None], x[None], exact=True)[0]
+
+    pairs = [(seconds(brute), seconds(pruned)) for _ in range(3)]
+    assert abs(pairs[0][0][0] - pairs[0][1][0]) < 1e-15  # m, round-off of lengths of 0.1 m
+    assert np.median([ours / theirs for (_, theirs), (_, ours) in pairs]) < 1.0
 
 
 def test_unknown_shape():
