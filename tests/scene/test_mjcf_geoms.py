@@ -8,6 +8,7 @@ from robot_texts import robot_of, scene_of
 import nsdyn as nd
 from nsdyn import cli
 from nsdyn.scene import shapes
+from nsdyn.scene.mesh_files import stl
 
 TAKES = {"plane": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 """Sizes that MuJoCo's reference gives each type; up to three may be written."""
@@ -138,6 +139,98 @@ def test_meshes_of_vertices(tmp_path):
     text = mjcf("mesh", 0, more='mesh="c"')
     corners = '<asset><mesh name="c" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
     assert fixed(tmp_path, text.replace("<worldbody>", f"{corners}<worldbody>")).shape.volume == pytest.approx(1 / 6)
+
+
+def cubes():
+    """Corners and triangles of two cubes of 1 m with the centres (-1.5, 0, 0) and (1.5, 0, 0)."""
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    triangles = np.array([corners for a, b, c, d in sides for corners in ((a, b, c), (a, c, d))])
+    corners = np.array(list(np.ndindex(2, 2, 2))) - 0.5
+    shift = np.array([1.5, 0, 0])
+    return np.vstack([corners - shift, corners + shift]), np.vstack([triangles, triangles + 8])
+
+
+def weighed(tmp_path, mesh, geoms, top=""):
+    """Inertia of a body of geoms, about its joint at the origin, without a warning."""
+    text = f"<mujoco>{top}<asset><mesh name='m' {mesh}/></asset><worldbody><body><joint/>{geoms}</body></worldbody>"
+    return robot_of(tmp_path, f"{text}</mujoco>", self_collisions=False).model.inertias[1]
+
+
+@pytest.mark.parametrize("seen", [False, True])
+@pytest.mark.parametrize("held", ["file", "text"])
+@pytest.mark.parametrize("mass", ['density="3"', 'mass="7"'])
+@pytest.mark.parametrize(
+    ("law", "volume", "along", "across"),
+    [
+        ("exact", 2, 1 / 3, 1 / 3 + 2 * 1.5**2),
+        ("convex", 4, 4 / 12 * 2, 4 / 12 * 17),  # a box of 4 m, 1 m, 1 m
+        ("shell", 12, 10 / 3, 10 / 3 + 12 * 1.5**2),
+        # Pyramids from the middle of both to all of their sides: 5/3 m³ for each cube.
+        ("legacy", 10 / 3, 7 / 15, 82 / 15 + 7 / 30),
+        (None, 10 / 3, 7 / 15, 82 / 15 + 7 / 30),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.* is not convex")
+def test_meshes_have_the_mass_of_mujoco(tmp_path, law, volume, along, across, mass, held, seen):
+    """Of two cubes as one mesh, which the four laws weigh differently; mirrored, twice as large, in a pose."""
+    corners, triangles = cubes()
+    (tmp_path / "cubes.stl").write_bytes(stl.binary(corners, triangles))
+    words = [" ".join(map(str, array.ravel())) for array in (corners, triangles)]
+    mesh = 'file="cubes.stl"' if held == "file" else f'vertex="{words[0]}" face="{words[1]}"'
+    mesh += ' scale="2 2 -2"' + (f' inertia="{law}"' if law else "")
+    touches = 'contype="0" conaffinity="0"' if seen else ""
+    found = weighed(tmp_path, mesh, f'<geom type="mesh" mesh="m" {mass} {touches} pos="1 2 3" euler="0 0 90"/>')
+    size = volume * (4 if law == "shell" else 8)
+    expected = 3 * size if "density" in mass else 7
+    np.testing.assert_allclose(found.mass, expected, rtol=1e-14)
+    np.testing.assert_allclose(found.lever, [1, 2, 3], rtol=1e-14)
+    moments = np.diag([across, along, across]) * 4 / volume * expected
+    np.testing.assert_allclose(found.inertia, moments, rtol=1e-13, atol=1e-13 * moments.max())
+
+
+def test_a_mesh_beside_a_ball_and_a_mesh_without_faces(tmp_path):
+    """A box of 0.2 x 0.3 x 0.5 m from its corners, with one at the origin, and a ball of 10 kg at its centre."""
+    corners = " ".join(f"{x} {y} {z}" for x in (0, 0.2) for y in (0, 0.3) for z in (0, 0.5))
+    ball = '<geom size=".1" pos=".1 .15 .25" mass="10"/>'
+    found = weighed(tmp_path, f'vertex="{corners}"', f'<geom type="mesh" mesh="m"/>{ball}')
+    assert found.mass == pytest.approx(40, rel=1e-14)
+    np.testing.assert_allclose(found.lever, [0.1, 0.15, 0.25], rtol=1e-14)
+    moments = np.diag([0.34, 0.29, 0.13]) * 30 / 12 + np.eye(3) * 0.4 * 10 * 0.1**2
+    np.testing.assert_allclose(found.inertia, moments, rtol=1e-13, atol=1e-15)
+
+
+def test_a_mesh_that_is_moved_as_a_whole(tmp_path):
+    """By `refpos` and `refquat`, which say where the frame of the geom is in the frame of the mesh."""
+    corners = " ".join(f"{x} {y} {z}" for x in (0, 0.2) for y in (0, 0.3) for z in (0, 0.5))
+    mesh = f'vertex="{corners}" refpos=".1 .15 0" refquat="1 0 0 1"'
+    found = weighed(tmp_path, mesh, '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/>')
+    np.testing.assert_allclose(found.lever, [0, 0, 0.25], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(np.diag(found.inertia), np.array([0.29, 0.34, 0.13]) * 30 / 12, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("compiler", "first", "second"),
+    [
+        ("", 5, 7),
+        ('inertiagrouprange="0 1"', 5, 7),
+        ('inertiagrouprange="1 2"', 4, 7),
+        ('inertiafromgeom="true"', 5, 3),
+        ('inertiafromgeom="auto"', 5, 7),
+        ('inertiafromgeom="true" inertiagrouprange="0 1"', 5, 7),
+    ],
+)
+def test_geoms_of_some_groups_give_the_mass(tmp_path, compiler, first, second):
+    """Others none; an <inertial> is left to bodies whose geoms have no mass."""
+    balls = '<geom size=".1" mass="1"/><geom size=".1" mass="4" group="1"/>'
+    inertial = '<inertial pos="0 0 0" mass="7" diaginertia="1 1 1"/>'
+    other = f'<body><joint/>{inertial}<geom size=".1" mass="3" group="2"/></body>'
+    other += f'<body><joint/>{inertial}<geom size=".1" mass="0"/></body>'
+    a = robot_of(
+        tmp_path,
+        f"<mujoco><compiler {compiler}/><worldbody><body><joint/>{balls}</body>{other}</worldbody></mujoco>",
+        self_collisions=False,
+    )
+    assert [inertia.mass for inertia in a.model.inertias][1:] == [first, second, 7]
 
 
 @pytest.mark.parametrize(

@@ -21,12 +21,12 @@ import pinocchio as pin
 from nsdyn.scene import meshes
 from nsdyn.scene.articulations import WORLD, Description, check_count, check_joints, check_size, describe_model
 from nsdyn.scene.mesh_files import stl
-from nsdyn.scene.robot_files.elements import POSE, tell
+from nsdyn.scene.robot_files.elements import POSE, changes_nothing, tell
 from nsdyn.scene.robot_files.inertias import check_mass, flaw
 from nsdyn.scene.robot_files.mjcf_actuators import ACTUATORS, actuators_of, laid_over
 from nsdyn.scene.robot_files.mjcf_elements import MACROS, TABLE, over
 from nsdyn.scene.robot_files.mjcf_equalities import gears_of, loops_of
-from nsdyn.scene.robot_files.mjcf_geoms import Geoms, as_ball, mesh_name
+from nsdyn.scene.robot_files.mjcf_geoms import Geoms, as_box, mesh_name
 from nsdyn.scene.robot_files.mjcf_joints import SIZES, joints_of, place_joints, set_joints, single, start_of
 from nsdyn.scene.robot_files.mjcf_poses import write_quaternions
 from nsdyn.scene.robot_files.mjcf_visuals import visuals_of
@@ -47,6 +47,7 @@ NUMBERS = {*POSE.split(), "axis", "size", "fromto", "ref", "scale", "vertex"}
 CHOICES = {
     "angle": "degree radian",
     "autolimits": "true false",
+    "inertia": "convex exact legacy shell",
     "inertiafromgeom": "true false auto",
     "active": "true false",
     "condim": "1 3 4 6",
@@ -68,7 +69,7 @@ def read_mjcf(name: str, path: Path, keyframe: str | None) -> Description:
         # Before Pinocchio builds the model: it makes one joint of several on a body, with tables of the same size.
         check_count(name, sum(SIZES[kind][1] for _, kind, _, _ in joints_of(root)))
         check_joints(name, [e.attrib["name"] for e, *_ in joints_of(root) if "name" in e.attrib])
-        model, geometry = _build(root, path)
+        model, geometry = _build(root, path, geoms, report)
         check_size(name, model)
         stiffness, rest = set_joints(root, model, report)
         q, controls = start_of(root, model, keyframe, len(driven), report)
@@ -244,8 +245,10 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     carriers = [b for b in world.iter("body") if any(e.tag in ("joint", "freejoint") for e in b)]
     moving = {e.get("name", "") for carrier in carriers for e in carrier.iter("body")}
     paints = {e.get("name", ""): e for e in root.iterfind("asset/material")}
-    by_geoms = any(e.get("inertiafromgeom") == "true" for e in root.iterfind("compiler"))
-    bounds = [numbers(e.get("boundmass"), 1, (0.0,), "boundmass of <compiler>") for e in root.iterfind("compiler")]
+    settings = getattr(root.find("compiler"), "attrib", {})
+    by_geoms = settings.get("inertiafromgeom") == "true" and settings.pop("inertiafromgeom")
+    least, most = numbers(settings.get("inertiagrouprange"), 2, (0, 5), "inertiagrouprange of <compiler>")
+    bound = scalar(settings.get("boundmass"), 0.0, "boundmass of <compiler>")
     trees, geoms = _trees(world, moving), Geoms(_meshes(root), paints)
     # Fixed geoms become bodies of the scene, whose names must differ from those of links and joints.
     taken = {name for name, tree in trees.items() if tree != WORLD} | {e.get("name", "") for e in world.iter("joint")}
@@ -266,16 +269,18 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
                 if body not in tops:
                     raise ValueError(f"body {where!r} must be at the top of the world to have a free joint")
                 child.attrib.pop("pos", None)  # MuJoCo ignores it
-        solids = body.iterfind("geom[@type='mesh']")
-        if where in moving and (by_geoms or body.find("inertial") is None):
-            if any(scalar(g.get("mass", g.get("density")), 1.0, f"mass of body {where!r}") for g in solids):
-                report.missing.append(f"body {where!r}: inertia of its meshes")
-            if any(bounds):  # Pinocchio bounds <inertial>, and does not expose the mass that geoms give a body
-                report.missing.append(f"body {where!r}: boundmass where its geoms have less")
-        if trees[where] == WORLD:  # only its shapes are used; Pinocchio gives a plane 1 kg
-            for inertial in body.findall("inertial"):
-                body.remove(inertial)
+        heavy = False
+        for geom in body.findall("geom"):
+            if not least <= scalar(geom.get("group"), 0.0, f"group of a <geom> of body {where!r}") <= most:
+                geom.set("mass", "0")
+            heavy |= not changes_nothing(geom.get("mass", geom.get("density", "1")), "0")
+        if where not in moving or (by_geoms and heavy):
+            body[:] = [child for child in body if child.tag != "inertial"]
+        if where not in moving:  # only its shapes are used; Pinocchio gives a plane 1 kg
             ElementTree.SubElement(body, "inertial", {"mass": "0", "pos": "0 0 0", "diaginertia": "0 0 0"})
+        elif bound and body.find("inertial") is None:
+            # Pinocchio bounds <inertial>, and does not expose the mass that geoms give a body.
+            report.missing.append(f"body {where!r}: boundmass where its geoms have less")
         geoms.read(body, taken if trees[where] == WORLD else set(), report)
     geoms.note_pairs(root, report)
     world.tag = "body"
@@ -291,7 +296,7 @@ def _simplify(root: Element, report: Report) -> tuple[Geoms, dict[str, str]]:
     return geoms, trees
 
 
-def _build(root: Element, path: Path) -> tuple[Any, Any]:
+def _build(root: Element, path: Path, geoms: Geoms, report: Report) -> tuple[Any, Any]:
     """Return (model, geometry) that Pinocchio builds from the simplified file."""
     if root.find("compiler") is None:
         ElementTree.SubElement(root, "compiler")
@@ -301,8 +306,12 @@ def _build(root: Element, path: Path) -> tuple[Any, Any]:
         _copy_meshes(bare, path.parent, Path(scratch))
         shaped, file = (Path(scratch) / f"{which}.xml" for which in (f"{path.stem}-shapes", path.stem))
         ElementTree.ElementTree(bare).write(shaped)
-        for geom in bare.iterfind(".//geom[@type='mesh']"):
-            as_ball(geom)
+        for geom in [g for body in bare.iter("body") if body.find("inertial") is None for g in body.findall("geom")]:
+            if (mesh := geoms.looks[geom.attrib["name"]].mesh) is not None:
+                try:
+                    as_box(geom, mesh, path.parent)
+                except ValueError as failure:
+                    report.missing.append(f"inertia of geom {geom.attrib['name']!r}: {failure}")
         ElementTree.ElementTree(bare).write(file)
         with noise.caught():
             model = pin.buildModelFromMJCF(str(file))

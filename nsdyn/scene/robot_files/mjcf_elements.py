@@ -41,11 +41,10 @@ TABLE = {
     "compiler": Rules(
         # Fixed, only visible or written back parts do not matter; shapes fitted to meshes are refused.
         "angle eulerseq autolimits inertiafromgeom boundmass meshdir assetdir texturedir discardvisual fusestatic "
-        "usethread savecanonical savecompiled saveinertial fitaabb lengthrange",
-        missing="settotalmass inertiagrouprange",
+        "inertiagrouprange usethread savecanonical savecompiled saveinertial fitaabb lengthrange",
+        missing="settotalmass",
         still={
             "settotalmass": "-1",
-            "inertiagrouprange": "0 5",
             "boundinertia": "0",
             "balanceinertia": "false",
             "coordinate": "local",

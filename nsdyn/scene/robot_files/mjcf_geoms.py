@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import pinocchio as pin
 
+from nsdyn.scene import hulls, meshes
 from nsdyn.scene.materials import Material
 from nsdyn.scene.robot_files.elements import POSE
-from nsdyn.scene.robot_files.mjcf_poses import along
+from nsdyn.scene.robot_files.inertias import check_mass
+from nsdyn.scene.robot_files.mjcf_poses import along, quaternion
 from nsdyn.scene.robot_files.mjcf_visuals import Look, look_of
-from nsdyn.scene.robot_files.xml import Notes, Report, numbers, scalar, text_of
+from nsdyn.scene.robot_files.xml import Notes, Report, mesh_file, numbers, scalar, text_of
+from nsdyn.tools.arrays import Array
 from nsdyn.tools.naming import choice
 
 SIZES = {"plane": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "mesh": 0}
@@ -80,8 +85,9 @@ class Geoms:
             self.masks[label] = masks
             if kind == "mesh" and any(masks):
                 continue
-            if kind == "mesh":
-                as_ball(geom)
+            if kind == "mesh":  # a ball for Pinocchio, at the pose of the mesh
+                geom.attrib |= {"type": "sphere", "size": "1"}
+                del geom.attrib["mesh"]
             # Pinocchio ignores the mass of geoms that touch nothing.
             geom.attrib |= {"contype": "1", "conaffinity": "1"}
 
@@ -98,10 +104,56 @@ class Geoms:
             notes.append(f"contact: <pair> of {names[0]!r} and {names[1]!r}")
 
 
-def as_ball(geom: Element) -> None:
-    """Make a mesh a massless ball at its pose: to Pinocchio every mesh has 1 kg and 1 kg m², whatever its mass."""
-    geom.attrib |= {"type": "sphere", "size": "1", "mass": "0"}
-    del geom.attrib["mesh"]
+def as_box(geom: Element, mesh: Element, home: Path) -> None:
+    """Make a mesh the box of its mass, centre and inertia: to Pinocchio every mesh has 1 kg and 1 kg m².
+
+    `home` is the folder of the file. ValueError, and a box without mass, if the mesh is not there or not a solid.
+    """
+    label, given = f"of geom {geom.get('name')!r}", dict(geom.attrib)
+    mass = scalar(given.get("mass", given.get("density")), 1000.0, f"mass {label}")
+    geom.attrib |= {"type": "box", "size": "1 1 1", "mass": "0"}
+    geom.attrib.pop("mesh", None)
+    if mass != 0.0:
+        volume, centre, products = _solid(mesh, home)
+        squares, axes = np.linalg.eigh(products)
+        turn = pin.Quaternion(*numbers(given.get("quat"), 4, (1, 0, 0, 0), f"quat {label}")).toRotationMatrix()
+        geom.set("mass", repr(check_mass(mass * (1.0 if "mass" in given else volume), label)))
+        geom.set("size", text_of(np.sqrt(3.0 * squares.clip(0.0))))
+        geom.set("pos", text_of(numbers(given.get("pos"), 3, (0, 0, 0), f"pos {label}") + turn @ centre))
+        geom.set("quat", text_of(quaternion(turn @ axes * np.sign(np.linalg.det(axes)))))
+
+
+@np.errstate(all="ignore")
+def _solid(mesh: Element, home: Path) -> tuple[float, Array, Array]:
+    """Return volume (of a shell: area), centroid and mean products of coordinates about it, (3, 3), as MuJoCo does."""
+    label, how = f"of mesh {mesh.get('name')!r}", mesh.get("inertia", "legacy")
+    if "vertex" in mesh.attrib:
+        vertices = numbers(mesh.get("vertex"), None, None, f"vertex {label}").reshape(-1, 3)
+        triangles = numbers(mesh.get("face"), None, (), f"face {label}").reshape(-1, 3).astype(int)
+        if not ((triangles >= 0) & (triangles < len(vertices))).all():
+            raise ValueError(f"face {label} must have corners 0 to {len(vertices) - 1}, got {mesh.get('face')!r}")
+    else:
+        vertices, triangles, _ = meshes.read(mesh_file(mesh.get("file", ""), [home], ""))
+    turn = pin.Quaternion(*numbers(mesh.get("refquat"), 4, (1, 0, 0, 0), f"refquat {label}")).normalized()
+    vertices = (vertices - numbers(mesh.get("refpos"), 3, (0, 0, 0), f"refpos {label}")) @ turn.toRotationMatrix()
+    vertices = vertices * numbers(mesh.get("scale"), 3, (1, 1, 1), f"scale {label}")
+    if how == "convex" or not triangles.size:
+        triangles = np.array([(loop[0], a, b) for loop in hulls.faces(vertices) for a, b in pairwise(loop[1:])])
+    corners = vertices[triangles]
+    sizes = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
+    centre, order = sizes @ corners.mean(axis=1) / sizes.sum(), 2.0
+    # Pyramids over the triangles: those of the legacy law overlap where the apex does not see all of the surface.
+    for shift in (0.25, 0.0):
+        edges = corners - centre
+        if how != "shell":
+            sizes, order = np.linalg.det(edges) / 6.0, 3.0
+            sizes = sizes if how == "exact" else np.abs(sizes)
+        centre = centre + shift * (sizes @ edges.sum(axis=1)) / sizes.sum()
+    edges = np.concatenate((edges, edges.sum(axis=1, keepdims=True)), axis=1)
+    products = np.einsum("i,ija,ijb->ab", sizes, edges, edges) / ((order + 1.0) * (order + 2.0) * sizes.sum())
+    if not np.isfinite(products).all():
+        raise ValueError(f"volume {label} must be finite and not 0")
+    return abs(float(sizes.sum())), centre, products
 
 
 def mesh_name(mesh: Element) -> str:

@@ -53,15 +53,15 @@ def _read(form: str, text: str, label: str, unit: float, order: str) -> Array:
 
     match form:
         case "euler":
-            return _quaternion(_euler(unit * values, order))
+            return quaternion(_euler(unit * values, order))
         case "axisangle":
-            return _quaternion(_about(direction(values[:3]), unit * values[3]))
+            return quaternion(_about(direction(values[:3]), unit * values[3]))
         case "zaxis":
             return along(direction(values))
         case "xyaxes":
             x, y = direction(values[:3]), direction(values[3:])
             y = direction(y - x * (x @ y))
-            return _quaternion(np.column_stack((x, y, np.cross(x, y))))
+            return quaternion(np.column_stack((x, y, np.cross(x, y))))
         case _:
             return direction(values)
 
@@ -76,7 +76,8 @@ def along(z: Array) -> Array:
     return np.array([math.cos(angle), scale * x, scale * y, 0.0])
 
 
-def _quaternion(turn: Array) -> Array:
+def quaternion(turn: Array) -> Array:
+    """Return the quaternion w x y z of a rotation matrix."""
     return np.roll(pin.Quaternion(turn).coeffs(), 1)
 
 
