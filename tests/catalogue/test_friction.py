@@ -224,7 +224,7 @@ def test_coulomb_oscillator(h):
     assert 0.35 - 5 * fall > fall / 2 >= abs(amplitudes[-1])
     assert np.abs(x - exact).max() <= 7.0 * h * h
     np.testing.assert_allclose(turns, amplitudes, rtol=0, atol=5e-6)
-    assert np.ptp(x[-100:]) <= 1e-12
+    assert np.ptp(x[-round(0.1 / h) :]) <= 1e-12
 
 
 @pytest.mark.slow
