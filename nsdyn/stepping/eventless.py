@@ -39,7 +39,7 @@ ASKS = 50
 
 
 class EventlessSteps:
-    """Eventless steps by a kernel: steps without an impact, an overlap or a reversal of slip.
+    """Eventless steps by a kernel: steps without an impact, an overlap or an end of slip.
 
     With `polish` no certificate of the kernel is accepted. `loads` gives the user's callbacks at a time [s]. A step
     with one of the `paradoxes` is left to the general step.

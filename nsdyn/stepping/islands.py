@@ -29,7 +29,7 @@ from nsdyn.stepping.contact_kinematics import ContactKinematics
 from nsdyn.stepping.midpoint import Loads, Midpoint, midpoint
 from nsdyn.stepping.move import try_move
 from nsdyn.stepping.scene_state import SceneState, System
-from nsdyn.stepping.slip_reversal import endings
+from nsdyn.stepping.slip_end import ending
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
 from nsdyn.stepping.substepping import integrate
@@ -223,7 +223,7 @@ class Islands:
         return self._nodes(c, deep & (c.gap > s.gap_tol))
 
     def _large(self, contacts: ContactSet, label: Index, count: int) -> Bools:
-        """Mark islands (count,) with so many contacts that their impacts and reversals of slip are not located."""
+        """Mark islands (count,) with so many contacts that their impacts and ends of slip are not located."""
         return OPTIONS.event * np.bincount(label[self.whole.nodes(contacts)], minlength=count) > OPTIONS.work
 
     def _nodes(self, c: ContactSet, which: Bools | slice = slice(None)) -> Index:
@@ -254,14 +254,14 @@ class Islands:
     def _open_events(self, begin: SceneState, a: Attempt, label: Index, opened: Bools, large: Bools) -> None:
         """Mark in `opened` the islands for which an attempt does not hold: they meet an event or need another solve.
 
-        In `large` islands (islands,) reversals of slip do not count.
+        In `large` islands (islands,) ends of slip do not count.
         """
         s, d = self.whole, self.whole.dynamics
         c, found, limits = a.kin.contacts, a.moved.contacts, a.moved.limits
         out = [self._nodes(found, found.gap < -s.gap_tol), d.joints.block[d.joints.limits[limits < -s.gap_tol]]]
-        if (ends := endings(a.kin, a.problem, a.solution, s.solver.tol)) is not None:
-            ends[: c.gap.size][large[label[s.nodes(c)]]] = 0
-            out.append(self._of_rows(a.kin, ends > 0))
+        if (ends := ending(a.kin, a.problem, a.solution, s.solver.tol)) is not None:
+            ends[: c.gap.size][large[label[s.nodes(c)]]] = False
+            out.append(self._of_rows(a.kin, ends))
         if a.kin.joints is not None and (balls := a.kin.rows.balls).size:
             off = unbalanced(a.kin.rows, a.solution.r, a.solution.u, a.problem.scales)
             out.append(d.joints.block[a.kin.joints.slot[balls[off] - c.gap.size]])

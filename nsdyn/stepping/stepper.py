@@ -55,7 +55,7 @@ class Stepper:
 
     All forces and impulses act at one configuration, so that their works are those of the ledger. Smooth motion is
     second order for θ = ½ without memory of earlier steps, in contact too, and free flight is exact. A step is cut into
-    moves at impacts, which act in no time, and at reversals of slip, until these are too many to be located. Each
+    moves at impacts, which act in no time, and where slip stops or reverses, until these are too many to locate. Each
     island (group of bodies that may touch) is cut by itself. Its motion depends on no other body, to the last bit,
     except on the size of the scene's smallest moving body: a fraction of it is the gap tolerance. No shapes overlap at
     the end of a step: a projection of the positions removes remaining penetration. Contacts of free bodies that stay

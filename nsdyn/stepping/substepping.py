@@ -19,15 +19,14 @@ from nsdyn.stepping.impulses import Impulses
 from nsdyn.stepping.midpoint import Loads
 from nsdyn.stepping.move import touch_time, try_move
 from nsdyn.stepping.scene_state import SceneState, System
-from nsdyn.stepping.slip_reversal import reversal
+from nsdyn.stepping.slip_end import first_end
 from nsdyn.stepping.state import State
 from nsdyn.stepping.step_result import StepResult, finish
 from nsdyn.tools.arrays import NONE, NOTHING, Array, Index
 
 SOON, AGAIN = 1e-6, 1e-3
-"""Shares of a move at its beginning in which a reversal of slip is not located. The first is round-off, also at its
-end. The second holds after a move that ended at a reversal, which is located to second order: the rest of that
-reversal."""
+"""Shares at the beginning of a move in which an end of slip is not located. The first, of the move, is round-off, also
+at its end. The second, of the step, holds after a move that ended at an end of slip: to second order that is known."""
 
 LOOKS = 30
 """Most moves for locating one impact."""
@@ -216,7 +215,7 @@ def _to_event(
     meets: bool = False,
     cut: float = math.inf,
 ) -> tuple[float, Attempt]:
-    """Move to the first impact or reversal of slip, for at most h seconds; return the length and the move.
+    """Move to the first impact or end of slip, for at most h seconds; return the length and the move.
 
     If locating the event would take more moves than the budget allows, the move goes all the way and captures the
     event.
@@ -229,14 +228,14 @@ def _to_event(
     t, h : float
         When the move begins and how long it lasts at most, s.
     soon : float
-        Reversals of slip before this time, s, are not located.
+        Ends of slip before this time, s, are not located.
     budget : Budget
     begun : Midpoint or Attempt, optional
         Known part of the move of h seconds.
     meets : bool
         Whether the move is known to meet an event, or an impact has just occurred, which may be one of a row.
     cut : float
-        By how much the move has been shortened to end where slip was to reverse, s; infinite if it has not been.
+        By how much the move has been shortened to end where slip was to end, s; infinite if it has not been.
     """
 
     def capture(begun: Known) -> tuple[float, Attempt]:
@@ -255,8 +254,8 @@ def _to_event(
     if affords and hits.size and h > LEAST * s.dt and _sweeps(s, begin, m, hits):
         budget.longest = 0.5 * h
         return _to_event(s, loads, begin, t, budget.longest, soon, budget)
-    turned = h * reversal(m.kin, s.solver, m.problem, m.solution, soon / h, cut < math.inf) if affords else h
-    # Slip that is as large however short the move is, as where contacts hold the joints, has no time of reversal.
+    turned = h * first_end(m.kin, s.solver, m.problem, m.solution, soon / h, cut < math.inf) if affords else h
+    # Slip that is as large however short the move is, as where contacts hold the joints, has no time of its end.
     if SOON * h < h - turned <= 0.5 * cut:
         return _to_event(s, loads, begin, t, turned, soon, budget, cut=h - turned)
     if not hits.size:

@@ -10,7 +10,7 @@ from nsdyn._kernels.problem import blocks as _blocks
 from nsdyn._kernels.problem.gauss import certificate_of
 from nsdyn._kernels.reductions import least
 from nsdyn._kernels.stepping import columns as col
-from nsdyn._kernels.stepping import law, slip_reversal, touching
+from nsdyn._kernels.stepping import law, slip_end, touching
 from nsdyn._kernels.stepping.active_set import overrun, rests_of
 from nsdyn._kernels.stepping.eventless_contacts import all_rates
 from nsdyn._kernels.stepping.islands import located
@@ -54,26 +54,26 @@ def rebounds(scene, movers, active, old, w):
 
 @kernel
 def turns_round(solution, mu, local, was, active, first, node):
-    """Whether any slip ends or reverses, as in `slip_reversal.ending`, in an island whose events are located.
+    """Whether any slip ends, as in `slip_end.ending`, in an island whose events are located.
 
     solution = (r, u, b), first: contacts at the beginning of the move, which determine the islands; `node` of every
     frame.
     """
-    ends = np.empty(was.size, np.int8)
-    if slip_reversal.ending(*solution, mu, local, was, np.empty(0, np.bool_), ends) == 0:
+    ends = np.empty(was.size, np.bool_)
+    if not slip_end.ending(*solution, mu, local, was, np.empty(0, np.bool_), ends):
         return False
     seen = np.zeros(node.max() + 2, np.bool_)  # The last one: what has no node.
     located(node, first[2:4], seen[:-1])
     for c in range(was.size):
         for s in range(2):
-            if ends[c] > 0 and seen[node[active[2 + s, c]]]:
+            if ends[c] and seen[node[active[2 + s, c]]]:
                 return True
     return False
 
 
 @no_alloc
 def eventless(num, bodies, contacts, last, flags, was, room):
-    """Whether the move has no event: no slip reversal, no deep overlap, no impact, no contact that turns far.
+    """Whether the move has no event: no slip that ends, no deep overlap, no impact, no contact that turns far.
 
     Nor is there a contact whose normal does not separate its bodies, as in `active_set.overrun`. bodies = (geoms, radii
     of balls inside the shapes, nodes of the frames), contacts = (active set, those found at the end, those at the
