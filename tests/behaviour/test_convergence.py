@@ -542,3 +542,23 @@ def test_a_lens_that_falls_flat_keeps_its_energy(radii, dt, lost):
     assert energy[-1] + abs(works.friction.sum()) >= (1.0 - lost) * energy[0]
     assert np.abs(works.integration).sum() <= 0.04 * energy[0]
     assert nd.check(run).passed
+
+
+@pytest.mark.parametrize("dt", [2.5e-2, 1.25e-2, 6.25e-3, 3.125e-3])
+@pytest.mark.parametrize("shape", ["box", "cylinder"])
+def test_a_body_that_spins_down_stops_where_it_does(shape, dt):
+    """Its corners or its rim stop all at once, μ g d/ρ² slower each second, in a step in which it still turns."""
+    scene, mu, spin = nd.Scene(), 0.3, 12.0
+    scene.add_halfspace("table", material=nd.Material(mu=mu))
+    how = {"position": (0, 0, 0.01), "angular_velocity": (0, 0, spin), "material": nd.Material(mu=mu)}
+    if shape == "box":
+        scene.add_box("body", (0.2, 0.1, 0.02), 1.0, **how)
+        slowing = mu * g * math.hypot(0.1, 0.05) / ((0.2**2 + 0.1**2) / 12)
+    else:
+        scene.add_cylinder("body", 0.1, 0.02, 1.0, **how)
+        slowing = mu * g * 0.1 / (0.1**2 / 2)
+    run = nd.simulate(scene, 0.3, dt=dt)
+    turned = run.body("body").angular_velocity[:, 2], run.body("body").quaternion[-1]
+    assert abs(turned[0][-1]) <= 1e-10
+    # Second order; a stop that is not located errs by up to 4 dt².
+    assert abs(2 * math.atan2(turned[1][2], turned[1][3]) - spin**2 / (2 * slowing)) <= 0.06 * dt**2

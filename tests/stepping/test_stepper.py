@@ -672,7 +672,10 @@ def test_a_step_that_was_not_asked_for_anything_is_sent_whole(name):
 
 
 def test_a_body_of_any_mass_tumbles_as_one_of_a_kilogram():
-    """Beyond 1e12 kg the error of the literature is round-off, which no answer goes below."""
+    """Beyond 1e12 kg the error of the literature is round-off, which no answer goes below.
+
+    Where slip stops is not located in steps that miss the tolerance for it, which is of second order in dt.
+    """
     ends = []
     for mass in (1.0, 1e13):
         scene, material = nd.Scene(), nd.Material(mu=0.4)
@@ -682,7 +685,7 @@ def test_a_body_of_any_mass_tumbles_as_one_of_a_kilogram():
         scene.add_box("box", (0.2, 0.3, 0.4), mass, **pose, **speeds, material=material)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of steps that miss the tolerance
-            ends.append(nd.simulate(scene, 0.4, dt=2e-3).body("box").position[-1])
+            ends.append(nd.simulate(scene, 0.4, dt=1e-3).body("box").position[-1])
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-6)
 
 

@@ -17,8 +17,9 @@ STANDS = 1e-6
 def ending(r, y, b, mu, local, was, slid, out):
     """Contacts and joint rows whose slip at the beginning of a move stops or reverses before its end, into out (rows,).
 
-    Returns whether any of those with an impulse does. The solution is y = W r + b; was (nc,) are the states of the
-    contacts in the last move, slid (joint rows,) the rows of dry joint friction that slid.
+    A slip that is no more than the drift, with the drift or without, has stopped: a body that stops does not turn as the
+    drift foresees. Returns whether any row with an impulse is marked. The solution is y = W r + b; was (nc,) are the
+    states of the contacts in the last move, slid (joint rows,) the rows of dry joint friction that slid.
     """
     u_begin, u_free, jacobian_drift = local[0], local[2], local[3]
     nc, some = was.size, False
@@ -30,15 +31,16 @@ def ending(r, y, b, mu, local, was, slid, out):
             sliding = slid[c - nc]
         if not sliding:
             continue
-        onward, before, after = 0.0, 0.0, 0.0
+        onward, before, after, drift, unturned = 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(3 * c + 1, 3 * c + 3):
             end = y[j] - b[j] + u_free[j] + jacobian_drift[j]
             onward, before, after = onward + u_begin[j] * end, before + square(u_begin[j]), after + square(end)
+            drift, unturned = drift + square(jacobian_drift[j]), unturned + square(end - jacobian_drift[j])
         if before == 0.0:
             continue  # it had stopped before the move
         found = state(r, mu[c], 3 * c)
         # Of redundant contacts that share an impulse some may be at the friction limit though the body sticks.
-        stops = found == STICK or after <= STANDS * STANDS * before
+        stops = found == STICK or min(after, unturned) <= max(STANDS * STANDS * before, drift)
         out[c] = stops or onward < ROUND * math.sqrt(before * after)
         some = some or (out[c] and found > 0)
     return some
