@@ -17,9 +17,9 @@ STANDS = 1e-6
 def ending(r, y, b, mu, local, was, slid, out):
     """Contacts and joint rows whose slip at the beginning of a move stops or reverses before its end, into out (rows,).
 
-    A slip that is no more than the drift, with the drift or without, has stopped: a body that stops does not turn as the
-    drift foresees. Returns whether any row with an impulse is marked. The solution is y = W r + b; was (nc,) are the
-    states of the contacts in the last move, slid (joint rows,) the rows of dry joint friction that slid.
+    A slip that is no more than the drift, with the drift or without, has stopped: a body that stops does not turn as
+    the drift foresees. Returns whether any row with an impulse is marked. The solution is y = W r + b; was (nc,) are
+    the states of the contacts in the last move, slid (joint rows,) the rows of dry joint friction that slid.
     """
     u_begin, u_free, jacobian_drift = local[0], local[2], local[3]
     nc, some = was.size, False
