@@ -6,7 +6,7 @@ from nsdyn._kernels.compiled import answer, asked
 from nsdyn.scene import named as scenes
 from nsdyn.stepping.stepper import Stepper
 
-SCENES = """arm_pushes_box billiard bricard cradle gripper peg
+SCENES = """arm_pushes_box billiard bricard cradle domino gripper peg
 pyramid quadruped rattleback rocking six_cubed woodpecker""".split()
 STEPS = 3, 300
 """Scenes, and how many steps of each are run. The last steps call all kernels that the named scenes call. In the first
