@@ -45,8 +45,8 @@ def first_end(
         drag = np.zeros_like(b)
         drag[some, 1:] = (kin.mu[some] * solution.r[::3][some] / speed)[:, None] * u
         slowed = problem.product(drag.ravel()).reshape(-1, 3)[some, 1:]
-        fast = 2.0 * (2.0 * np.linalg.norm(free[some], axis=1) + np.linalg.norm(now[some], axis=1) + speed)
-        fast += 2.0 * np.linalg.norm(slowed, axis=1)
+        most = 2.0 * np.linalg.norm(free[some], axis=1) + np.linalg.norm(now[some], axis=1)
+        fast = 2.0 * (most + np.linalg.norm(slowed, axis=1) + speed)
         on = (fast / speed)[:, None] * u
         onward = b.copy()
         onward[some, 1:] = free[some] + on

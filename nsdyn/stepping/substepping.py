@@ -235,7 +235,7 @@ def _to_event(
     meets : bool
         Whether the move is known to meet an event, or an impact has just occurred, which may be one of a row.
     cut : float
-        By how much the move has been shortened to end where slip was to end, s; infinite if it has not been.
+        By how much the move has been shortened to where slip was to end, s; infinite if it has not been.
     """
 
     def capture(begun: Known) -> tuple[float, Attempt]:

@@ -53,7 +53,7 @@ def rebounds(scene, movers, active, old, w):
 
 
 @kernel
-def turns_round(solution, mu, local, was, active, first, node):
+def any_end(solution, mu, local, was, active, first, node):
     """Whether any slip ends, as in `slip_end.ending`, in an island whose events are located.
 
     solution = (r, u, b), first: contacts at the beginning of the move, which determine the islands; `node` of every
@@ -84,7 +84,7 @@ def eventless(num, bodies, contacts, last, flags, was, room):
     local, stays = col.local(own, col.LOCAL, nc), flags[col.STAYS, :nc]
     answer = r, _, _ = col.answer(a, nc)
     deepest, deep = least(now[2][0]), min(num[col.GAP_TOL], num[col.LEAST_PENETRATION])
-    if deepest < -num[col.GAP_TOL] or turns_round(answer, scalars[1], local, was, names, first[0], node):
+    if deepest < -num[col.GAP_TOL] or any_end(answer, scalars[1], local, was, names, first[0], node):
         return False
     if deepest < -deep:
         # Every contact this deep must have an impulse.
